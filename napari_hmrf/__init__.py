@@ -1,0 +1,42 @@
+"""napari-hmrf: how soft tissue moves, computed on the pixels of an image.
+
+Paint the inputs, or make them, then::
+
+    from napari_hmrf import Problem, solve
+
+    solution = solve(Problem(y, c, m))
+    solution.displacement  # (H, W, 2): the tissue at X moves to X + d(X)
+
+Importing this package imports neither napari nor Qt, OpenGL or numba.
+"""
+
+from napari_hmrf.errors import (
+    BackendError,
+    Cancelled,
+    FileFormatError,
+    HmrfError,
+    ProblemError,
+)
+from napari_hmrf.optimizers import ICM, Monitor
+from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.problem import Problem
+from napari_hmrf.solution import Provenance, Solution
+from napari_hmrf.solve import solve
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ICM",
+    "BackendError",
+    "Cancelled",
+    "FileFormatError",
+    "HmrfError",
+    "Monitor",
+    "Problem",
+    "ProblemError",
+    "Provenance",
+    "SeilerPrior",
+    "Solution",
+    "__version__",
+    "solve",
+]

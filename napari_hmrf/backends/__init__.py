@@ -1,0 +1,66 @@
+"""The devices that can run the kernels, and the choice between them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+from napari_hmrf.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.errors import BackendError
+
+#: What can be asked for by name. "opengl" takes compute shaders where the driver has them.
+BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
+BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
+
+__all__ = [
+    "BACKEND_NAMES",
+    "BATCH_SECONDS",
+    "Backend",
+    "BackendName",
+    "Checkpoint",
+    "SiteRule",
+    "compute_thread",
+    "open_backend",
+]
+
+
+def open_backend(name: str, checkpoint: Checkpoint) -> tuple[Backend[Any], str]:
+    """Make a backend ready; on the compute thread only.
+
+    Parameters
+    ----------
+    name : str
+        One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
+        where there is only a software rasteriser (ten times slower than they) or no OpenGL.
+    checkpoint : callable
+        Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
+
+    Returns
+    -------
+    Backend
+    str
+        Why it was taken, in words.
+
+    Raises
+    ------
+    BackendError
+        What is missing, and how to get it.
+    """
+    from napari_hmrf.backends.cpu import CpuBackend
+
+    if name == "cpu":
+        return CpuBackend(checkpoint), "asked for"
+    if name not in BACKEND_NAMES:
+        raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
+    from napari_hmrf.backends.opengl import OpenGLBackend, is_software_renderer
+
+    if name != "auto":
+        return OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None), "asked for"
+    try:
+        backend = OpenGLBackend(checkpoint)
+    except BackendError as error:
+        return CpuBackend(checkpoint), f"no usable OpenGL ({error})"
+    if is_software_renderer(backend.renderer):
+        backend.close()
+        return CpuBackend(checkpoint), f"OpenGL here is software only ({backend.renderer})"
+    return backend, "a GPU is there"

@@ -1,0 +1,44 @@
+"""Every error this package raises on purpose.
+
+Each says what is wrong, where, and what to do about it; none is raised after work has begun that
+would have to be undone.
+"""
+
+from __future__ import annotations
+
+
+class HmrfError(Exception):
+    """Base of all errors raised on purpose by napari-hmrf."""
+
+
+class ProblemError(HmrfError, ValueError):
+    """The input images do not make a solvable problem.
+
+    Parameters
+    ----------
+    field : str
+        The input at fault: ``"y"``, ``"c"``, ``"m"`` or ``"spacing"``; the widget replaces it by
+        the name of the layer the input came from.
+    message : str
+        What is wrong and what to do, without the field's name.
+    """
+
+    def __init__(self, field: str, message: str) -> None:
+        self.field = field
+        self.message = message
+        super().__init__(f"{field}: {message}")
+
+
+class BackendError(HmrfError, RuntimeError):
+    """A backend is missing, cannot start, or gave a result that must not be trusted."""
+
+
+class FileFormatError(HmrfError, ValueError):
+    """A file is not a valid saved solution."""
+
+
+class Cancelled(HmrfError):
+    """The solve was cancelled; no result exists and nothing was changed."""
+
+    def __init__(self) -> None:
+        super().__init__("the solve was cancelled")

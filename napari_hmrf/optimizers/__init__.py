@@ -1,0 +1,6 @@
+"""Schedules of kernels over the levels of the hierarchy, written once for every backend."""
+
+from napari_hmrf.optimizers.base import LevelRun, Monitor, Optimizer, Outcome
+from napari_hmrf.optimizers.icm import ICM
+
+__all__ = ["ICM", "LevelRun", "Monitor", "Optimizer", "Outcome"]

@@ -1,0 +1,75 @@
+"""What an optimizer is given and what it gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends.base import Backend
+from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.problem import Problem
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """One report of a running schedule: what is being done and how much of the work is behind.
+
+    Attributes
+    ----------
+    message : str
+        In words, for a progress bar.
+    fraction : float
+        Work done, 0 to 1.
+    """
+
+    message: str
+    fraction: float
+
+
+Report = Callable[[Monitor], None]
+
+
+@dataclass(frozen=True)
+class LevelRun:
+    """What happened on one scale level."""
+
+    number: int
+    shape: tuple[int, ...]
+    iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a schedule brings back, in pixels.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (H, W, 2)
+    energy : ndarray, shape (iterations,)
+        Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared.
+    levels : tuple of LevelRun
+        In the order they were run; their iterations add up to ``len(energy)``.
+    """
+
+    displacement: npt.NDArray[np.float32]
+    energy: npt.NDArray[np.float64]
+    levels: tuple[LevelRun, ...]
+
+
+class Optimizer(Protocol):
+    """A schedule of named kernels on the levels of the hierarchy."""
+
+    def run(
+        self, problem: Problem, prior: SeilerPrior, backend: Backend[Any], report: Report
+    ) -> Outcome:
+        """Run the schedule; on the compute thread only."""
+        ...
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What it would take to run it again, for the record (JSON types only)."""
+        ...

@@ -1,0 +1,200 @@
+"""The energies, as the equations say them.
+
+This is the readable definition, in NumPy and float64, of what the kernels of both backends compute,
+and their oracle in the tests. Lengths are in pixels (``Problem.unit``).
+
+Three sites s - t - u in a line, t in the middle, make a clique; there are four directions of lines
+(figure 2): vertical, horizontal and the two diagonals. With the stiffness ratios r_u = m_t / m_u
+and r_s = m_t / m_s, its potential (eqs. 9-11) is, summed over the components it carries,
+
+    V = (r_u (d_t - d_s) - (d_u - d_t))^2 + (r_s (d_t - d_u) - (d_s - d_t))^2
+
+A clique exists where its three sites lie in the image and in tissue.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.problem import Problem
+
+Float64Array = npt.NDArray[np.float64]
+Conditional = Literal["centred", "blanket"]
+
+#: Step from the middle of a clique to its end u; the end s lies on the other side (figure 2).
+LINES: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+
+def line_weights(spacing: tuple[float, ...]) -> Float64Array:
+    """How much each line of cliques counts for each component of displacement.
+
+    The paper's pixels are square: there the vertical line carries the row component, the horizontal
+    line the col component, and the diagonals both, all with weight 1. For other pixels the weights
+    are those, none negative, that keep the continuum the lines stand for: in uniform tissue
+    component i obeys ``3 d_ii + 2 d_jj = 0`` in physical lengths, for any spacing.
+
+    Parameters
+    ----------
+    spacing : (float, float)
+        Size of a pixel in (row, col) direction.
+
+    Returns
+    -------
+    ndarray, shape (4, 2)
+        Weight of each of `LINES` for the (row, col) component.
+    """
+    row, col = spacing
+    along = np.array([row, col]) ** 2 / (row * col)  # squared sizes, in units of one pixel
+    diagonal = 1.0 / along.max()
+    own = 3.0 / along - 2.0 * diagonal
+    cross = 2.0 / along - 2.0 * diagonal
+    return np.array(
+        [[own[0], cross[0]], [cross[1], own[1]], [diagonal, diagonal], [diagonal, diagonal]]
+    )
+
+
+class SiteParabola(NamedTuple):
+    """A site's prior energy as a function of its own displacement: curvature * (d - lowest)^2."""
+
+    curvature: Float64Array
+    lowest: Float64Array
+
+
+@dataclass(frozen=True)
+class SeilerPrior:
+    """The paper's prior and observation energy (eqs. 8-11 and 16-19).
+
+    Parameters
+    ----------
+    penalty : float
+        K of eq. 19: the energy, per pixel of deviation from `y`, of a site of complete confidence.
+        The default holds boundaries in place for stiffness ratios up to about 100 between
+        neighbouring tissues.
+    conditional : {"centred", "blanket"}
+        Which cliques count when a site chooses its displacement (line 8 of the algorithm):
+        ``"centred"``, those whose middle it is; ``"blanket"``, all that contain it, which is the
+        textbook reading of eq. 7. See docs/method.md for what either means for accuracy.
+    damping : float, optional
+        Fraction of the way a site goes towards its best displacement when all sites move at once.
+        By default 1 for centred; 0.6 for blanket, which diverges undamped (below 2/3 is safe for
+        any stiffness).
+    """
+
+    penalty: float = 1e4
+    conditional: Conditional = "centred"
+    damping: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.penalty) and self.penalty > 0):
+            raise ValueError(f"penalty must be a positive number, not {self.penalty!r}")
+        if self.conditional not in get_args(Conditional):
+            raise ValueError(
+                f'conditional must be "centred" or "blanket", not {self.conditional!r}'
+            )
+        if self.damping is not None and not 0 < self.damping <= 1:
+            raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
+
+    @property
+    def relaxation(self) -> float:
+        """The damping in force."""
+        if self.damping is not None:
+            return self.damping
+        return 1.0 if self.conditional == "centred" else 0.6
+
+    def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
+
+        Parameters
+        ----------
+        problem : Problem
+        displacement : array_like, shape (H, W, 2)
+            In the unit of ``problem.spacing``.
+
+        Returns
+        -------
+        ndarray, shape (H, W)
+            In pixels squared; the sum over all sites is U_total.
+        """
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        y = problem.y / np.float64(problem.unit)
+        weights = line_weights(problem.spacing)
+        energy: Float64Array = (self.penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(
+            axis=-1
+        )
+        energy[~problem.tissue] = 0.0
+        for line, (s, t, u) in _cliques(problem.shape):
+            ratio_s, ratio_u, exists = _ratios(problem.m, s, t, u)
+            first = ratio_u * (d[t] - d[s]) - (d[u] - d[t])
+            second = ratio_s * (d[t] - d[u]) - (d[s] - d[t])
+            energy[t] += (exists * weights[line] * (first**2 + second**2)).sum(axis=-1)
+        return energy
+
+    def mean_energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
+        """U_total divided by the number of sites of tissue, in pixels squared."""
+        return float(self.site_energy(problem, displacement).sum() / problem.tissue.sum())
+
+    def site_parabola(self, problem: Problem, displacement: npt.ArrayLike) -> SiteParabola:
+        """The prior energy that each site minimises, given its neighbours.
+
+        Returns
+        -------
+        SiteParabola
+            Two arrays of shape (H, W, 2): the curvature A (0 where a site is in no clique), and
+            the lowest point q in the unit of ``problem.spacing`` (the site's own displacement
+            where A = 0).
+        """
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        weights = line_weights(problem.spacing)
+        curvature = np.zeros_like(d)
+        slope = np.zeros_like(d)  # -1/2 of the derivative of the energy by the site's displacement
+        for line, (s, t, u) in _cliques(problem.shape):
+            ratio_s, ratio_u, exists = _ratios(problem.m, s, t, u)
+            weight = exists * weights[line]
+            first = ratio_u * (d[t] - d[s]) - (d[u] - d[t])
+            second = ratio_s * (d[t] - d[u]) - (d[s] - d[t])
+            curvature[t] += weight * ((1 + ratio_u) ** 2 + (1 + ratio_s) ** 2)
+            slope[t] -= weight * ((1 + ratio_u) * first + (1 + ratio_s) * second)
+            if self.conditional == "blanket":
+                curvature[s] += weight * (ratio_u**2 + 1)
+                slope[s] += weight * (ratio_u * first + second)
+                curvature[u] += weight * (1 + ratio_s**2)
+                slope[u] += weight * (first + ratio_s * second)
+        way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
+        return SiteParabola(curvature, (d + way) * problem.unit)
+
+
+_Slices = tuple[slice, ...]
+
+
+def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[_Slices, _Slices, _Slices]]]:
+    """All cliques of a grid, line by line, as three views (s, t, u) of equal shape."""
+    for line, step in enumerate(LINES):
+        views = [
+            tuple(
+                slice(abs(along) + end * along, size - abs(along) + end * along)
+                for along, size in zip(step, shape, strict=True)
+            )
+            for end in (-1, 0, 1)
+        ]
+        if all(size > 2 * abs(along) for along, size in zip(step, shape, strict=True)):
+            yield line, (views[0], views[1], views[2])
+
+
+def _ratios(
+    m: npt.NDArray[np.float32], s: _Slices, t: _Slices, u: _Slices
+) -> tuple[Float64Array, Float64Array, npt.NDArray[np.bool_]]:
+    """m_t/m_s, m_t/m_u (1 where undefined) and whether the clique exists, each (..., 1)."""
+    ms, mt, mu = (m[at].astype(np.float64)[..., None] for at in (s, t, u))
+    exists = (ms > 0) & (mt > 0) & (mu > 0)
+    one = np.ones_like(mt)
+    return (
+        np.divide(mt, ms, out=one.copy(), where=exists),
+        np.divide(mt, mu, out=one.copy(), where=exists),
+        exists,
+    )

@@ -1,0 +1,200 @@
+"""The inputs of the method: what is observed, how sure that is, and how stiff the tissue is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+
+FloatArray = npt.NDArray[np.float32]
+
+#: The largest ratio between two stiffnesses that single precision is trusted with.
+MAX_STIFFNESS_RATIO = 1e6
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Problem:
+    """Boundary displacement, confidence and stiffness on one pixel grid; frozen and validated.
+
+    The arrays are copied, converted to float32 and made read-only.
+
+    Parameters
+    ----------
+    y : array_like, shape (H, W, 2)
+        Observed (boundary) displacement, components in (row, col) order, in the unit of
+        `spacing`. Material displacement: the tissue at X was seen to move to X + y(X). Ignored,
+        and stored as zero, where `c` is zero.
+    c : array_like, shape (H, W, 2)
+        Confidence in each component of `y`, from 0 (none) to 1 (complete).
+    m : array_like, shape (H, W)
+        Stiffness (Young's modulus) in any unit: only ratios matter. ``0`` means no tissue (void):
+        no clique touches such a site and it has no displacement.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction, in any unit of length.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault and what to do about it.
+    """
+
+    y: FloatArray
+    c: FloatArray
+    m: FloatArray
+    spacing: tuple[float, ...]
+
+    def __init__(
+        self,
+        y: npt.ArrayLike,
+        c: npt.ArrayLike,
+        m: npt.ArrayLike,
+        spacing: Sequence[float] = (1.0, 1.0),
+    ) -> None:
+        m = _as_float32("m", m)
+        if m.ndim != 2:
+            hint = "3-D grids are not supported yet: solve slice by slice" if m.ndim == 3 else ""
+            raise ProblemError(
+                "m", f"has shape {m.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip()
+            )
+        pixel = _checked_spacing(spacing, m.ndim)
+        _check_grid(m)
+        c = _as_float32("c", c)
+        y = _as_float32("y", y)
+        for field, array in (("c", c), ("y", y)):
+            expected = (*m.shape, m.ndim)
+            if array.shape != expected:
+                raise ProblemError(
+                    field,
+                    f"has shape {array.shape}, but m has shape {m.shape}, so {expected} is needed "
+                    "(one value per axis at each pixel). Give both on the same pixel grid.",
+                )
+        _check_stiffness(m)
+        _check_confidence(c, m)
+        y = np.where(c > 0, y, np.float32(0))
+        _check_finite("y", y, "where c > 0")
+        for field, array in (("y", y), ("c", c), ("m", m)):
+            array.setflags(write=False)
+            object.__setattr__(self, field, array)
+        object.__setattr__(self, "spacing", pixel)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The grid: (H, W)."""
+        return tuple(self.m.shape)
+
+    @cached_property
+    def tissue(self) -> npt.NDArray[np.bool_]:
+        """Where there is tissue: ``m > 0``, shape (H, W)."""
+        mask: npt.NDArray[np.bool_] = self.m > 0
+        mask.setflags(write=False)
+        return mask
+
+    @property
+    def unit(self) -> float:
+        """The length the solver calls one pixel: the geometric mean of `spacing`."""
+        return math.prod(self.spacing) ** (1.0 / len(self.spacing))
+
+
+def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
+    """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ProblemError(
+            field, "is a masked array, whose mask would be lost. Fill it first (m = 0 is void)."
+        )
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise ProblemError(
+            field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
+        )
+    if array.dtype.kind != "b" and array.size:
+        with np.errstate(invalid="ignore"):
+            largest = float(np.max(np.abs(array), initial=0, where=np.isfinite(array)))
+        if largest > _LARGEST:
+            raise ProblemError(
+                field,
+                f"reaches {largest:.3g}, beyond single precision ({_LARGEST:.3g}). Rescale it.",
+            )
+    return np.array(array, dtype=np.float32, order="C", copy=True)
+
+
+def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+    try:
+        values = tuple(float(size) for size in spacing)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        raise ProblemError("spacing", f"is {spacing!r}. Give {ndim} positive numbers.") from None
+    if len(values) != ndim or not all(math.isfinite(size) and size > 0 for size in values):
+        raise ProblemError("spacing", f"is {values}. Give {ndim} positive, finite pixel sizes.")
+    return values
+
+
+def _check_grid(m: FloatArray) -> None:
+    if m.size == 0:
+        raise ProblemError("m", f"is empty: its shape is {m.shape}. Give an image with pixels.")
+    if m.size == 1:
+        raise ProblemError("m", "is a single pixel, which cannot deform. Give a larger image.")
+
+
+def _first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
+
+
+def _check_finite(field: str, array: FloatArray, where: str = "") -> None:
+    bad = ~np.isfinite(array)
+    if bad.any():
+        raise ProblemError(
+            field,
+            f"has {int(bad.sum())} values that are NaN or infinite {where}".rstrip()
+            + f", the first at {_first_index(bad)}. Replace them by numbers.",
+        )
+
+
+def _check_stiffness(m: FloatArray) -> None:
+    _check_finite("m", m)
+    negative = m < 0
+    if negative.any():
+        raise ProblemError(
+            "m",
+            f"has {int(negative.sum())} negative values, the first at {_first_index(negative)}. "
+            "Give stiffnesses above 0, or 0 where there is no tissue.",
+        )
+    tissue = m > 0
+    if not tissue.any():
+        raise ProblemError("m", "is 0 everywhere: there is no tissue. Give some a stiffness.")
+    low, high = float(m[tissue].min()), float(m.max())
+    if high > low * MAX_STIFFNESS_RATIO:
+        raise ProblemError(
+            "m",
+            f"spans a ratio of {high / low:.3g} (from {low:.3g} to {high:.3g}), beyond the "
+            f"{MAX_STIFFNESS_RATIO:.0e} that single precision carries. Make the softest part "
+            "void (0), or fix the stiffest part in place instead.",
+        )
+
+
+def _check_confidence(c: FloatArray, m: FloatArray) -> None:
+    _check_finite("c", c)
+    outside = (c < 0) | (c > 1)
+    if outside.any():
+        raise ProblemError(
+            "c",
+            f"has {int(outside.sum())} values outside 0 to 1, the first at "
+            f"{_first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
+        )
+    if not (c > 0).any():
+        raise ProblemError(
+            "c",
+            "is 0 everywhere: nothing says how any tissue moves. Mark at least one place as fixed "
+            "or moving.",
+        )
+    if not ((c > 0) & (m > 0)[..., None]).any():
+        raise ProblemError(
+            "c",
+            "is above 0 only where there is no tissue (m = 0). Mark a boundary on tissue, or give "
+            "those pixels a stiffness.",
+        )

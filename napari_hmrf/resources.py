@@ -1,0 +1,30 @@
+"""Where the shaders and the sample data are, installed from a wheel or run from a checkout."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+@cache
+def resource_folder(name: str) -> Path:
+    """Find a folder that the wheel maps into the package and a checkout keeps at its top level.
+
+    Parameters
+    ----------
+    name : str
+        ``"shaders"`` or ``"sample_data"``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the installation is incomplete.
+    """
+    for folder in (_PACKAGE / name, _PACKAGE.parent / name):
+        if folder.is_dir():
+            return folder
+    raise FileNotFoundError(
+        f"the folder {name!r} of napari-hmrf is missing from {_PACKAGE}; install the package again"
+    )

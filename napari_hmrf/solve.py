@@ -1,0 +1,216 @@
+"""From a problem to its solution: the one way to run the solver."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import platform
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import asdict
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Protocol
+
+import numpy as np
+
+from napari_hmrf.backends import BACKEND_NAMES, Backend, open_backend
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.errors import BackendError, Cancelled
+from napari_hmrf.optimizers import ICM, Monitor, Optimizer
+from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.problem import Problem
+from napari_hmrf.solution import Provenance, Solution
+
+Progress = Callable[[Monitor], None]
+_log = logging.getLogger("napari_hmrf")
+_announced: set[str] = set()
+_prepared: set[tuple[str, ...]] = set()
+
+
+class CancelFlag(Protocol):
+    """Anything that can say that the work is no longer wanted, such as a `threading.Event`."""
+
+    def is_set(self) -> bool:
+        """Whether to stop."""
+        ...
+
+
+def solve(
+    problem: Problem,
+    prior: SeilerPrior | None = None,
+    optimizer: Optimizer | None = None,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Solution:
+    """Find how the tissue moves.
+
+    The work is done on the process's compute thread; the caller waits, and may be any thread.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : SeilerPrior, optional
+        The energy; by default the paper's, centred.
+    optimizer : ICM, optional
+        The schedule; by default the paper's: 70 sweeps on each level.
+    backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
+        Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
+        and logs once which.
+    progress : callable, optional
+        Called on the caller's thread with a `Monitor`: a message and the fraction done.
+    cancel : threading.Event or alike, optional
+        Set it to stop; looked at several times a second.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    BackendError
+        If the backend is missing or cannot be trusted.
+    Cancelled
+        If `cancel` was set before the work was done.
+
+    Examples
+    --------
+    >>> from napari_hmrf import phantom, solve
+    >>> solution = solve(phantom("expansion", size=64).problem)
+    >>> solution.displacement.shape
+    (64, 64, 2)
+    """
+    stop = cancel or threading.Event()
+    if compute_thread.is_current():
+        return run_here(problem, prior, optimizer, backend, progress, stop)
+    reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
+    interrupted = threading.Event()
+    either = _Either(stop, interrupted)
+    job: Future[Solution] = compute_thread.submit(
+        lambda: run_here(problem, prior, optimizer, backend, reports.put, either)
+    )
+    job.add_done_callback(lambda _: reports.put(None))
+    try:
+        while (report := reports.get()) is not None:
+            if progress is not None:
+                progress(report)
+    except BaseException:
+        # Ctrl-C, or an error in `progress`: the work must not go on behind the caller's back.
+        interrupted.set()
+        raise
+    return job.result()
+
+
+def run_here(
+    problem: Problem,
+    prior: SeilerPrior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    cancel: CancelFlag,
+) -> Solution:
+    """Solve on the compute thread itself: for jobs that have more to do there than solve."""
+    if not compute_thread.is_current():
+        raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
+    prior = prior or SeilerPrior()
+    optimizer = optimizer or ICM()
+
+    def checkpoint() -> None:
+        if cancel.is_set():
+            raise Cancelled
+
+    def report(monitor: Monitor) -> None:
+        checkpoint()
+        if progress is not None:
+            progress(monitor)
+
+    if backend not in BACKEND_NAMES:
+        raise BackendError(
+            f"there is no backend {backend!r}; take one of {', '.join(BACKEND_NAMES)}"
+        )
+    report(Monitor("preparing (the first run compiles its kernels, once)", 0.0))
+    started = time.perf_counter()
+    device, reason = open_backend(backend, checkpoint)
+    try:
+        _announce(device.renderer, reason)
+        _prepare(device, prior, optimizer)
+        ready = time.perf_counter()
+        outcome = optimizer.run(problem, prior, device, report)
+        name, renderer = device.name, device.renderer
+    finally:
+        device.close()
+    done = time.perf_counter()
+    if not np.isfinite(outcome.displacement).all():
+        raise BackendError(
+            f"{renderer} returned displacements that are not numbers, so the result was dropped. "
+            'Try backend="cpu".'
+        )
+    displacement = outcome.displacement * np.float32(problem.unit)
+    displacement[~problem.tissue] = 0
+    return Solution(
+        displacement=displacement,
+        energy=outcome.energy,
+        levels=outcome.levels,
+        tissue=problem.tissue,
+        spacing=problem.spacing,
+        provenance=Provenance(
+            backend=name,
+            renderer=renderer,
+            reason=reason,
+            seconds=done - ready,
+            preparation_seconds=ready - started,
+            parameters={
+                "prior": {"name": type(prior).__name__, **asdict(prior)},
+                "optimizer": optimizer.parameters,
+            },
+            versions=_versions(),
+            inputs={
+                field: hashlib.sha256(getattr(problem, field).tobytes()).hexdigest()
+                for field in ("y", "c", "m")
+            },
+        ),
+    )
+
+
+class _Either:
+    """Set when any of its flags is."""
+
+    def __init__(self, *flags: CancelFlag) -> None:
+        self._flags = flags
+
+    def is_set(self) -> bool:
+        return any(flag.is_set() for flag in self._flags)
+
+
+def _prepare(device: Backend[Any], prior: SeilerPrior, optimizer: Optimizer) -> None:
+    """Compile what a schedule needs by running it on the smallest problem, once per process."""
+    key = (device.name, device.renderer, repr(prior), repr(optimizer))
+    if key in _prepared:
+        return
+    grid = (3, 3)
+    smallest = Problem(np.zeros((*grid, 2)), np.ones((*grid, 2)), np.ones(grid))
+    optimizer.run(smallest, prior, device, lambda _: None)
+    _prepared.add(key)
+
+
+def _announce(renderer: str, reason: str) -> None:
+    """Say once per device what runs the kernels, and why."""
+    message = f"{renderer} ({reason})"
+    if message not in _announced:
+        _announced.add(message)
+        _log.info("solving on %s", message)
+
+
+@cache
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "system": platform.system()}
+    for package in ("napari-hmrf", "numpy", "numba", "moderngl", "napari"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
