@@ -1,0 +1,337 @@
+"""From painted labels and two small tables to the images the method takes.
+
+A *material* says how stiff the tissue under a label is; a *boundary rule* says how the tissue under
+a label was seen to move, and how sure that is. Both tables belong to integer label images, as
+napari's Labels layers hold them; nothing here needs napari.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.errors import ProblemError
+
+FloatArray = npt.NDArray[np.float32]
+Action = Literal["fixed", "move", "expand"]
+
+#: How far the outline of an expanding region is smoothed before its normal is taken, in pixels.
+_SMOOTHING = 1.5
+#: A painted line no wider than this, in pixels on either side of its middle, has no inside.
+_THIN = 2.0
+_LONG = 10.0
+#: Pixels that touch at a corner belong together, as in a ring one pixel wide.
+_EIGHT = np.ones((3, 3), dtype=bool)
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a tissue label means.
+
+    Attributes
+    ----------
+    label : int
+        Its value in the label image; 0 is what was left unpainted.
+    name : str
+        For people.
+    stiffness : float
+        Young's modulus in any unit, the same for all materials: only ratios matter. 0 is void (no
+        tissue: air, or whatever does not hold on to its surroundings).
+    """
+
+    label: int
+    name: str
+    stiffness: float
+
+
+@dataclass(frozen=True)
+class BoundaryRule:
+    """What a boundary label means.
+
+    Attributes
+    ----------
+    label : int
+        Its value in the label image, above 0: what is unpainted is not observed.
+    action : {"fixed", "move", "expand"}
+        The tissue under the label stays where it is, moves by `vector`, or moves outward by
+        `amount` (inward where negative).
+    vector : (float, float)
+        Displacement in (row, col) direction, in the unit of the pixel spacing.
+    amount : float
+        Displacement along the outward normal, in the unit of the pixel spacing.
+    confidence : (float, float)
+        How sure the (row, col) component is, from 0 (not observed) to 1 (complete).
+    name : str
+        For people.
+    """
+
+    label: int
+    action: Action
+    vector: tuple[float, float] = (0.0, 0.0)
+    amount: float = 0.0
+    confidence: tuple[float, float] = (1.0, 1.0)
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Materials that belong together, and where their values come from.
+
+    The stiffnesses of one preset share a unit and must not be mixed with those of another.
+    """
+
+    name: str
+    unit: str
+    source: str
+    materials: tuple[Material, ...]
+
+
+#: Published stiffnesses differ by orders of magnitude between studies; ratios within one agree
+#: better, and only ratios matter here.
+PRESETS: tuple[Preset, ...] = (
+    Preset(
+        "Paper: normal 20, soft 10, tumour 40",
+        "MPa",
+        "Seiler et al., Hierarchical Markov Random Fields Applied to Model Soft Tissue "
+        "Deformations on Graphics Hardware, section 2",
+        (
+            Material(1, "normal tissue", 20.0),
+            Material(2, "soft tissue", 10.0),
+            Material(3, "tumour", 40.0),
+        ),
+    ),
+    Preset(
+        "Brain with tumour: healthy 2.1, fluid 0.1, tumour 8",
+        "kPa",
+        "parameters of the tumour growth solver GLIA (Subramanian, Biros and others); fluid is "
+        "modelled there as very soft tissue",
+        (
+            Material(1, "white and grey matter", 2.1),
+            Material(2, "cerebrospinal fluid", 0.1),
+            Material(3, "tumour", 8.0),
+        ),
+    ),
+    Preset(
+        "Brain: white and grey matter 3, fluid 1",
+        "kPa",
+        "parameters of the glioma growth library glimslib (Abler, Büchler and others)",
+        (
+            Material(1, "white and grey matter", 3.0),
+            Material(2, "cerebrospinal fluid", 1.0),
+        ),
+    ),
+)
+
+
+def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> FloatArray:
+    """Give every pixel the stiffness of its material.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (H, W)
+    materials : iterable of Material
+        One for each value in `labels`, 0 included; more do no harm.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        `m` of a `Problem`.
+
+    Raises
+    ------
+    ProblemError
+        If a label has no material or two, or a stiffness is not a number of 0 or more.
+    """
+    image = _as_labels("m", labels)
+    table = _by_label("m", "materials", materials)
+    for material in table.values():
+        if not (math.isfinite(material.stiffness) and material.stiffness >= 0):
+            raise ProblemError(
+                "m",
+                f"gives {_quoted(material)} a stiffness of {material.stiffness}. Give a number "
+                "above 0, or 0 where there is no tissue.",
+            )
+    present, where = np.unique(image, return_inverse=True)
+    _require("m", "stiffness", present, table)
+    values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
+    return values[where].reshape(image.shape)
+
+
+def boundary_images(
+    labels: npt.ArrayLike,
+    rules: Iterable[BoundaryRule],
+    spacing: Sequence[float] = (1.0, 1.0),
+) -> tuple[FloatArray, FloatArray]:
+    """Give every painted pixel the displacement and the confidence of its rule.
+
+    Each connected part of a label that expands moves along the outward normal of the outline that
+    encloses it (its holes filled): a painted rim of a tumour, or the tumour painted full, moves
+    radially.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (H, W)
+        0 where nothing is observed.
+    rules : iterable of BoundaryRule
+        One for each value in `labels` above 0; more do no harm.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction, in the unit of the displacements.
+
+    Returns
+    -------
+    y : ndarray, shape (H, W, 2), float32
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    c : ndarray, shape (H, W, 2), float32
+        Confidence per component; 0 where nothing is painted, and on an expanding spot so small
+        that it has no direction.
+
+    Raises
+    ------
+    ProblemError
+        If a label has no rule or two, a rule holds numbers out of range, or an open line is to
+        expand (which of its sides is outside, nobody can say).
+    """
+    image = _as_labels("y", labels)
+    table = _by_label("y", "rules", rules)
+    for rule in table.values():
+        _check_rule(rule)
+    present = [int(label) for label in np.unique(image) if label != 0]
+    _require("y", "rule", present, table)
+    y = np.zeros((*image.shape, 2), dtype=np.float32)
+    c = np.zeros_like(y)
+    for label in present:
+        rule = table[label]
+        painted = image == label
+        c[painted] = rule.confidence
+        if rule.action == "move":
+            y[painted] = rule.vector
+        elif rule.action == "expand":
+            normals = _outward_normals(painted, spacing, rule)
+            y[painted] = np.float32(rule.amount) * normals[painted]
+            c[painted & ~normals.any(axis=-1)] = 0
+    return y, c
+
+
+def _outward_normals(
+    painted: npt.NDArray[np.bool_], spacing: Sequence[float], rule: BoundaryRule
+) -> FloatArray:
+    """Unit normals of each part's enclosing outline, at the outline's nearest pixel.
+
+    The outline is that of the filled part, and its normal the slope of the filled part blurred:
+    pixel steps average out, and a rim of one pixel needs no inside of its own. Deeper inside, many
+    pixels share a nearest one; a second blur, of the normals, undoes that.
+    """
+    sizes = np.asarray(spacing, dtype=float)
+    sigma = _SMOOTHING * sizes.max() / sizes
+    margin = tuple(math.ceil(4 * along) + 1 for along in sigma)
+    normals = np.zeros((*painted.shape, 2), dtype=np.float32)
+    for box, part in _parts(painted):
+        padded = np.pad(part, [(size, size) for size in margin])
+        filled = ndimage.binary_fill_holes(padded)
+        _refuse_open_line(part, filled, rule)
+        blurred = ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
+        slope = -np.stack(np.gradient(blurred, *sizes), axis=-1)
+        outline = filled & ~ndimage.binary_erosion(filled)
+        nearest = ndimage.distance_transform_edt(
+            ~outline, sampling=sizes, return_distances=False, return_indices=True
+        )
+        normal = _unit(slope[tuple(nearest)])
+        normal = _unit(ndimage.gaussian_filter(normal, (*sigma, 0.0), mode="nearest"))
+        inside = tuple(slice(size, -size) for size in margin)
+        normals[box][part] = normal[inside][part]
+    return normals
+
+
+def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Vectors of length 1, or 0 where there is no direction."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    units: npt.NDArray[np.float64] = np.divide(
+        vectors, length, out=np.zeros_like(vectors), where=length > 1e-6
+    )
+    return units
+
+
+def _parts(
+    painted: npt.NDArray[np.bool_],
+) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
+    """Each connected part, with the box that holds it."""
+    numbered, _ = ndimage.label(painted, structure=_EIGHT)
+    for number, box in enumerate(ndimage.find_objects(numbered), start=1):
+        yield box, numbered[box] == number
+
+
+def _refuse_open_line(
+    part: npt.NDArray[np.bool_], filled: npt.NDArray[np.bool_], rule: BoundaryRule
+) -> None:
+    thickest = float(ndimage.distance_transform_edt(filled).max())
+    if thickest <= _THIN and math.hypot(*part.shape) >= _LONG:
+        raise ProblemError(
+            "y",
+            f"lets {_quoted(rule)} expand, but a part of it is an open line, which has no outside. "
+            "Close it to a ring, fill it, or let it move by a vector instead.",
+        )
+
+
+def _as_labels(field: str, labels: npt.ArrayLike) -> npt.NDArray[Any]:
+    image = np.asarray(labels)
+    if image.dtype.kind not in "biu":
+        raise ProblemError(
+            field, f"has labels of type {image.dtype}. Give whole numbers, one per material."
+        )
+    if image.ndim != 2:
+        raise ProblemError(
+            field, f"has labels of shape {image.shape}, but a 2-D image (H, W) is needed."
+        )
+    return image
+
+
+def _by_label(field: str, what: str, rows: Iterable[Any]) -> dict[int, Any]:
+    table: dict[int, Any] = {}
+    for row in rows:
+        if row.label in table:
+            raise ProblemError(field, f"has two {what} for label {row.label}. Remove one.")
+        table[row.label] = row
+    return table
+
+
+def _require(field: str, what: str, present: Iterable[int], table: dict[int, Any]) -> None:
+    missing = [int(label) for label in present if int(label) not in table]
+    if missing:
+        listed = ", ".join(str(label) for label in missing[:10])
+        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
+        one = len(missing) == 1
+        raise ProblemError(
+            field,
+            f"has {'label' if one else 'labels'} {listed}{more} without a {what}. Give "
+            f"{'it' if one else 'each'} one in the table, or erase {'it' if one else 'them'}.",
+        )
+
+
+def _check_rule(rule: BoundaryRule) -> None:
+    if rule.label <= 0:
+        raise ProblemError(
+            "y", f"has a rule for label {rule.label}. Use labels above 0: 0 is what is unpainted."
+        )
+    if rule.action not in get_args(Action):
+        raise ProblemError(
+            "y",
+            f'gives {_quoted(rule)} the action {rule.action!r}. Take "fixed", "move" or "expand".',
+        )
+    if not all(math.isfinite(value) for value in (*rule.vector, rule.amount)):
+        raise ProblemError(
+            "y", f"moves {_quoted(rule)} by something that is not a number. Give a length."
+        )
+    if not all(0 <= value <= 1 for value in rule.confidence):
+        raise ProblemError(
+            "c", f"gives {_quoted(rule)} the confidence {rule.confidence}. Give values from 0 to 1."
+        )
+
+
+def _quoted(row: Material | BoundaryRule) -> str:
+    return f"label {row.label} ({row.name})" if row.name else f"label {row.label}"

@@ -1,0 +1,185 @@
+"""Painted labels and tables become the images the method takes."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from napari_hmrf.annotation import (
+    PRESETS,
+    BoundaryRule,
+    Material,
+    boundary_images,
+    stiffness_image,
+)
+from napari_hmrf.errors import ProblemError
+
+TISSUES = [Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(7, "tumour", 40.0)]
+
+
+def _ellipse(shape, radii, spacing=(1.0, 1.0)):
+    """A filled ellipse, and the outward unit normals of the confocal-free family r/a = const."""
+    axes = [
+        (np.arange(size) - (size - 1) / 2) * step for size, step in zip(shape, spacing, strict=True)
+    ]
+    row, col = np.meshgrid(*axes, indexing="ij")
+    inside = (row / radii[0]) ** 2 + (col / radii[1]) ** 2 <= 1
+    normal = np.stack([row / radii[0] ** 2, col / radii[1] ** 2], axis=-1)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return inside, normal / np.where(length > 0, length, 1)
+
+
+def _rim(filled, width):
+    return filled & ~ndimage.binary_erosion(filled, iterations=width)
+
+
+def _angles(found, expected):
+    """Degrees between two fields of vectors."""
+    cosine = (found * expected).sum(axis=-1) / np.linalg.norm(found, axis=-1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def test_every_pixel_takes_the_stiffness_of_its_material():
+    labels = np.array([[0, 1], [7, 1]], dtype=np.uint8)
+    m = stiffness_image(labels, TISSUES)
+    assert m.dtype == np.float32
+    np.testing.assert_array_equal(m, [[0, 20], [40, 20]])
+
+
+def test_labels_without_a_stiffness_are_all_named():
+    with pytest.raises(ProblemError, match="labels 3, 9 without a stiffness") as caught:
+        stiffness_image(np.array([[1, 3], [9, 1]]), TISSUES)
+    assert caught.value.field == "m"
+
+
+def test_two_materials_for_a_label_are_refused():
+    with pytest.raises(ProblemError, match="two materials for label 1"):
+        stiffness_image(np.ones((3, 3), int), [*TISSUES, Material(1, "again", 3.0)])
+
+
+@pytest.mark.parametrize("stiffness", [-1.0, np.nan, np.inf])
+def test_a_stiffness_that_is_no_stiffness_is_refused_by_name(stiffness):
+    with pytest.raises(ProblemError, match=r"label 1 \(gel\)"):
+        stiffness_image(np.ones((3, 3), int), [Material(1, "gel", stiffness)])
+
+
+@pytest.mark.parametrize("labels", [np.ones((3, 3)), np.ones((3, 3, 3), int)])
+def test_labels_must_be_a_flat_image_of_whole_numbers(labels):
+    with pytest.raises(ProblemError):
+        stiffness_image(labels, TISSUES)
+    with pytest.raises(ProblemError):
+        boundary_images(labels, [BoundaryRule(1, "fixed")])
+
+
+def test_a_mask_is_a_label_image():
+    mask = np.eye(3, dtype=bool)
+    np.testing.assert_array_equal(stiffness_image(mask, TISSUES), np.eye(3) * 20)
+
+
+def test_fixed_and_moving_boundaries():
+    labels = np.array([[0, 1, 2], [0, 1, 2]])
+    rules = [
+        BoundaryRule(1, "fixed", vector=(9.0, 9.0), confidence=(1.0, 0.5)),
+        BoundaryRule(2, "move", vector=(-1.5, 2.0)),
+    ]
+    y, c = boundary_images(labels, rules)
+    np.testing.assert_array_equal(y[0], [[0, 0], [0, 0], [-1.5, 2.0]])
+    np.testing.assert_array_equal(c[1], [[0, 0], [1, 0.5], [1, 1]])
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 99], ids=["rim 1", "rim 2", "rim 3", "filled"])
+@pytest.mark.parametrize("radius", [6, 15, 40])
+def test_a_ring_or_a_disc_expands_radially(radius, width):
+    disc, radial = _ellipse((101, 103), (radius, radius))
+    painted = _rim(disc, width)
+    y, c = boundary_images(painted.astype(int), [BoundaryRule(1, "expand", amount=3.0)])
+    seen = painted & (c > 0).all(axis=-1)
+    assert seen.sum() >= painted.sum() - 1  # the very centre has no direction
+    np.testing.assert_allclose(np.linalg.norm(y[seen], axis=-1), 3.0, rtol=1e-5)
+    away = seen & (np.hypot(*np.indices(disc.shape) - np.array([50, 51])[:, None, None]) > 3)
+    angles = _angles(y[away], radial[away])
+    assert angles.max() < 12
+    assert np.sqrt((angles**2).mean()) < 3
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0), (3.0, 1.0)])
+@pytest.mark.parametrize("radii", [(30.0, 18.0), (20.0, 20.0), (18.0, 40.0)])
+def test_an_outline_expands_along_its_normal_in_physical_lengths(radii, spacing):
+    shape = tuple(int(100 / step) | 1 for step in spacing)
+    filled, normal = _ellipse(shape, radii, spacing)
+    rim = _rim(filled, 2)
+    y, c = boundary_images(rim.astype(int), [BoundaryRule(1, "expand", amount=2.0)], spacing)
+    assert (c[rim] == 1).all()
+    angles = _angles(y[rim], normal[rim])
+    assert angles.max() < 20
+    assert np.sqrt((angles**2).mean()) < 6
+    assert np.abs(angles.mean()) < 5
+
+
+def test_a_negative_amount_shrinks():
+    disc, radial = _ellipse((41, 41), (12, 12))
+    rim = _rim(disc, 2)
+    y, _ = boundary_images(rim.astype(int), [BoundaryRule(1, "expand", amount=-1.0)])
+    assert (_angles(y[rim], -radial[rim]) < 12).all()
+
+
+def test_each_part_expands_from_its_own_middle():
+    disc, _radial = _ellipse((41, 41), (12, 12))
+    rim = _rim(disc, 2)
+    two = np.hstack([rim, rim])
+    y, _ = boundary_images(two.astype(int), [BoundaryRule(1, "expand", amount=1.0)])
+    np.testing.assert_array_equal(y[:, :41], y[:, 41:])
+
+
+def test_a_rim_cut_by_the_edge_of_the_image_is_no_ring():
+    """An arc has no outside, and guessing one would tear it apart."""
+    disc, _ = _ellipse((41, 41), (12, 12))
+    arc = _rim(disc, 2)
+    arc[:20] = False
+    with pytest.raises(ProblemError, match="open line"):
+        boundary_images(arc.astype(int), [BoundaryRule(1, "expand", amount=1.0)])
+
+
+def test_a_disc_at_the_edge_of_the_image_expands_beyond_it():
+    disc, _radial = _ellipse((41, 41), (12, 12))
+    y, _ = boundary_images(disc[20:].astype(int), [BoundaryRule(1, "expand", amount=1.0)])
+    assert y[0, 20, 0] == pytest.approx(-1, abs=1e-3)
+
+
+def test_a_single_pixel_has_nowhere_to_expand_to():
+    labels = np.zeros((5, 5), int)
+    labels[2, 2] = 1
+    _, c = boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)])
+    assert not c.any()
+
+
+def test_boundary_labels_without_a_rule_are_named():
+    with pytest.raises(ProblemError, match="label 4 without a rule"):
+        boundary_images(np.array([[4, 0]]), [BoundaryRule(1, "fixed")])
+
+
+@pytest.mark.parametrize(
+    ("rule", "field"),
+    [
+        (BoundaryRule(0, "fixed"), "y"),
+        (BoundaryRule(1, "push"), "y"),
+        (BoundaryRule(1, "move", vector=(np.nan, 0)), "y"),
+        (BoundaryRule(1, "expand", amount=np.inf), "y"),
+        (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "c"),
+        (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "c"),
+    ],
+)
+def test_rules_out_of_range_are_refused(rule, field):
+    with pytest.raises(ProblemError) as caught:
+        boundary_images(np.ones((4, 4), int), [rule])
+    assert caught.value.field == field
+
+
+def test_every_preset_says_where_its_values_come_from():
+    for preset in PRESETS:
+        assert preset.source
+        assert preset.unit
+        labels = [material.label for material in preset.materials]
+        assert labels == list(range(1, len(labels) + 1))
+        assert all(material.stiffness > 0 for material in preset.materials)
+    paper = {material.name: material.stiffness for material in PRESETS[0].materials}
+    assert paper == {"normal tissue": 20.0, "soft tissue": 10.0, "tumour": 40.0}
