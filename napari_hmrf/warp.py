@@ -1,0 +1,287 @@
+"""Moving an image with its tissue.
+
+A displacement says where tissue goes: what is at X moves to X + d(X). The moved image I' therefore
+has I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image at
+X + d(X) would show the opposite motion.) Between the sites the motion is taken to be linear on
+triangles of three neighbouring sites; its inverse is then exact, however large the gradients.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.errors import ProblemError
+
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def warp(
+    image: npt.ArrayLike,
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    order: int = 1,
+    tissue: npt.ArrayLike | None = None,
+    fill: float = 0,
+) -> npt.NDArray[Any]:
+    """Move an image with the tissue.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W) or (H, W, channels)
+        Grey, RGB or RGBA image, or labels (with ``order=0``).
+    displacement : array_like, shape (H, W, 2)
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+    order : int
+        Of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is linear.
+    tissue : array_like of bool, shape (H, W), optional
+        What moves; by default everything. The rest stays in place as background, and tissue that
+        moves onto it covers it.
+    fill : float
+        What is seen where tissue has left and nothing came.
+
+    Returns
+    -------
+    ndarray
+        Of the shape and dtype of `image`; integers are rounded and clipped to their range.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+
+    See Also
+    --------
+    inverse_map, resample : the two halves of this, to move several images by one displacement.
+    """
+    picture = _as_image(image, np.shape(displacement)[:2])
+    coordinates, covered = inverse_map(displacement, spacing, tissue)
+    return resample(picture, coordinates, covered, order, fill)
+
+
+def inverse_map(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> tuple[Float64Array, BoolArray]:
+    """Find where that which is seen at each pixel after the motion came from.
+
+    Where the tissue has folded over itself, the part that is not turned over is seen.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `warp`.
+
+    Returns
+    -------
+    coordinates : ndarray, shape (H, W, 2), float64
+        The source of each pixel, (row, col) in pixels; 0 where not `covered`.
+    covered : ndarray, shape (H, W), bool
+        False where tissue has left and nothing came.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    moving, mask = moved_sites(displacement, spacing, tissue)
+    # numba takes half a second to import: only those who warp wait for it.
+    from napari_hmrf.rasterise import rasterise
+
+    coordinates, state = rasterise(moving, mask)
+    still = ~mask & (state == 0)
+    coordinates[still] = np.argwhere(still)
+    return coordinates, (state > 0) | still
+
+
+def resample(
+    image: npt.ArrayLike,
+    coordinates: npt.ArrayLike,
+    covered: npt.ArrayLike,
+    order: int = 1,
+    fill: float = 0,
+) -> npt.NDArray[Any]:
+    """Look an image up at the coordinates of an `inverse_map`.
+
+    A pixel that is NaN or infinite stays one pixel: it is left out of the interpolation around it.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W) or (H, W, channels)
+    coordinates, covered
+        From `inverse_map`.
+    order, fill
+        As in `warp`.
+
+    Returns
+    -------
+    ndarray
+        Of the shape and dtype of `image`.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    source = np.asarray(coordinates, dtype=np.float64)
+    there = np.asarray(covered, dtype=bool)
+    if source.shape != (*there.shape, 2) or there.ndim != 2:
+        raise ProblemError(
+            "coordinates",
+            f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
+        )
+    picture = _as_image(image, there.shape)
+    if order not in (0, 1, 2, 3, 4, 5):
+        raise ProblemError("order", f"is {order!r}. Take 0 (nearest), 1 (linear) or up to 5.")
+    background = _checked_fill(fill, picture.dtype)
+    rows, cols = np.moveaxis(source, -1, 0)
+    nearest = tuple(
+        np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
+        for at, size in zip((rows, cols), there.shape, strict=True)
+    )
+    if order == 0 or picture.dtype.kind == "b":
+        moved: npt.NDArray[Any] = picture[nearest]
+    elif picture.ndim == 2:
+        moved = _interpolated(picture, (rows, cols), nearest, order)
+    else:
+        channels = np.moveaxis(picture, -1, 0)
+        moved = np.stack(
+            [_interpolated(channel, (rows, cols), nearest, order) for channel in channels], axis=-1
+        )
+    moved[~there] = background
+    return moved
+
+
+def moved_sites(
+    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+) -> tuple[Float64Array, BoolArray]:
+    """Check a displacement and its tissue; where every site has moved, in pixels.
+
+    Returns
+    -------
+    moved : ndarray, shape (H, W, 2), float64
+        X + d(X) in pixels; X where there is no tissue.
+    tissue : ndarray, shape (H, W), bool
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    d, sizes, mask = checked_field(displacement, spacing, tissue)
+    moved = d / sizes
+    moved += np.moveaxis(np.indices(mask.shape), 0, -1)
+    return moved, mask
+
+
+def checked_field(
+    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+) -> tuple[Float64Array, Float64Array, BoolArray]:
+    """Check a displacement, its pixel spacing and its tissue.
+
+    Returns
+    -------
+    displacement : ndarray, shape (H, W, 2), float64
+        Zero where there is no tissue.
+    spacing : ndarray, shape (2,)
+    tissue : ndarray, shape (H, W), bool
+        Everywhere, if it was not given.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    d = np.asarray(displacement)
+    if d.ndim != 3 or d.shape[-1] != 2 or d.dtype.kind not in "biuf":
+        raise ProblemError(
+            "displacement",
+            f"has shape {d.shape} and type {d.dtype}, but real numbers of shape (H, W, 2) are "
+            "needed: one (row, col) vector per pixel.",
+        )
+    sizes = np.asarray(spacing, dtype=np.float64)
+    if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
+        raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
+    mask = np.ones(d.shape[:2], dtype=bool)
+    if tissue is not None:
+        mask = np.asarray(tissue).astype(bool)
+        if mask.shape != d.shape[:2]:
+            raise ProblemError(
+                "tissue",
+                f"has shape {mask.shape}, but the displacement has shape {d.shape}, so "
+                f"{d.shape[:2]} is needed. Give both on the same pixel grid.",
+            )
+    d = np.where(mask[..., None], d, 0).astype(np.float64)
+    bad = ~np.isfinite(d).all(axis=-1)
+    if bad.any():
+        at = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise ProblemError(
+            "displacement",
+            f"is NaN or infinite at {int(bad.sum())} pixels, the first at {at}. Replace those "
+            "vectors, or leave the pixels out of `tissue`.",
+        )
+    return d, sizes, mask
+
+
+def _as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
+    picture = np.asarray(image)
+    if picture.ndim not in (2, 3) or picture.shape[:2] != tuple(grid):
+        raise ProblemError(
+            "image",
+            f"has shape {picture.shape}, but the displacement is on a grid of {tuple(grid)}. "
+            "Give an image (H, W) or (H, W, channels) on the same pixel grid.",
+        )
+    if picture.dtype.kind not in "biuf":
+        raise ProblemError("image", f"has values of type {picture.dtype}. Give real numbers.")
+    return picture
+
+
+def _checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
+    try:
+        value = float(fill)
+        low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
+        if dtype.kind in "iu":
+            low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
+        fits = dtype.kind == "f" or (low <= value <= high and value.is_integer())
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise ProblemError("fill", f"is {fill!r}, which an image of type {dtype} cannot hold.")
+    return np.asarray(fill).astype(dtype)
+
+
+def _interpolated(
+    channel: npt.NDArray[Any],
+    at: tuple[Float64Array, Float64Array],
+    nearest: tuple[npt.NDArray[np.intp], ...],
+    order: int,
+) -> npt.NDArray[Any]:
+    """One channel at real-valued coordinates, in its own dtype."""
+    values = channel if channel.dtype in (np.float32, np.float64) else channel.astype(np.float64)
+    bad = ~np.isfinite(values) if channel.dtype.kind == "f" else np.zeros(0, dtype=bool)
+    if bad.any() and not bad.all():
+        # A neighbour's value stands in for each bad pixel; 0 times NaN would be NaN.
+        neighbour = ndimage.distance_transform_edt(bad, return_distances=False, return_indices=True)
+        values = values[tuple(neighbour)]
+    moved: npt.NDArray[Any] = ndimage.map_coordinates(values, at, order=order, mode="nearest")
+    if channel.dtype.kind == "f":
+        moved = moved.astype(channel.dtype)
+        if bad.any():
+            moved = np.where(bad[nearest], channel[nearest], moved)
+        return moved
+    bounds = np.iinfo(channel.dtype)
+    # The largest 64-bit integers lie between two floats: the lower one is in range.
+    highest = float(bounds.max)
+    if int(highest) > bounds.max:
+        highest = math.nextafter(highest, 0)
+    whole: npt.NDArray[Any] = np.clip(np.rint(moved), bounds.min, highest).astype(channel.dtype)
+    return whole
