@@ -18,25 +18,35 @@ from napari_hmrf.errors import (
     ProblemError,
 )
 from napari_hmrf.optimizers import ICM, Monitor
+from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
 from napari_hmrf.priors import SeilerPrior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution
 from napari_hmrf.solve import solve
+from napari_hmrf.warp import inverse_map, resample, warp
 
 __version__ = "0.1.0"
 
 __all__ = [
     "ICM",
+    "PHANTOM_NAMES",
     "BackendError",
     "Cancelled",
     "FileFormatError",
     "HmrfError",
     "Monitor",
+    "Phantom",
     "Problem",
     "ProblemError",
     "Provenance",
     "SeilerPrior",
     "Solution",
     "__version__",
+    "inverse_map",
+    "phantom",
+    "reference_displacement",
+    "resample",
+    "sample",
     "solve",
+    "warp",
 ]

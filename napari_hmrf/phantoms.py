@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.annotation import BoundaryRule, Material, boundary_images, stiffness_image
 from napari_hmrf.problem import Problem
@@ -197,7 +197,9 @@ def _width(size: int) -> int:
 
 def _rim(region: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.bool_]:
     """The pixels of a region next to its edge."""
-    rim: npt.NDArray[np.bool_] = region & (ndimage.distance_transform_edt(region) <= _width(size))
+    rim: npt.NDArray[np.bool_] = region & (
+        scipy.ndimage.distance_transform_edt(region) <= _width(size)
+    )
     return rim
 
 
@@ -263,7 +265,7 @@ def _brain_image(tissue: Uint8Array, size: int) -> Uint8Array:
     inside = tissue > 0
     row, col = _coordinates(tissue.shape, size)
     # The cortex is a little darker, and so is the fissure between the hemispheres.
-    depth = ndimage.distance_transform_edt(inside) * (_DRAWN_AT / size)
+    depth = scipy.ndimage.distance_transform_edt(inside) * (_DRAWN_AT / size)
     normal = tissue == _NORMAL.label
     grey -= normal * (28.0 * np.exp(-((depth / 9.0) ** 2)))
     fissure = np.exp(-((col / 2.0) ** 2)) * (np.abs(row) > 62.0)
@@ -280,6 +282,6 @@ def _texture(grey: FloatArray, size: int) -> Uint8Array:
         + 3.5 * np.sin(0.61 * row - 0.44 * col + 1.9 * np.sin(0.15 * col))
         + 3.5 * np.sin(0.48 * row + 0.67 * col + 1.6 * np.sin(0.13 * row))
     )
-    image = ndimage.gaussian_filter(grey + folds * (grey > 0), 0.7)
+    image = scipy.ndimage.gaussian_filter(grey + folds * (grey > 0), 0.7)
     grey_levels: Uint8Array = np.clip(np.rint(image), 0, 255).astype(np.uint8)
     return grey_levels

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.errors import ProblemError
 
@@ -270,9 +270,11 @@ def _interpolated(
     bad = ~np.isfinite(values) if channel.dtype.kind == "f" else np.zeros(0, dtype=bool)
     if bad.any() and not bad.all():
         # A neighbour's value stands in for each bad pixel; 0 times NaN would be NaN.
-        neighbour = ndimage.distance_transform_edt(bad, return_distances=False, return_indices=True)
+        neighbour = scipy.ndimage.distance_transform_edt(
+            bad, return_distances=False, return_indices=True
+        )
         values = values[tuple(neighbour)]
-    moved: npt.NDArray[Any] = ndimage.map_coordinates(values, at, order=order, mode="nearest")
+    moved: npt.NDArray[Any] = scipy.ndimage.map_coordinates(values, at, order=order, mode="nearest")
     if channel.dtype.kind == "f":
         moved = moved.astype(channel.dtype)
         if bad.any():
