@@ -1,0 +1,58 @@
+# Every command works in a fresh clone: what it needs is set up first.
+# Another Python: make test PYTHON=python3.12
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python
+HEADLESS := sh scripts/headless.sh
+
+.PHONY: help setup demo test format lint types benchmarks screenshots sample-data constraints clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
+	@echo "make test         run the tests"
+	@echo "make format       format the code"
+	@echo "make lint         look for mistakes in style"
+	@echo "make types        check the types"
+	@echo "make benchmarks   print the tables of the paper, measured here"
+	@echo "make screenshots  take the pictures of the README again, from a real window"
+	@echo "make sample-data  make the files of sample_data/ again"
+	@echo "make constraints  take the newest versions of everything, and write down which"
+	@echo "make clean        delete what the commands above made, the environment included"
+
+setup:
+	@$(PYTHON) scripts/setup.py
+
+demo: setup
+	@$(VENV)/bin/napari-hmrf demo
+
+test: setup
+	@$(HEADLESS) $(RUN) -m pytest
+
+format: setup
+	@$(RUN) -m ruff format .
+	@$(RUN) -m ruff check --fix .
+
+lint: setup
+	@$(RUN) -m ruff format --check .
+	@$(RUN) -m ruff check .
+
+types: setup
+	@$(RUN) -m mypy
+
+benchmarks: setup
+	@$(RUN) benchmarks/run.py
+
+screenshots: setup
+	@$(HEADLESS) $(RUN) scripts/screenshots.py
+
+sample-data: setup
+	@$(RUN) scripts/make_sample_data.py
+
+constraints:
+	@$(PYTHON) scripts/setup.py --newest
+
+clean:
+	rm -rf $(VENV) build dist demo-output benchmark-output .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,216 @@
+"""Set up what the commands of the Makefile need; does nothing where all of it is there.
+
+Two things: the libraries of the system that OpenGL and Qt load (Debian and Ubuntu name them in
+`SYSTEM`; elsewhere they are named and left to the reader), and the virtual environment `.venv` with
+this checkout and all that its tests use. Only Python itself is needed to run this.
+
+    python3 scripts/setup.py            # with the versions of constraints.txt
+    python3 scripts/setup.py --newest   # with the newest there are, which are then written there
+"""
+
+import ctypes
+import glob
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+STAMP = VENV / "made-from"
+CONSTRAINTS = ROOT / "constraints.txt"
+OLDEST = (3, 11)
+VERSION = "{}.{}".format(*sys.version_info)
+
+#: What has to be there, and the Debian package that brings it. A name that ends in .so and a
+#: number is loaded; one with a slash is a pattern for a file; any other is a command.
+SYSTEM = (
+    # OpenGL: the entry points, and Mesa behind them, whose software rasteriser needs no GPU.
+    ("libEGL.so.1", "libegl1"),
+    ("libGL.so.1", "libgl1"),
+    ("libEGL_mesa.so.0", "libegl-mesa0"),
+    ("libGLX_mesa.so.0", "libglx-mesa0"),
+    ("/usr/lib*/*/dri/swrast_dri.so", "libgl1-mesa-dri"),
+    # What Qt loads to open a window on X11.
+    ("libglib-2.0.so.0", "libglib2.0-0"),
+    ("libfontconfig.so.1", "libfontconfig1"),
+    ("libdbus-1.so.3", "libdbus-1-3"),
+    ("libX11-xcb.so.1", "libx11-xcb1"),
+    ("libxkbcommon-x11.so.0", "libxkbcommon-x11-0"),
+    ("libxcb-cursor.so.0", "libxcb-cursor0"),
+    ("libxcb-icccm.so.4", "libxcb-icccm4"),
+    ("libxcb-image.so.0", "libxcb-image0"),
+    ("libxcb-keysyms.so.1", "libxcb-keysyms1"),
+    ("libxcb-randr.so.0", "libxcb-randr0"),
+    ("libxcb-render-util.so.0", "libxcb-render-util0"),
+    ("libxcb-shape.so.0", "libxcb-shape0"),
+    ("libxcb-shm.so.0", "libxcb-shm0"),
+    ("libxcb-sync.so.1", "libxcb-sync1"),
+    ("libxcb-xfixes.so.0", "libxcb-xfixes0"),
+    # A display where there is none.
+    ("Xvfb", "xvfb"),
+    ("xauth", "xauth"),
+)
+
+
+def say(text):
+    """Tell the reader, at once and in order with what other programs print."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def is_there(need):
+    """Whether a library, a file or a command is on this machine."""
+    if "/" in need:
+        return bool(glob.glob(need))
+    if ".so." not in need:
+        return shutil.which(need) is not None
+    try:
+        ctypes.CDLL(need)
+    except OSError:
+        return False
+    return True
+
+
+def missing_packages():
+    """Packages of Debian's that would bring what this machine lacks."""
+    packages = [package for need, package in SYSTEM if not is_there(need)]
+    if not can_make_environments():
+        packages.append(f"python{VERSION}-venv")
+    return packages
+
+
+def can_make_environments():
+    """Whether this Python can make a virtual environment with pip in it (Debian's may not)."""
+    probe = [sys.executable, "-c", "import ensurepip, venv"]
+    return subprocess.call(probe, stderr=subprocess.DEVNULL) == 0
+
+
+def become_root():
+    """Return what makes a command run as root without a question, or None if nothing does."""
+    if os.geteuid() == 0:
+        return []
+    if shutil.which("sudo") and quiet(["sudo", "-n", "true"]):
+        return ["sudo", "-n"]
+    return None
+
+
+def quiet(command):
+    """Run a command without its output; whether it succeeded."""
+    return subprocess.call(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) == 0
+
+
+def provide_system():
+    """Install the libraries that are missing, or say how to; the rest can go on without them."""
+    if platform.system() != "Linux":
+        return
+    packages = missing_packages()
+    if not packages:
+        return
+    if not shutil.which("apt-get"):
+        needs = [need for need, _ in SYSTEM if not is_there(need)]
+        say(f"Missing on this system, for OpenGL and Qt: {', '.join(needs)}.")
+        say("Install them with its package manager. Going on without them.")
+        return
+    by_hand = "sudo apt-get update && sudo apt-get install -y " + " ".join(packages)
+    root = become_root()
+    if root is None:
+        say("Missing system packages. Please type this, and then the same make command again:")
+        say(f"    {by_hand}")
+        say("Going on without them as far as possible.")
+        return
+    say(f"Installing system packages: {' '.join(packages)}")
+    apt = [*root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q", "-y"]
+    apt += ["-o", "DPkg::Lock::Timeout=120", "-o", "Dpkg::Use-Pty=0"]
+    # Its output is shown only if it fails; an update that fails in part may still be enough.
+    for step in (["update"], ["install", "--no-install-recommends", *packages]):
+        done = subprocess.run(
+            apt + step,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        if done.returncode:
+            say(done.stdout)
+            say(f"`apt-get {step[0]}` failed (above). Should this stay so, type: {by_hand}")
+
+
+def python_of_venv():
+    """The environment's interpreter."""
+    return VENV / "bin" / "python"
+
+
+def environment_key():
+    """What the environment is made from, as a digest: a change of it is a reason to update."""
+    import json
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    parts = [project["build-system"], project["project"], project["tool"]["hatch"]]
+    parts.append(CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else "")
+    # An environment does not survive its folder's move, nor another version of Python.
+    parts += [str(ROOT), VERSION]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def provide_environment(newest):
+    """Make or update the virtual environment."""
+    key = environment_key()
+    made_from = STAMP.read_text() if STAMP.exists() else None
+    if not newest and made_from == key and venv_works():
+        return
+    if not can_make_environments():
+        say("This Python cannot make virtual environments. On Debian and Ubuntu, type:")
+        say(f"    sudo apt-get update && sudo apt-get install -y python{VERSION}-venv")
+        sys.exit(1)
+    say(f"Setting up {VENV.name} (once; some minutes, about 1.5 GB) ...")
+    if newest or not venv_works():
+        shutil.rmtree(VENV, ignore_errors=True)
+        subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
+    STAMP.unlink(missing_ok=True)
+    pip = [str(python_of_venv()), "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    install = [*pip, "install", "--editable", f"{ROOT}[dev]"]
+    constrained = [*install, "--constraint", str(CONSTRAINTS)]
+    if newest or not CONSTRAINTS.exists():
+        subprocess.check_call(install)
+    elif subprocess.call(constrained):
+        say("The versions of constraints.txt cannot all be had here; taking the newest instead.")
+        subprocess.check_call(install)
+    if newest:
+        write_constraints(pip)
+    STAMP.write_text(environment_key())
+
+
+def venv_works():
+    """Whether the environment is there, and is of this version of Python."""
+    check = f"import sys; sys.exit('%d.%d' % sys.version_info[:2] != '{VERSION}')"
+    return python_of_venv().exists() and quiet([str(python_of_venv()), "-c", check])
+
+
+def write_constraints(pip):
+    """Write down the versions that are installed."""
+    frozen = subprocess.check_output([*pip, "freeze", "--exclude-editable"], text=True)
+    head = "# The versions the tests were last run with; written by `make constraints`.\n"
+    CONSTRAINTS.write_text(head + frozen, encoding="utf-8")
+
+
+def main():
+    """Set everything up."""
+    if sys.version_info < OLDEST:
+        say("Python {}.{} or later is needed; this is {}.".format(*OLDEST, VERSION))
+        say("If there is another one, name it: make test PYTHON=python3.12")
+        sys.exit(1)
+    provide_system()
+    try:
+        provide_environment(newest="--newest" in sys.argv[1:])
+    except subprocess.CalledProcessError as error:
+        say(f"Setting up failed: {' '.join(str(part) for part in error.cmd)}")
+        say("What was wrong is above; the next make tries again.")
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
