@@ -1,0 +1,137 @@
+"""The finite-element reference: the same problem, solved the textbook way.
+
+Bilinear quads on the pixel grid: nodes are sites, and an element is a 2 x 2 block of sites that are
+all tissue, with Young's modulus the mean of its four sites, plane stress, small strain. Assembled
+by scikit-fem, solved directly in float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.csgraph
+from scipy.sparse.linalg import splu
+from skfem import Basis, BilinearForm, ElementQuad1, ElementVector, MeshQuad
+from skfem.helpers import ddot, eye, sym_grad, trace
+
+from napari_hmrf import Problem
+
+Float64Array = npt.NDArray[np.float64]
+
+
+def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64Array:
+    """Solve for the displacement by finite elements.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its `y` is prescribed exactly, component by component, wherever ``c > 0`` on tissue.
+    poisson : float
+        Poisson's ratio, the same everywhere; above -1 and below 1/2.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2), float64
+        Material displacement in (row, col) order, in the unit of ``problem.spacing``. Tissue in no
+        element has its prescribed value, or 0.
+
+    Raises
+    ------
+    ValueError
+        If a connected part of the elements could move freely.
+    """
+    sites = np.arange(problem.m.size).reshape(problem.shape)
+    corners = np.stack(
+        [sites[:-1, :-1], sites[1:, :-1], sites[1:, 1:], sites[:-1, 1:]]
+    )  # around each element, shape (4, H - 1, W - 1)
+    exists = problem.tissue.ravel()[corners].all(axis=0)
+    corners = corners[:, exists]
+    prescribed = (problem.c > 0) & problem.tissue[..., None]
+    displacement = np.where(prescribed, problem.y.astype(np.float64), 0.0)
+    if corners.size == 0:
+        return displacement
+    nodes, elements = np.unique(corners, return_inverse=True)
+    elements = elements.reshape(corners.shape)
+    modulus = problem.m.astype(np.float64).ravel()[corners].mean(axis=0)
+    places = np.argwhere(np.ones(problem.shape, dtype=bool))[nodes] * np.asarray(problem.spacing)
+    mesh = MeshQuad(places.T.copy(), elements, sort_t=False, validate=False)
+    basis = Basis(mesh, ElementVector(ElementQuad1()), intorder=2)
+    stiffness = _stiffness_form(poisson).assemble(basis, modulus=modulus[:, None])
+
+    values = np.zeros(basis.N)
+    values[basis.nodal_dofs] = displacement.reshape(-1, 2)[nodes].T
+    known = np.zeros(basis.N, dtype=bool)
+    known[basis.nodal_dofs] = prescribed.reshape(-1, 2)[nodes].T
+    _refuse_loose_parts(elements, known[basis.nodal_dofs], places)
+    if not known.all():
+        rows = stiffness.tocsr()[~known]
+        load = -(rows[:, known] @ values[known])
+        factor = splu(
+            rows[:, ~known].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        values[~known] = factor.solve(load)
+    displacement.reshape(-1, 2)[nodes] = values[basis.nodal_dofs].T
+    return displacement
+
+
+def _stiffness_form(poisson: float) -> BilinearForm:
+    """Virtual work of plane stress, per unit of thickness."""
+    if not -1 < poisson < 0.5:
+        raise ValueError(f"poisson must lie between -1 and 1/2, not {poisson!r}")
+
+    @BilinearForm
+    def virtual_work(u, v, w):  # type: ignore[no-untyped-def]
+        strain = sym_grad(u)
+        stress = (1 - poisson) * strain + poisson * eye(trace(strain), 2)
+        return w.modulus / (1 - poisson**2) * ddot(stress, sym_grad(v))
+
+    return virtual_work
+
+
+def _refuse_loose_parts(
+    elements: npt.NDArray[np.int64], known: npt.NDArray[np.bool_], places: Float64Array
+) -> None:
+    """Every part that elements hold together must be kept from moving and from turning."""
+    number = len(places)
+    first = np.repeat(elements[0], 3)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(first.size), (first, elements[1:].T.ravel())), shape=(number, number)
+    )
+    parts, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    # The three rigid motions, seen at the prescribed components: rank 3 where all are prevented.
+    row, col = (places - places.mean(axis=0)).T
+    scale = max(np.ptp(row), np.ptp(col))
+    one, none = np.ones(number), np.zeros(number)
+    by_row = np.stack([one, none, -col / scale], axis=-1) * known[0][:, None]
+    by_col = np.stack([none, one, row / scale], axis=-1) * known[1][:, None]
+    products = np.einsum("ni,nj->nij", by_row, by_row) + np.einsum("ni,nj->nij", by_col, by_col)
+    gram = np.zeros((parts, 3, 3))
+    np.add.at(gram, part, products)
+    loose = np.linalg.matrix_rank(gram, hermitian=True, tol=1e-10) < 3
+    if loose.any():
+        centre = places[part == np.argmax(loose)].mean(axis=0)
+        raise ValueError(
+            f"the tissue around {tuple(np.round(centre, 1))} could move freely: prescribe both "
+            "components of at least one of its sites, and one more elsewhere on it"
+        )
+
+
+def rmsd(a: npt.ArrayLike, b: npt.ArrayLike, where: npt.ArrayLike, unit: float = 1.0) -> float:
+    """Root mean square deviation of two displacements (eq. 20).
+
+    Parameters
+    ----------
+    a, b : array_like, shape (H, W, 2)
+        Displacements in one unit of length.
+    where : array_like of bool, shape (H, W)
+        The sites that count: inside the body.
+    unit : float
+        The length of a pixel (`Problem.unit`), for a result in pixels.
+    """
+    difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
+    inside = np.asarray(where, dtype=bool)
+    return float(np.sqrt((difference[inside] ** 2).sum(axis=-1).mean()) / unit)

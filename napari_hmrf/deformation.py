@@ -1,0 +1,219 @@
+"""What a displacement says: how tissue grows or shrinks, where it folds, and pictures of it.
+
+Segments and arrows are in pixels, (row, col), as napari's Vectors layer takes them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.warp import BoolArray, Float64Array, moved_sites
+
+FloatArray = npt.NDArray[np.float32]
+
+
+def magnitude(displacement: npt.ArrayLike) -> FloatArray:
+    """How far each site moves.
+
+    Parameters
+    ----------
+    displacement : array_like, shape (H, W, 2)
+        In the unit of `spacing`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        In the same unit.
+    """
+    length: FloatArray = np.linalg.norm(displacement, axis=-1).astype(np.float32)
+    return length
+
+
+def jacobian_determinant(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """By which factor the area around each site changes: the determinant of d(X + d(X)) / dX.
+
+    1 is no change, below 1 shrinks, above 1 grows, 0 or below is folded. Differences are central,
+    and one-sided where a neighbour is missing; along an axis on which a site has no neighbour it
+    counts as unstrained.
+
+    Parameters
+    ----------
+    displacement : array_like, shape (H, W, 2)
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+    tissue : array_like of bool, shape (H, W), optional
+        By default everything. Differences are never taken across its border.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        NaN where there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    # The mean over the four quadrants around a site is the determinant of its central differences.
+    mean = sum(_quadrants(moved, mask)) / 4
+    return np.where(mask, mean, np.nan).astype(np.float32)
+
+
+def count_folds(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> int:
+    """Count the sites at which tissue folds over itself or collapses.
+
+    Those where the determinant is 0 or below in any of the four quadrants around the site: central
+    differences alone would not see a site that jumps over its neighbour and back.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    smallest = np.minimum.reduce(_quadrants(moved, mask))
+    return int((mask & (smallest <= 0)).sum())
+
+
+def deformation_grid(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    every: int = 10,
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Draw a square grid that has moved with the tissue (figure 4).
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`; lines are drawn in tissue only.
+    every : int
+        Pixels between two lines.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, 2), float32
+        Segments as (start, direction), each (row, col) in pixels.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    if every != int(every) or every < 1:
+        raise ProblemError("every", f"is {every!r}. Give a whole number of pixels, at least 1.")
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    along_cols = _lines(moved, mask, int(every))
+    along_rows = _lines(moved.swapaxes(0, 1), mask.T, int(every))
+    return np.concatenate([along_cols, along_rows]).astype(np.float32)
+
+
+def arrows(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+    about: int = 1000,
+) -> FloatArray:
+    """Pick arrows that show the displacement without hiding the image.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`; arrows are in tissue only.
+    about : int
+        How many arrows, roughly.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, 2), float32
+        Arrows as (start, direction), each (row, col) in pixels, at their true length. Always a list
+        of arrows, never a grid of them.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    if not about >= 1:
+        raise ProblemError("about", f"is {about!r}. Ask for at least one arrow.")
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    step = max(1, round(math.sqrt(mask.sum() / about)))
+    row, col = np.indices(mask.shape)
+    first = [min(step, size) // 2 for size in mask.shape]
+    chosen = mask & (row % step == first[0]) & (col % step == first[1])
+    starts = np.argwhere(chosen)
+    if not len(starts):  # all tissue is thinner than a step
+        sites = np.argwhere(mask)
+        starts = sites[:: max(1, round(len(sites) / about))]
+    ends = moved[tuple(starts.T)]
+    return np.stack([starts, ends - starts], axis=1).astype(np.float32)
+
+
+def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
+    """The determinant from one-sided differences in each quadrant around a site, (H, W) each.
+
+    In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
+    """
+    by_row = _differences(moved, mask, np.array([1.0, 0.0]))
+    by_col = _differences(moved.swapaxes(0, 1), mask.T, np.array([0.0, 1.0]))
+    by_col = [difference.swapaxes(0, 1) for difference in by_col]
+    return [
+        down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
+        for down in by_row
+        for along in by_col
+    ]
+
+
+def _differences(
+    moved: Float64Array, mask: BoolArray, unstrained: Float64Array
+) -> list[Float64Array]:
+    """Differences to the next and to the previous site along the first axis.
+
+    Each stands in for the other where that is missing, and `unstrained` for both.
+    """
+    exists = mask[1:] & mask[:-1]
+    steps = np.diff(moved, axis=0)
+    has_next, has_previous = np.zeros_like(mask), np.zeros_like(mask)
+    has_next[:-1], has_previous[1:] = exists, exists
+    following, previous = np.empty_like(moved), np.empty_like(moved)
+    following[:], previous[:] = unstrained, unstrained
+    following[:-1][exists], previous[1:][exists] = steps[exists], steps[exists]
+    only_previous, only_next = has_previous & ~has_next, has_next & ~has_previous
+    following[only_previous] = previous[only_previous]
+    previous[only_next] = following[only_next]
+    return [following, previous]
+
+
+def _lines(moved: Float64Array, mask: BoolArray, every: int) -> Float64Array:
+    """Every so many-th line along the second axis, as segments, where it runs in tissue."""
+    lines = slice((len(moved) - 1) % every // 2, None, every)
+    # Segments span a few sites, still far shorter than a mesh: a fifth as many to draw.
+    step = max(1, every // 5)
+    place, there = moved[lines], mask[lines]
+    size = place.shape[1]
+    stops = np.unique(np.append(np.arange(0, size, step), size - 1))
+    starts, ends = stops[:-1], stops[1:]
+    missing = np.concatenate([np.zeros((len(there), 1), int), np.cumsum(~there, axis=1)], axis=1)
+    drawn = missing[:, ends + 1] == missing[:, starts]
+    start, end = place[:, starts][drawn], place[:, ends][drawn]
+    return np.stack([start, end - start], axis=1)
