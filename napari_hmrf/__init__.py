@@ -10,6 +10,13 @@ Paint the inputs, or make them, then::
 Importing this package imports neither napari nor Qt, OpenGL or numba.
 """
 
+from napari_hmrf.deformation import (
+    arrows,
+    count_folds,
+    deformation_grid,
+    jacobian_determinant,
+    magnitude,
+)
 from napari_hmrf.errors import (
     BackendError,
     Cancelled,
@@ -17,6 +24,7 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
+from napari_hmrf.files import is_solution_file, load_solution, save_solution
 from napari_hmrf.optimizers import ICM, Monitor
 from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
 from napari_hmrf.priors import SeilerPrior
@@ -42,11 +50,19 @@ __all__ = [
     "SeilerPrior",
     "Solution",
     "__version__",
+    "arrows",
+    "count_folds",
+    "deformation_grid",
     "inverse_map",
+    "is_solution_file",
+    "jacobian_determinant",
+    "load_solution",
+    "magnitude",
     "phantom",
     "reference_displacement",
     "resample",
     "sample",
+    "save_solution",
     "solve",
     "warp",
 ]

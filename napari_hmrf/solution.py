@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -88,3 +90,16 @@ class Solution:
     def mean_energy(self) -> float:
         """Mean total energy per site of tissue at the end, in pixels squared."""
         return float(self.energy[-1])
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Save to one .npz file; see `napari_hmrf.files.save_solution`."""
+        from napari_hmrf.files import save_solution
+
+        return save_solution(self, path)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Solution:
+        """Read back what `save` wrote; see `napari_hmrf.files.load_solution`."""
+        from napari_hmrf.files import load_solution
+
+        return load_solution(path)
