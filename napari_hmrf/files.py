@@ -182,19 +182,24 @@ def _packed(solution: Solution) -> bytes:
         "provenance": asdict(solution.provenance),
         "frame": solution.frame,
     }
-    arrays: dict[str, npt.NDArray[Any]] = {
-        _HEADER: np.array(json.dumps(header, ensure_ascii=False))
-    }
-    for member, (dtype, _) in _ARRAYS.items():
-        arrays[member] = np.asarray(getattr(solution, member)).astype(dtype)
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
+    np.savez_compressed(
+        file,
+        header=np.array(json.dumps(header, ensure_ascii=False)),
+        displacement=_of_kind("displacement", solution.displacement),
+        energy=_of_kind("energy", solution.energy),
+        tissue=_of_kind("tissue", solution.tissue),
+    )
     content = file.getvalue()
     try:
         _unpacked(io.BytesIO(content))
     except _Invalid as error:  # what could not be read back must not replace what could
         raise ValueError(f"this solution cannot be saved: {error}") from None
     return content
+
+
+def _of_kind(member: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.asarray(array).astype(_ARRAYS[member][0])
 
 
 def _unpacked(file: BinaryIO) -> Solution:

@@ -1,0 +1,61 @@
+"""Make the files in sample_data: the phantoms at size 300 and their finite-element displacement.
+
+Run it from a checkout, with the test dependencies installed, after changing a phantom::
+
+    python scripts/make_sample_data.py
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+from fem import plane_stress_displacement  # noqa: E402
+
+from napari_hmrf import PHANTOM_NAMES, phantom  # noqa: E402
+
+#: A fixed date in the archives, so that the same arrays make the same bytes.
+DATE = (2000, 1, 1, 0, 0, 0)
+
+
+def sample_arrays(name: str) -> dict[str, np.ndarray]:
+    """What the file of a phantom holds."""
+    drawn = phantom(name)
+    reference = plane_stress_displacement(drawn.problem)
+    return {
+        "image": drawn.image,
+        "tissue_labels": drawn.tissue_labels,
+        "boundary_labels": drawn.boundary_labels,
+        "reference": np.rint(1000 * reference).astype(np.int16),
+    }
+
+
+def write_archive(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write a compressed .npz whose bytes depend on the arrays alone."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for member, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, array, version=(1, 0), allow_pickle=False)
+            info = zipfile.ZipInfo(f"{member}.npy", DATE)
+            archive.writestr(info, content.getvalue(), zipfile.ZIP_DEFLATED, 9)
+
+
+def main() -> None:
+    """Write every sample and say how large it is."""
+    folder = ROOT / "sample_data"
+    folder.mkdir(exist_ok=True)
+    for name in PHANTOM_NAMES:
+        path = folder / f"{name}.npz"
+        write_archive(path, sample_arrays(name))
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
