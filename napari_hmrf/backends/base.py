@@ -2,7 +2,8 @@
 
 The kernels are pure functions from a site to its new value, of the same name and meaning on every
 backend; `napari_hmrf.priors` defines them. All lengths are in pixels (``Problem.unit``), all values
-are float32. A backend is used by one thread only, the compute thread.
+are float32. Displacement is zero in void, and stays so. A backend is used by one thread only, the
+compute thread.
 """
 
 from __future__ import annotations

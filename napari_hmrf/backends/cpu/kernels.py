@@ -27,259 +27,333 @@ PAD = 2
 _FLUSH = float32(1e-18)
 _TINY = float32(1e-30)
 
+# Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
+_ARITHMETIC = {"contract", "nsz"}
 _inline = numba.njit(inline="always", error_model="numpy")
-_parallel = numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+_parallel = numba.njit(
+    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
+)
 _reduction = numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
 
 
 @_inline
-def _middle(d, stiffness, si, sj, ti, tj, ui, uj, w0, w1):
-    """One clique s - t - u as seen from its middle: curvature, slope (per component), energy."""
+def _ratios(stiffness, si, sj, ti, tj, ui, uj):
+    """m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
     inverse_s = stiffness[1, si, sj]
     inverse_u = stiffness[1, ui, uj]
     m = stiffness[0, ti, tj]
     exists = float32(1) if inverse_s * m * inverse_u > float32(0) else float32(0)
-    ratio_s = m * inverse_s
-    ratio_u = m * inverse_u
+    return m * inverse_s, m * inverse_u, exists
+
+
+@_inline
+def _curvature(ratio_s, ratio_u):
+    """Curvature of a clique's potential along its middle site's displacement."""
     steep_s = float32(1) + ratio_s
     steep_u = float32(1) + ratio_u
-    d0 = d[0, ti, tj]
-    d1 = d[1, ti, tj]
-    s0 = d[0, si, sj] - d0
-    s1 = d[1, si, sj] - d1
-    u0 = d[0, ui, uj] - d0
-    u1 = d[1, ui, uj] - d1
-    first0 = ratio_u * s0 + u0
-    first1 = ratio_u * s1 + u1
-    second0 = ratio_s * u0 + s0
-    second1 = ratio_s * u1 + s1
-    curvature = steep_u * steep_u + steep_s * steep_s
-    w0 = w0 * exists
-    w1 = w1 * exists
-    return (
-        w0 * curvature,
-        w1 * curvature,
-        w0 * (steep_u * first0 + steep_s * second0),
-        w1 * (steep_u * first1 + steep_s * second1),
-        w0 * (first0 * first0 + second0 * second0) + w1 * (first1 * first1 + second1 * second1),
-    )
+    return steep_s * steep_s + steep_u * steep_u
 
 
 @_inline
-def _end(d, stiffness, si, sj, ti, tj, ui, uj, w0, w1):
-    """One clique s - t - u as seen from its end s: curvature and slope, per component."""
-    inverse_s = stiffness[1, si, sj]
-    inverse_u = stiffness[1, ui, uj]
-    m = stiffness[0, ti, tj]
-    exists = float32(1) if inverse_s * m * inverse_u > float32(0) else float32(0)
-    ratio_s = m * inverse_s
-    ratio_u = m * inverse_u
-    t0 = d[0, ti, tj]
-    t1 = d[1, ti, tj]
-    s0 = d[0, si, sj] - t0
-    s1 = d[1, si, sj] - t1
-    u0 = d[0, ui, uj] - t0
-    u1 = d[1, ui, uj] - t1
-    curvature = ratio_u * ratio_u + float32(1)
-    w0 = w0 * exists
-    w1 = w1 * exists
-    return (
-        w0 * curvature,
-        w1 * curvature,
-        -w0 * (ratio_u * (ratio_u * s0 + u0) + (ratio_s * u0 + s0)),
-        -w1 * (ratio_u * (ratio_u * s1 + u1) + (ratio_s * u1 + s1)),
-    )
+def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
+    """Slope and energy of one component of a clique as seen from its middle site t."""
+    to_s = d[component, si, sj] - d[component, ti, tj]
+    to_u = d[component, ui, uj] - d[component, ti, tj]
+    first = ratio_u * to_s + to_u
+    second = ratio_s * to_u + to_s
+    slope = (float32(1) + ratio_u) * first + (float32(1) + ratio_s) * second
+    return slope, first * first + second * second
 
 
 @_inline
-def _centred(d, stiffness, weights, i, j):
-    """Curvature, slope and energy of the four cliques that (i + 2, j + 2) is the middle of."""
-    a0, a1, b0, b1, e = _middle(
-        d, stiffness, i + 1, j + 2, i + 2, j + 2, i + 3, j + 2, weights[0, 0], weights[0, 1]
+def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
+    """Slope of one component of a clique as seen from its end s."""
+    to_s = d[component, si, sj] - d[component, ti, tj]
+    to_u = d[component, ui, uj] - d[component, ti, tj]
+    return -(ratio_u * (ratio_u * to_s + to_u) + (ratio_s * to_u + to_s))
+
+
+@_inline
+def _square(d, stiffness, i, j):
+    """Curvature, slope and energy of the four cliques around (i + 2, j + 2), for square pixels.
+
+    There the vertical line carries the row component only, the horizontal line the col component.
+    """
+    si, sj, ui, uj = i + 1, j + 2, i + 3, j + 2
+    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
+    a0, b0, energy = exists * _curvature(s, u), exists * b, exists * e
+    si, sj, ui, uj = i + 2, j + 1, i + 2, j + 3
+    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
+    a1, b1, energy = exists * _curvature(s, u), exists * b, energy + exists * e
+    si, sj, ui, uj = i + 1, j + 1, i + 3, j + 3
+    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    a = exists * _curvature(s, u)
+    a0, a1 = a0 + a, a1 + a
+    b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b0, energy = b0 + exists * b, energy + exists * e
+    b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b1, energy = b1 + exists * b, energy + exists * e
+    si, sj, ui, uj = i + 1, j + 3, i + 3, j + 1
+    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    a = exists * _curvature(s, u)
+    a0, a1 = a0 + a, a1 + a
+    b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b0, energy = b0 + exists * b, energy + exists * e
+    b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b1, energy = b1 + exists * b, energy + exists * e
+    return a0, a1, b0, b1, energy
+
+
+@_inline
+def _middle_line(d, stiffness, weights, line, si, sj, ti, tj, ui, uj):
+    """Curvature, slope (per component) and energy of a weighted clique, from its middle."""
+    s, u, exists = _ratios(stiffness, si, sj, ti, tj, ui, uj)
+    w0, w1 = exists * weights[line, 0], exists * weights[line, 1]
+    a = _curvature(s, u)
+    b0, e0 = _middle(d, 0, s, u, si, sj, ti, tj, ui, uj)
+    b1, e1 = _middle(d, 1, s, u, si, sj, ti, tj, ui, uj)
+    return w0 * a, w1 * a, w0 * b0, w1 * b1, w0 * e0 + w1 * e1
+
+
+@_inline
+def _weighted(d, stiffness, weights, i, j):
+    """As `_square`, for pixels of any shape."""
+    a0, a1, b0, b1, e = _middle_line(
+        d, stiffness, weights, 0, i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
     )
-    p0, p1, q0, q1, r = _middle(
-        d, stiffness, i + 2, j + 1, i + 2, j + 2, i + 2, j + 3, weights[1, 0], weights[1, 1]
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, weights, 1, i + 2, j + 1, i + 2, j + 2, i + 2, j + 3
     )
     a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
-    p0, p1, q0, q1, r = _middle(
-        d, stiffness, i + 1, j + 1, i + 2, j + 2, i + 3, j + 3, weights[2, 0], weights[2, 1]
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, weights, 2, i + 1, j + 1, i + 2, j + 2, i + 3, j + 3
     )
     a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
-    p0, p1, q0, q1, r = _middle(
-        d, stiffness, i + 1, j + 3, i + 2, j + 2, i + 3, j + 1, weights[3, 0], weights[3, 1]
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, weights, 3, i + 1, j + 3, i + 2, j + 2, i + 3, j + 1
     )
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
 
 
 @_inline
-def _ends(d, stiffness, i, j, ti, tj, ui, uj, vi, vj, xi, xj, w0, w1):
-    """The two cliques of one line that (i, j) is an end of: i - t - u and i - v - x."""
-    a0, a1, b0, b1 = _end(d, stiffness, i, j, ti, tj, ui, uj, w0, w1)
-    p0, p1, q0, q1 = _end(d, stiffness, i, j, vi, vj, xi, xj, w0, w1)
+def _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj):
+    """Curvature and slope (per component) of a weighted clique that (i, j) is the end of."""
+    s, u, exists = _ratios(stiffness, i, j, ti, tj, ui, uj)
+    w0, w1 = exists * weights[line, 0], exists * weights[line, 1]
+    a = u * u + float32(1)
+    b0 = _end(d, 0, s, u, i, j, ti, tj, ui, uj)
+    b1 = _end(d, 1, s, u, i, j, ti, tj, ui, uj)
+    return w0 * a, w1 * a, w0 * b0, w1 * b1
+
+
+@_inline
+def _both_ends(d, stiffness, weights, line, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
+    """The two cliques of one line that (i, j) is an end of: (i, j) - t - u and (i, j) - v - x."""
+    a0, a1, b0, b1 = _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj)
+    p0, p1, q0, q1 = _end_line(d, stiffness, weights, line, i, j, vi, vj, xi, xj)
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1
 
 
 @_inline
 def _blanket(d, stiffness, weights, i, j):
-    """As `_centred`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
-    a0, a1, b0, b1, e = _centred(d, stiffness, weights, i, j)
-    w0, w1 = weights[0, 0], weights[0, 1]
-    p0, p1, q0, q1 = _ends(
-        d, stiffness, i + 2, j + 2, i + 1, j + 2, i, j + 2, i + 3, j + 2, i + 4, j + 2, w0, w1
+    """As `_weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
+    a0, a1, b0, b1, e = _weighted(d, stiffness, weights, i, j)
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, weights, 0, i + 2, j + 2, i + 1, j + 2, i, j + 2, i + 3, j + 2, i + 4, j + 2
     )
     a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
-    w0, w1 = weights[1, 0], weights[1, 1]
-    p0, p1, q0, q1 = _ends(
-        d, stiffness, i + 2, j + 2, i + 2, j + 1, i + 2, j, i + 2, j + 3, i + 2, j + 4, w0, w1
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, weights, 1, i + 2, j + 2, i + 2, j + 1, i + 2, j, i + 2, j + 3, i + 2, j + 4
     )
     a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
-    w0, w1 = weights[2, 0], weights[2, 1]
-    p0, p1, q0, q1 = _ends(
-        d, stiffness, i + 2, j + 2, i + 1, j + 1, i, j, i + 3, j + 3, i + 4, j + 4, w0, w1
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, weights, 2, i + 2, j + 2, i + 1, j + 1, i, j, i + 3, j + 3, i + 4, j + 4
     )
     a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
-    w0, w1 = weights[3, 0], weights[3, 1]
-    p0, p1, q0, q1 = _ends(
-        d, stiffness, i + 2, j + 2, i + 1, j + 3, i, j + 4, i + 3, j + 1, i + 4, j, w0, w1
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, weights, 3, i + 2, j + 2, i + 1, j + 3, i, j + 4, i + 3, j + 1, i + 4, j
     )
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e
 
 
 @_inline
-def _observed(d0, d1, observation, i, j):
+def _observed(d, observation, i, j):
     """The observation energy of a site (eqs. 17 and 18)."""
-    return observation[2, i, j] * abs(observation[0, i, j] - d0) + observation[3, i, j] * abs(
-        observation[1, i, j] - d1
-    )
+    return observation[2, i, j] * abs(observation[0, i, j] - d[0, i, j]) + observation[
+        3, i, j
+    ] * abs(observation[1, i, j] - d[1, i, j])
 
 
 @_inline
-def _best_move(step, curvature, way, penalty, off):
-    """The best of {0, step, -step} for one component: the move, and the energy it changes (<= 0).
+def _downhill(slope, penalty, off):
+    """The direction, 1 or -1, in which a component's energy falls, if it falls in any.
 
-    `way` is q - d and `off` is y - d.
+    `off` is y - d. The energy is convex, so the other direction need not be tried.
     """
-    now = penalty * abs(off)
-    up = curvature * step * (step - float32(2) * way) + (penalty * abs(off - step) - now)
-    down = curvature * step * (step + float32(2) * way) + (penalty * abs(off + step) - now)
-    change = min(min(up, down), float32(0))
-    move = step if up <= down else -step
-    return (move if change < float32(0) else float32(0)), change
+    pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
+    return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
 
 
 @_inline
-def _minimiser(d, curvature, way, penalty, y):
-    """The displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
-    distance = (d + way) - y
-    reach = penalty / (float32(2) * max(curvature, _TINY))
-    return y + (distance - min(max(distance, -reach), reach))
+def _change(step, curvature, twice_slope, penalty, off, now):
+    """How much a step downhill changes a component's energy; 0 if it would raise it.
+
+    `now` is p |y - d|; slope and `off` are taken along the direction of the step.
+    """
+    prior = step * (curvature * step - twice_slope)
+    return min(prior + (penalty * abs(off - step) - now), float32(0))
 
 
 @_inline
-def _settled(value):
-    """The value, or 0 where it is too small to matter."""
-    return value if abs(value) > _FLUSH else float32(0)
-
-
-@_inline
-def _best_candidate(d0, d1, a0, a1, way0, way1, observation, steps, i, j):
+def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
     """A site's displacement after the best move of the candidate set."""
-    off0 = observation[0, i, j] - d0
-    off1 = observation[1, i, j] - d1
+    p0, p1 = observation[2, i, j], observation[3, i, j]
+    off0 = observation[0, i, j] - d[0, i, j]
+    off1 = observation[1, i, j] - d[1, i, j]
+    now0 = p0 * abs(off0)
+    now1 = p1 * abs(off1)
+    sign0 = _downhill(b0, p0, off0)
+    sign1 = _downhill(b1, p1, off1)
+    twice0 = float32(2) * sign0 * b0
+    twice1 = float32(2) * sign1 * b1
     least = float32(0)
     best0 = float32(0)
     best1 = float32(0)
     for k in range(len(steps)):
-        move0, change0 = _best_move(steps[k], a0, way0, observation[2, i, j], off0)
-        move1, change1 = _best_move(steps[k], a1, way1, observation[3, i, j], off1)
+        change0 = _change(steps[k], a0, twice0, p0, sign0 * off0, now0)
+        change1 = _change(steps[k], a1, twice1, p1, sign1 * off1, now1)
         better = change0 + change1 < least
-        least = change0 + change1 if better else least
-        best0 = move0 if better else best0
-        best1 = move1 if better else best1
-    return d0 + best0, d1 + best1
+        least = min(change0 + change1, least)
+        best0 = (steps[k] if change0 < float32(0) else float32(0)) if better else best0
+        best1 = (steps[k] if change1 < float32(0) else float32(0)) if better else best1
+    return d[0, i, j] + sign0 * best0, d[1, i, j] + sign1 * best1
+
+
+@_inline
+def _minimiser(d, curvature, slope, penalty, y, relaxation):
+    """The displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
+    share = relaxation / max(curvature, _TINY)
+    distance = (d + share * slope) - y
+    reach = float32(0.5) * share * penalty
+    return y + (distance - min(max(distance, -reach), reach))
+
+
+@_inline
+def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
+    """The new displacement of a site, from its parabola and its observation."""
+    if steps is None:
+        new0 = _minimiser(
+            d[0, i, j], a0, b0, observation[2, i, j], observation[0, i, j], relaxation
+        )
+        new1 = _minimiser(
+            d[1, i, j], a1, b1, observation[3, i, j], observation[1, i, j], relaxation
+        )
+    else:
+        new0, new1 = _best_candidate(
+            d, a0 / relaxation, a1 / relaxation, b0, b1, observation, steps, i, j
+        )
+    return (
+        new0 if abs(new0) > _FLUSH else float32(0),
+        new1 if abs(new1) > _FLUSH else float32(0),
+    )
 
 
 @_reduction
-def _row_total(values: Any, row: int) -> float:
+def _row_total(values: Any, row: int, start: int, stop: int) -> float:
     total = float32(0)
-    for j in range(values.shape[1]):
+    for j in range(start, stop):
         total += values[row, j]
     return total
 
 
 @_parallel
 def icm_centred(
-    source, target, stiffness, observation, weights, steps, relaxation, share, row_totals
+    source, target, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
 ):
     """Move all sites once, each judging the cliques it is the middle of.
 
-    `row_totals` gets U_total of `source`, row by row; `share` is scratch.
+    `spans` says from where to where each row has tissue; `weights` is None for square pixels and
+    `steps` is None for the closed form. `row_totals` gets U_total of `source`, row by row; `share`
+    is scratch.
     """
     for i in prange(source.shape[1] - 4):
-        for j in range(source.shape[2] - 4):
-            d0, d1 = source[0, i + 2, j + 2], source[1, i + 2, j + 2]
-            a0, a1, b0, b1, energy = _centred(source, stiffness, weights, i, j)
-            share[i, j] = energy + _observed(d0, d1, observation, i + 2, j + 2)
-            way0 = relaxation * (b0 / max(a0, _TINY))
-            way1 = relaxation * (b1 / max(a1, _TINY))
-            a0 = a0 / relaxation
-            a1 = a1 / relaxation
-            if steps is None:
-                new0 = _minimiser(
-                    d0, a0, way0, observation[2, i + 2, j + 2], observation[0, i + 2, j + 2]
-                )
-                new1 = _minimiser(
-                    d1, a1, way1, observation[3, i + 2, j + 2], observation[1, i + 2, j + 2]
-                )
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            if weights is None:
+                a0, a1, b0, b1, prior = _square(source, stiffness, i, j)
             else:
-                new0, new1 = _best_candidate(
-                    d0, d1, a0, a1, way0, way1, observation, steps, i + 2, j + 2
-                )
-            target[0, i + 2, j + 2] = _settled(new0)
-            target[1, i + 2, j + 2] = _settled(new1)
-        row_totals[i] = _row_total(share, i)
+                a0, a1, b0, b1, prior = _weighted(source, stiffness, weights, i, j)
+            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+            new0, new1 = _moved(
+                source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
+            )
+            target[0, i + 2, j + 2] = new0
+            target[1, i + 2, j + 2] = new1
+        row_totals[i] = _row_total(share, i, start, spans[i, 1])
 
 
 @_parallel
 def icm_blanket(
-    source, target, stiffness, observation, weights, steps, relaxation, share, row_totals
+    source, target, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
 ):
-    """Move all sites once, each judging every clique that contains it."""
+    """As `icm_centred`, each site judging every clique that contains it; `weights` is needed."""
     for i in prange(source.shape[1] - 4):
-        for j in range(source.shape[2] - 4):
-            d0, d1 = source[0, i + 2, j + 2], source[1, i + 2, j + 2]
-            a0, a1, b0, b1, energy = _blanket(source, stiffness, weights, i, j)
-            share[i, j] = energy + _observed(d0, d1, observation, i + 2, j + 2)
-            way0 = relaxation * (b0 / max(a0, _TINY))
-            way1 = relaxation * (b1 / max(a1, _TINY))
-            a0 = a0 / relaxation
-            a1 = a1 / relaxation
-            if steps is None:
-                new0 = _minimiser(
-                    d0, a0, way0, observation[2, i + 2, j + 2], observation[0, i + 2, j + 2]
-                )
-                new1 = _minimiser(
-                    d1, a1, way1, observation[3, i + 2, j + 2], observation[1, i + 2, j + 2]
-                )
-            else:
-                new0, new1 = _best_candidate(
-                    d0, d1, a0, a1, way0, way1, observation, steps, i + 2, j + 2
-                )
-            target[0, i + 2, j + 2] = _settled(new0)
-            target[1, i + 2, j + 2] = _settled(new1)
-        row_totals[i] = _row_total(share, i)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            a0, a1, b0, b1, prior = _blanket(source, stiffness, weights, i, j)
+            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+            new0, new1 = _moved(
+                source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
+            )
+            target[0, i + 2, j + 2] = new0
+            target[1, i + 2, j + 2] = new1
+        row_totals[i] = _row_total(share, i, start, spans[i, 1])
 
 
 @_parallel
-def energy(source, stiffness, observation, weights, share, row_totals):
+def energy(source, stiffness, observation, spans, weights, share, row_totals):
     """U_total of `source`, row by row; `share` is scratch."""
     for i in prange(source.shape[1] - 4):
-        for j in range(source.shape[2] - 4):
-            _, _, _, _, prior = _centred(source, stiffness, weights, i, j)
-            share[i, j] = prior + _observed(
-                source[0, i + 2, j + 2], source[1, i + 2, j + 2], observation, i + 2, j + 2
-            )
-        row_totals[i] = _row_total(share, i)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            if weights is None:
+                _, _, _, _, prior = _square(source, stiffness, i, j)
+            else:
+                _, _, _, _, prior = _weighted(source, stiffness, weights, i, j)
+            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+        row_totals[i] = _row_total(share, i, start, spans[i, 1])
+
+
+@_compiled
+def sweep_centred(
+    even, odd, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
+):
+    """One sweep per row of `row_totals`, ping-pong: from `even` to `odd`, back, and so on."""
+    for sweep in range(len(row_totals)):
+        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
+        icm_centred(
+            source, target, stiffness, observation, spans, weights, steps, relaxation, share,
+            row_totals[sweep],
+        )  # fmt: skip
+
+
+@_compiled
+def sweep_blanket(
+    even, odd, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
+):
+    """As `sweep_centred`, with the blanket reading."""
+    for sweep in range(len(row_totals)):
+        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
+        icm_blanket(
+            source, target, stiffness, observation, spans, weights, steps, relaxation, share,
+            row_totals[sweep],
+        )  # fmt: skip
 
 
 @_parallel
