@@ -1,0 +1,102 @@
+"""Slow, literal evaluations that share nothing with the package but the equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from napari_hmrf import Problem
+
+#: (step from t to u, components carried) for the four kinds of cliques of figure 2, square pixels.
+KINDS = (((0, 1), (1,)), ((1, 0), (0,)), ((1, 1), (0, 1)), ((1, -1), (0, 1)))
+Site = tuple[int, int]
+
+
+def cliques(m: np.ndarray) -> Iterator[tuple[Site, Site, Site, tuple[int, ...]]]:
+    """Every existing clique (s, t, u) with the components its potential is about."""
+    height, width = m.shape
+    for i in range(height):
+        for j in range(width):
+            for (di, dj), components in KINDS:
+                s, t, u = (i - di, j - dj), (i, j), (i + di, j + dj)
+                inside = all(0 <= a < height and 0 <= b < width for a, b in (s, u))
+                if inside and all(m[site] > 0 for site in (s, t, u)):
+                    yield s, t, u, components
+
+
+def potential(m, d, s, t, u, component) -> float:
+    """V of one clique (eqs. 9 to 11), for one component."""
+    ds, dt, du = (float(d[site][component]) for site in (s, t, u))
+    ms, mt, mu = (float(m[site]) for site in (s, t, u))
+    return (mt / mu * (dt - ds) - (du - dt)) ** 2 + (mt / ms * (dt - du) - (ds - dt)) ** 2
+
+
+def total_energy(problem: Problem, d: np.ndarray, penalty: float) -> float:
+    """U_total (eq. 7), one clique after the other."""
+    energy = sum(
+        potential(problem.m, d, s, t, u, component)
+        for s, t, u, components in cliques(problem.m)
+        for component in components
+    )
+    held = problem.tissue[..., None] * penalty * problem.c.astype(float)
+    return energy + float((held * np.abs(problem.y - d)).sum())
+
+
+def local_energy(problem: Problem, d: np.ndarray, penalty: float, site: Site, blanket: bool):
+    """A function from a site's displacement to the energy that the site looks at."""
+    mine = [
+        clique
+        for clique in cliques(problem.m)
+        if clique[1] == site or (blanket and site in clique[:3])
+    ]
+
+    def energy(value: np.ndarray) -> float:
+        changed = d.astype(float).copy()
+        changed[site] = value
+        prior = sum(
+            potential(problem.m, changed, s, t, u, component)
+            for s, t, u, components in mine
+            for component in components
+        )
+        off = np.abs(problem.y[site].astype(float) - value)
+        return prior + float((penalty * problem.c[site].astype(float) * off).sum())
+
+    return energy
+
+
+def centred_fixed_point(problem: Problem) -> np.ndarray:
+    """The field every site of which is the weighted mean of its neighbours, in float64.
+
+    Observed components (c > 0) hold their y; a free component with no clique around it holds 0.
+    """
+    height, width = problem.shape
+    m = problem.m.astype(float)
+    field = np.zeros((height, width, 2))
+    rows: list[int] = []
+    columns: list[int] = []
+    values: list[float] = []
+    diagonal = np.zeros((height, width, 2))
+
+    def number(site: Site, component: int) -> int:
+        return (site[0] * width + site[1]) * 2 + component
+
+    for s, t, u, components in cliques(problem.m):
+        to_u, to_s = m[t] / m[u], m[t] / m[s]
+        weight_s = to_u * (1 + to_u) + (1 + to_s)
+        weight_u = (1 + to_u) + to_s * (1 + to_s)
+        for k in components:
+            if problem.c[t][k] > 0:
+                continue
+            diagonal[t][k] += weight_s + weight_u
+            rows += [number(t, k)] * 2
+            columns += [number(s, k), number(u, k)]
+            values += [-weight_s, -weight_u]
+    right = np.where(problem.c > 0, problem.y, 0).astype(float).ravel()
+    diagonal = np.where(diagonal > 0, diagonal, 1).ravel()
+    size = height * width * 2
+    matrix = sp.coo_matrix((values, (rows, columns)), shape=(size, size)).tocsc()
+    field = spl.spsolve((matrix + sp.diags(diagonal)).tocsc(), right)
+    return field.reshape(height, width, 2)

@@ -1,0 +1,39 @@
+"""The quadtree of figure 3."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from napari_hmrf.hierarchy import levels, nearest_pixels
+
+
+def test_a_300_pixel_image_has_the_papers_ten_levels():
+    tree = levels((300, 300))
+    assert [level.number for level in tree] == list(range(10))
+    assert [level.shape[0] for level in tree] == [300, 150, 75, 38, 19, 10, 5, 3, 2, 1]
+    # 70 sweeps on each of them are the 700 iterations of table 1.
+    assert 70 * len(tree) == 700
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (1, 17), (2, 2), (5, 300), (257, 31), (1024, 1024)])
+def test_the_root_is_one_site_and_each_level_halves(shape):
+    tree = levels(shape)
+    assert tree[0].shape == shape
+    assert tree[-1].shape == (1, 1)
+    for fine, coarse in itertools.pairwise(tree):
+        assert coarse.shape == tuple(-(-size // 2) for size in fine.shape)
+        assert coarse.sites < fine.sites
+
+
+@pytest.mark.parametrize("shape", [(300, 300), (7, 12), (1, 9)])
+def test_a_site_looks_at_a_pixel_it_covers(shape):
+    for level in levels(shape):
+        for size, pixels in zip(shape, nearest_pixels(level, shape), strict=True):
+            sites = np.arange(len(pixels))
+            assert (np.array(pixels) >= sites * 2**level.number).all()
+            assert (np.array(pixels) < np.minimum((sites + 1) * 2**level.number, size)).all()
+
+
+def test_the_finest_level_is_the_image():
+    assert nearest_pixels(levels((4, 3))[0], (4, 3)) == ([0, 1, 2, 3], [0, 1, 2])

@@ -1,0 +1,145 @@
+"""Bad inputs get one clear error before any work; good ones are frozen."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import Problem, ProblemError
+
+
+def good(shape=(5, 4)):
+    y = np.zeros((*shape, 2))
+    c = np.zeros((*shape, 2))
+    c[0] = 1
+    m = np.ones(shape)
+    return y, c, m
+
+
+def test_inputs_are_copied_converted_and_frozen():
+    y, c, m = good()
+    problem = Problem(y, c, m, spacing=[0.5, 2])
+    m[:] = 7
+    assert problem.m.max() == 1
+    assert problem.shape == (5, 4)
+    assert problem.spacing == (0.5, 2.0)
+    assert problem.unit == pytest.approx(1.0)
+    for array in (problem.y, problem.c, problem.m, problem.tissue):
+        assert not array.flags.writeable
+    assert problem.y.dtype == problem.c.dtype == problem.m.dtype == np.float32
+    with pytest.raises(AttributeError):
+        problem.m = m
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a.astype(">f8"),
+        np.asfortranarray,
+        lambda a: a[::-1, ::-1].copy()[::-1, ::-1],
+        lambda a: a.astype(np.float16),
+        lambda a: np.ascontiguousarray(a, dtype=np.longdouble),
+    ],
+    ids=["big-endian", "fortran", "negative strides", "half", "long double"],
+)
+def test_any_memory_layout_gives_the_same_problem(change):
+    arrays = [np.round(np.random.default_rng(0).random((4, 6)), 2) + 1]
+    arrays += [np.round(np.random.default_rng(1).random((4, 6, 2)), 1) for _ in range(2)]
+    m, y, c = (array.astype(np.float16).astype(float) for array in arrays)
+    expected = Problem(y, c, m)
+    changed = Problem(change(y), change(c), change(m))
+    for field in ("y", "c", "m"):
+        np.testing.assert_array_equal(getattr(changed, field), getattr(expected, field))
+
+
+def test_y_is_ignored_where_nobody_is_confident():
+    y, c, m = good()
+    y[4] = np.nan
+    assert np.isfinite(Problem(y, c, m).y).all()
+
+
+def test_integers_and_booleans_are_numbers():
+    y, c, _ = good()
+    problem = Problem(y.astype(int), c.astype(bool), np.ones((5, 4), dtype=np.uint16) * 40000)
+    assert problem.m[0, 0] == 40000
+
+
+def spoiled(field, where, value):
+    y, c, m = good()
+    arrays = {"y": y, "c": c, "m": m}
+    arrays[field][where] = value
+    return arrays
+
+
+@pytest.mark.parametrize(
+    ("arrays", "field", "says"),
+    [
+        (spoiled("m", (1, 2), np.nan), "m", r"1 values that are NaN .* \(1, 2\)"),
+        (spoiled("m", (1, 2), np.inf), "m", r"\(1, 2\)"),
+        (spoiled("m", (3, 0), -2), "m", r"1 negative values, the first at \(3, 0\)"),
+        (spoiled("m", ..., 0), "m", "no tissue"),
+        (spoiled("m", (0, 0), 1e9), "m", "ratio of 1e"),
+        (spoiled("m", (0, 0), 1e300), "m", "beyond single precision"),
+        (spoiled("c", (2, 1, 1), np.nan), "c", r"\(2, 1, 1\)"),
+        (spoiled("c", (2, 1, 1), 1.5), "c", r"outside 0 to 1, the first at \(2, 1, 1\)"),
+        (spoiled("c", (2, 1, 0), -0.1), "c", "outside 0 to 1"),
+        (spoiled("c", ..., 0), "c", "Mark at least one place"),
+        (spoiled("m", 0, 0), "c", "only where there is no tissue"),
+        (spoiled("y", (0, 3, 0), np.inf), "y", r"where c > 0, the first at \(0, 3, 0\)"),
+    ],
+)
+def test_a_bad_value_is_named_with_its_place(arrays, field, says):
+    with pytest.raises(ProblemError, match=says) as caught:
+        Problem(**arrays)
+    assert caught.value.field == field
+    assert str(caught.value).startswith(f"{field}: ")
+
+
+@pytest.mark.parametrize(
+    ("field", "shape"), [("y", (5, 4)), ("c", (5, 4, 3)), ("y", (4, 5, 2)), ("c", (5, 4, 1))]
+)
+def test_images_on_different_grids_are_refused_with_both_shapes(field, shape):
+    y, c, m = good()
+    arrays = {"y": y, "c": c, "m": m, field: np.zeros(shape)}
+    with pytest.raises(ProblemError, match=r"\(5, 4\)") as caught:
+        Problem(**arrays)
+    assert caught.value.field == field
+    assert str(shape) in str(caught.value)
+
+
+@pytest.mark.parametrize("shape", [(0, 5), (1, 1), (5,), (3, 4, 5), ()])
+def test_grids_that_cannot_deform_are_refused(shape):
+    ndim = len(shape)
+    with pytest.raises(ProblemError) as caught:
+        Problem(np.zeros((*shape, ndim)), np.ones((*shape, ndim)), np.ones(shape))
+    assert caught.value.field == "m"
+
+
+def test_a_volume_is_told_to_come_slice_by_slice():
+    with pytest.raises(ProblemError, match="slice by slice"):
+        Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), np.ones((3, 4, 5)))
+
+
+@pytest.mark.parametrize(
+    "spacing", [(0, 1), (1,), (1, 1, 1), (np.nan, 1), (-1, 1), (np.inf, 1), "ab", 3, None]
+)
+def test_a_pixel_has_a_size(spacing):
+    with pytest.raises(ProblemError, match=r"pixel sizes|positive numbers"):
+        Problem(*good(), spacing=spacing)
+
+
+@pytest.mark.parametrize("kind", [complex, object, str])
+def test_only_real_numbers_make_an_image(kind):
+    y, c, m = good()
+    with pytest.raises(ProblemError, match="type"):
+        Problem(y, c, m.astype(kind))
+
+
+def test_a_mask_is_not_dropped_silently():
+    y, c, m = good()
+    with pytest.raises(ProblemError, match="mask would be lost"):
+        Problem(y, c, np.ma.masked_less(m, 0))
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (7, 1), (2, 2)])
+def test_thin_grids_are_problems_too(shape):
+    y, c, m = np.zeros((*shape, 2)), np.ones((*shape, 2)), np.ones(shape)
+    assert Problem(y, c, m).shape == shape
