@@ -1,0 +1,216 @@
+"""The process's OpenGL device: one context, its limits and its compiled kernels.
+
+It is made by the first solve that needs it, kept for the next ones, and belongs to the compute
+thread. When it cannot be trusted any more it is dropped, and the next solve makes a new one.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+
+from napari_hmrf.backends.opengl.context import (
+    COMPUTE_VERSION,
+    is_software_renderer,
+    open_context,
+)
+from napari_hmrf.backends.opengl.programs import Program, compile_program
+from napari_hmrf.backends.opengl.source import Stage
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.errors import BackendError
+
+_log = logging.getLogger("napari_hmrf")
+
+
+class Device:
+    """An OpenGL context that computes, with what is worth keeping between solves.
+
+    Attributes
+    ----------
+    ctx : moderngl.Context
+    renderer : str
+        GL_RENDERER and GL_VERSION, for provenance and bug reports.
+    seconds : float
+        How long it took to make the context.
+    largest : int
+        The most sites along an axis that a texture can hold and a pass can write.
+    """
+
+    def __init__(self) -> None:
+        started = time.perf_counter()
+        self._opened = open_context()
+        self.seconds = time.perf_counter() - started
+        self.ctx = self._opened.ctx
+        self.way = self._opened.way
+        self.finish = self._opened.finish
+        info = self.ctx.info
+        self.renderer = f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
+        self.largest = int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
+        self.lost = False
+        self._programs: dict[Any, Program] = {}
+        self._checked: set[str] = set()
+        # moderngl binds the framebuffer in use again whenever it makes another one, even if it has
+        # been released since. So one that stays is put to use before any other is released.
+        self._home = self.ctx.simple_framebuffer((1, 1))
+        self._home.use()
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The shader stages that there are."""
+        if self.ctx.version_code >= COMPUTE_VERSION:
+            return ("fragment", "compute")
+        return ("fragment",)
+
+    @property
+    def best_stage(self) -> Stage:
+        """Compute shaders on a GPU; Mesa's llvmpipe runs fragment shaders a sixth faster."""
+        if "compute" in self.stages and not is_software_renderer(self.renderer):
+            return "compute"
+        return "fragment"
+
+    def program(self, name: str, stage: Stage, defines: Mapping[str, int] | None = None) -> Program:
+        """Compile a kernel, or return it if it has been compiled before."""
+        key = (name, stage, *sorted((defines or {}).items()))
+        if key not in self._programs:
+            self._programs[key] = compile_program(self.ctx, name, stage, defines)
+            self.check(f"compiling {name}")
+        return self._programs[key]
+
+    def texture(self, shape: tuple[int, ...], components: int) -> Any:
+        """Allocate a float32 texture for a grid of (H, W) sites, or say why it cannot be."""
+        height, width = shape
+        size = height * width * components * 4
+        what = f"an image of {height} x {width} sites ({size / 2**20:.0f} MiB)"
+        if not 0 < max(shape) <= self.largest or min(shape) < 1:
+            raise BackendError(
+                f"{self.renderer} takes images of up to {self.largest} x {self.largest}, not "
+                f'{what}. Downsample it, cut it, or take backend="cpu".'
+            )
+        try:
+            texture = self.ctx.texture((width, height), components, dtype="f4")
+        except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
+            self.lose(f"making {what}: {error}")
+        if self.ctx.error != "GL_NO_ERROR":
+            texture.release()
+            self.lose(
+                f"making {what}: it is probably out of memory. Downsample the image, close what "
+                "else uses the graphics card"
+            )
+        texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
+        return texture
+
+    def free(self, objects: Iterable[Any]) -> None:
+        """Release textures and framebuffers; nothing to do if they went with the context."""
+        if not self.lost:
+            self._home.use()
+            for made in objects:
+                made.release()
+
+    def check(self, doing: str) -> None:
+        """Drop the device if OpenGL has reported an error since the last look."""
+        error = self.ctx.error
+        if error != "GL_NO_ERROR":
+            self.lose(f"{doing}: {error}")
+
+    def lose(self, doing: str) -> NoReturn:
+        """Give the device up: nothing that it computes from now on could be trusted."""
+        self.release()
+        raise BackendError(
+            f"{self.renderer} failed while {doing}. The result was dropped; the next solve starts "
+            'a new context. If it happens again, update the driver or take backend="cpu".'
+        )
+
+    def release(self) -> None:
+        """Destroy the context with everything in it; safe to call twice."""
+        if self.lost:
+            return
+        self.lost = True
+        for program in self._programs.values():
+            program.release()
+        self._programs.clear()
+        self._opened.release()
+
+    def ensure(self, stage: Stage) -> None:
+        """Have a stage solve the canary once; refuse a device that computes nonsense."""
+        if stage not in self.stages:
+            raise BackendError(
+                f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Take "
+                'backend="opengl:fragment" or backend="cpu".'
+            )
+        if stage not in self._checked:
+            self.canary(stage)
+            self._checked.add(stage)
+
+    def canary(self, stage: Stage) -> None:
+        """Run the kernel whose answer is known; lose the device if it differs anywhere.
+
+        Raises
+        ------
+        BackendError
+            If one value differs, or OpenGL reports an error.
+        """
+        rows, cols = 5, 7
+        n = np.arange(rows * cols, dtype=np.float32).reshape(rows, cols)[..., None] + 100
+        row, col = np.ogrid[:rows, :cols]
+        row, col = row[..., None], col[..., None]
+        mirrored = n[::-1, ::-1]
+        expected = (
+            np.concatenate(
+                [3 * mirrored, mirrored + col, mirrored - row, 2.0**20 + mirrored], axis=-1
+            ),
+            np.concatenate([mirrored / 4, row - col + 0 * mirrored], axis=-1),
+            mirrored / 8 + row * col,
+        )
+        program = self.program("canary", stage)
+        made: list[Any] = []
+        try:
+            made.append(self.texture((rows, cols), 1))
+            made[0].write(n.tobytes())
+            made += [self.texture((rows, cols), components) for components in (4, 2, 1)]
+            outputs, target = made[1:], None
+            if stage == "fragment":
+                target = self.ctx.framebuffer(outputs)
+                made.append(target)
+            program.run(made[:1], outputs, target, (rows, cols))
+            self.finish()
+            answers = [
+                np.frombuffer(output.read(), np.float32).reshape(rows, cols, -1)
+                for output in outputs
+            ]
+        finally:
+            self.free(reversed(made))
+        self.check("drawing the test image")
+        for answer, exact in zip(answers, expected, strict=True):
+            if not np.array_equal(answer, exact):
+                wrong = int((answer != exact).sum())
+                self.lose(
+                    f"drawing the test image as a {stage} shader: {wrong} of {exact.size} values "
+                    "are wrong, so it cannot be trusted with tissue"
+                )
+
+
+_device: Device | None = None
+
+
+def the_device() -> Device:
+    """The process's device; the first call makes it. On the compute thread only.
+
+    Raises
+    ------
+    BackendError
+        If there is no usable OpenGL.
+    RuntimeError
+        On any other thread.
+    """
+    global _device
+    if not compute_thread.is_current():
+        raise RuntimeError("OpenGL is used on the compute thread only; call solve() instead")
+    if _device is None or _device.lost:
+        _device = Device()
+        compute_thread.at_end(_device.release)
+        _log.debug("OpenGL: %s, by %s, %.3f s", _device.renderer, _device.way, _device.seconds)
+    return _device

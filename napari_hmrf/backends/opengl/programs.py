@@ -1,0 +1,161 @@
+"""Compiled kernels, and how each stage runs one over a grid of sites."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends.opengl.source import GROUP, KERNELS, Stage, compose, triangle
+from napari_hmrf.errors import BackendError
+
+Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]
+
+
+class Program(Protocol):
+    """A kernel, ready to run."""
+
+    def set(self, values: Uniforms) -> None:
+        """Give uniforms their values; they keep them."""
+        ...
+
+    def run(
+        self,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        target: Any,
+        grid: tuple[int, ...],
+        first_row: int = 0,
+        rows: tuple[int, int] | None = None,
+    ) -> None:
+        """Run the kernel once at each site; returns before the device has done it.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of moderngl.Texture
+            In the kernel's order. No texture may be both.
+        target : moderngl.Framebuffer or None
+            Of the outputs; for the fragment stage.
+        grid : (int, int)
+            How many (rows, cols) of sites there are.
+        first_row : int
+            Row of the outputs at which the grid begins.
+        rows : (int, int), optional
+            The range of the grid's rows to run; by default all.
+        """
+        ...
+
+    def release(self) -> None:
+        """Free what OpenGL holds of it."""
+        ...
+
+
+def compile_program(
+    ctx: Any, name: str, stage: Stage, defines: Mapping[str, int] | None = None
+) -> Program:
+    """Compile a kernel for a stage.
+
+    Raises
+    ------
+    BackendError
+        With the compiler's words and the numbered text, if it does not compile.
+    """
+    source = compose(name, stage, defines)
+    try:
+        if stage == "compute":
+            program = ctx.compute_shader(source.text)
+        else:
+            program = ctx.program(vertex_shader=triangle().text, fragment_shader=source.text)
+    except Exception as error:
+        raise BackendError(
+            f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
+            f"report this with what follows\n{source.explain(str(error))}"
+        ) from error
+    for unit, texture in enumerate(KERNELS[name].inputs):
+        if texture in program:
+            program[texture].value = unit
+    return _Compute(ctx, program) if stage == "compute" else _Fragment(ctx, program)
+
+
+class _Compiled:
+    """What both stages share: uniforms that are written only when they change."""
+
+    def __init__(self, ctx: Any, program: Any) -> None:
+        self._ctx = ctx
+        self._program = program
+        self._written: dict[str, bytes] = {}
+
+    def set(self, values: Uniforms) -> None:
+        for name, value in values.items():
+            data = value.tobytes()
+            if self._written.get(name) != data:
+                self._written[name] = data
+                if name in self._program:  # else the compiler saw that it does not matter
+                    self._program[name].write(data)
+
+    def _place(self, name: str, *numbers: int) -> None:
+        self.set({name: np.array(numbers, np.int32)})
+
+    def release(self) -> None:
+        self._program.release()
+
+
+class _Fragment(_Compiled):
+    """A fragment shader over a full-screen triangle."""
+
+    def __init__(self, ctx: Any, program: Any) -> None:
+        super().__init__(ctx, program)
+        self._triangle = ctx.vertex_array(program, [])
+
+    def run(
+        self,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        target: Any,
+        grid: tuple[int, ...],
+        first_row: int = 0,
+        rows: tuple[int, int] | None = None,
+    ) -> None:
+        for unit, texture in enumerate(inputs):
+            texture.use(unit)
+        height, width = grid
+        self._place("origin", 0, first_row)
+        target.viewport = (0, first_row, width, height)
+        target.use()
+        if rows is None:
+            self._triangle.render(vertices=3)
+            return
+        target.scissor = (0, first_row + rows[0], width, rows[1] - rows[0])
+        self._triangle.render(vertices=3)
+        target.scissor = None
+
+    def release(self) -> None:
+        self._triangle.release()
+        super().release()
+
+
+class _Compute(_Compiled):
+    """A compute shader over work groups that cover the grid."""
+
+    def run(
+        self,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        target: Any,
+        grid: tuple[int, ...],
+        first_row: int = 0,
+        rows: tuple[int, int] | None = None,
+    ) -> None:
+        for unit, texture in enumerate(inputs):
+            texture.use(unit)
+        for unit, texture in enumerate(outputs):
+            texture.bind_to_image(unit, read=False, write=True)
+        height, width = grid
+        begin, end = rows or (0, height)
+        self._place("origin", 0, first_row)
+        self._place("grid", width, end)
+        self._place("first_row", begin)
+        self._program.run(-(-width // GROUP[1]), -(-(end - begin) // GROUP[0]))
+        self._ctx.memory_barrier()

@@ -1,0 +1,191 @@
+"""From the kernels' text to the shaders' text: one file per kernel, two stages.
+
+A kernel is a function ``kernel(ivec2 site)`` that reads textures and assigns its outputs. The same
+text becomes a fragment shader (OpenGL 3.3, outputs are render targets) or a compute shader
+(OpenGL 4.3, outputs are images). Needs no OpenGL: it is text in, text out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal, get_args
+
+from napari_hmrf.errors import BackendError
+from napari_hmrf.resources import resource_folder
+
+Stage = Literal["fragment", "compute"]
+STAGES: tuple[str, ...] = get_args(Stage)
+Define = int
+
+#: Sites of a compute work group, (rows, cols).
+GROUP = (8, 8)
+
+_VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
+_TYPES = {1: "float", 2: "vec2", 4: "vec4"}
+# Compilers number the line as "2:14(3): error", "2(14) : error" or "ERROR: 2:14: ...".
+_PLACE = re.compile(r"\b(\d+)([:(])(\d+)\b")
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """What a kernel reads and writes.
+
+    Attributes
+    ----------
+    name : str
+        Of its file, without ``.glsl``.
+    inputs : tuple of str
+        Textures it reads, in the order of their texture units.
+    outputs : mapping of str to int
+        What it assigns, in the order of its targets, with the number of components (1, 2 or 4).
+    defines : tuple of str
+        Names that must be given a value to compile it.
+    cliques : bool
+        Whether it needs ``cliques.glsl``.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: Mapping[str, int]
+    defines: tuple[str, ...] = ()
+    cliques: bool = False
+
+
+_SITE = ("displacement", "straight", "diagonal", "observation")
+
+#: Every kernel, by name.
+KERNELS: Mapping[str, Kernel] = {
+    kernel.name: kernel
+    for kernel in (
+        Kernel("project", ("finest",), {"values": 4}),
+        Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 2}),
+        Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
+        Kernel("icm", _SITE, {"moved": 2, "share": 1}, ("BLANKET", "STEPS"), cliques=True),
+        Kernel("energy", _SITE, {"share": 1}, cliques=True),
+        Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
+        Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A shader's full text and the files it was put together from.
+
+    Attributes
+    ----------
+    text : str
+        What the compiler gets.
+    files : tuple of str
+        File names by the number that ``#line`` gives them.
+    """
+
+    text: str
+    files: tuple[str, ...]
+
+    def numbered(self) -> str:
+        """The text with the file and line number of each line, as a compiler counts them."""
+        lines = []
+        name, number = "", 0
+        for line in self.text.splitlines():
+            directive = re.match(r"#line (\d+) (\d+)$", line)
+            if directive:
+                number, name = int(directive[1]) - 1, self.files[int(directive[2])]
+            place = f"{name}:{number}" if number and not directive else ""
+            lines.append(f"{place:>24} | {line}")
+            number += 1
+        return "\n".join(lines)
+
+    def explain(self, log: str) -> str:
+        """A compiler's log with file names for their numbers, and the numbered text below it."""
+
+        def named(match: re.Match[str]) -> str:
+            number = int(match[1])
+            name = self.files[number] if number < len(self.files) else match[1]
+            return f"{name}{match[2]}{match[3]}"
+
+        return f"{_PLACE.sub(named, log.strip())}\n\n{self.numbered()}"
+
+
+def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None) -> Source:
+    """Put a kernel's shader together.
+
+    Parameters
+    ----------
+    name : str
+        One of `KERNELS`.
+    stage : {"fragment", "compute"}
+    defines : mapping of str to int, optional
+        A value for each name in the kernel's ``defines``.
+
+    Raises
+    ------
+    BackendError
+        Naming the kernel and what is unknown, missing or too much, or the missing file.
+    """
+    if name not in KERNELS:
+        raise BackendError(f"there is no kernel {name!r}; take one of {', '.join(KERNELS)}")
+    if stage not in STAGES:
+        raise BackendError(f"there is no shader stage {stage!r}; take one of {', '.join(STAGES)}")
+    kernel = KERNELS[name]
+    given = dict(defines or {})
+    if set(given) != set(kernel.defines):
+        raise BackendError(
+            f"kernel {name!r} is compiled with values for {sorted(kernel.defines)}, "
+            f"but {sorted(given)} were given"
+        )
+    head = [f"#define {key} {value}" for key, value in given.items()]
+    if stage == "compute":
+        head += [f"#define GROUP_ROWS {GROUP[0]}", f"#define GROUP_COLS {GROUP[1]}"]
+    head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
+    head += _outputs(kernel, stage)
+    files = ["common", *(["cliques"] if kernel.cliques else []), name, f"stage_{stage}"]
+    return _joined(_VERSIONS[stage], head, files)
+
+
+def triangle() -> Source:
+    """The vertex shader of the fragment stage."""
+    return _joined(_VERSIONS["vertex"], [], ["triangle"])
+
+
+def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
+    """Declare a kernel's outputs: render targets, or variables and the images they go to."""
+    if stage == "fragment":
+        return [
+            f"layout(location = {target}) out {_TYPES[components]} {name};"
+            for target, (name, components) in enumerate(kernel.outputs.items())
+        ]
+    lines = [f"{_TYPES[components]} {name};" for name, components in kernel.outputs.items()]
+    stores = []
+    for target, name in enumerate(kernel.outputs):
+        lines.append(f"layout(binding = {target}) uniform writeonly image2D {name}_image;")
+        stores.append(f"imageStore({name}_image, at, texel({name}));")
+    return [*lines, f"#define STORE_OUTPUTS(at) {' '.join(stores)}"]
+
+
+def _joined(version: int, head: list[str], names: list[str]) -> Source:
+    files = ["(declarations)", *(f"{name}.glsl" for name in names)]
+    parts = [f"#version {version} core", "#line 1 0", *head]
+    for number, name in enumerate(names, start=1):
+        parts += [f"#line 1 {number}", _text(name).rstrip("\n")]
+    return Source("\n".join(parts) + "\n", tuple(files))
+
+
+@cache
+def _text(name: str) -> str:
+    path = Path(resource_folder("shaders"), f"{name}.glsl")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise BackendError(
+            f"the shader {path.name} cannot be read ({error.strerror}); install napari-hmrf again"
+        ) from error
+    if not text.isascii():
+        raise BackendError(f"the shader {path.name} holds characters other than ASCII")
+    if "#version" in text:
+        raise BackendError(f"the shader {path.name} must not give a #version: the loader does")
+    return text

@@ -1,0 +1,63 @@
+// The potentials of three sites s - t - u in a line, t in the middle (eqs. 9 to 11):
+//
+//     V = w . [ (r_u (d_t - d_s) - (d_u - d_t))^2 + (r_s (d_t - d_u) - (d_s - d_t))^2 ]
+//
+// with r_s = m_t/m_s, r_u = m_t/m_u and w the weight of the line for the (row, col) component.
+// As a function of one site's displacement it is a parabola; curvature A and slope b (minus half
+// the derivative at the present displacement) of all cliques of a site add up, and the lowest
+// point is b / A away from where the site is.
+//
+// Everything is built from differences of displacement, taken first: the energy of an assembled
+// stencil loses whole pixels to cancellation in a large image.
+//
+// Border rule: a clique that leaves the image or touches void has both ratios 0 (ratios.glsl) and
+// counts for nothing, whatever the displacements given for it.
+
+/// What the cliques of a site say about it; energy is that of those whose middle it is.
+struct Evidence {
+    vec2 curvature;
+    vec2 slope;
+    float energy;
+};
+
+/// Add the clique that the site is the middle of; s and u are d_s - d_t and d_u - d_t.
+void add_middle(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 s, vec2 u)
+{
+    float exists = ratio.x > 0.0 ? 1.0 : 0.0;
+    vec2 steep = 1.0 + ratio;
+    vec2 first = ratio.y * s + u;
+    vec2 second = ratio.x * u + s;
+    vec2 counted = weight * exists;
+    evidence.curvature += counted * (steep.y * steep.y + steep.x * steep.x);
+    evidence.slope += counted * (steep.y * first + steep.x * second);
+    vec2 energy = counted * (first * first + second * second);
+    evidence.energy += energy.x + energy.y;
+}
+
+/// Add a clique that the site is an end of: `near` is the site's own d minus that of the middle,
+/// `far` that of the other end minus that of the middle; `ratio` is (m_t / m of the site,
+/// m_t / m of the other end).
+void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 far)
+{
+    float exists = ratio.x > 0.0 ? 1.0 : 0.0;
+    vec2 counted = weight * exists;
+    evidence.curvature += counted * (ratio.y * ratio.y + 1.0);
+    evidence.slope -=
+        counted * (ratio.y * (ratio.y * near + far) + (ratio.x * far + near));
+}
+
+/// Add the clique of a line that the site, where the displacement is d, is the middle of.
+void add_line(inout Evidence evidence, ivec2 site, vec2 d, ivec2 line, vec2 weight, vec2 ratio)
+{
+    ivec2 size = textureSize(displacement, 0);
+    vec2 s = texelFetch(displacement, clamped(site - line, size), 0).xy - d;
+    vec2 u = texelFetch(displacement, clamped(site + line, size), 0).xy - d;
+    add_middle(evidence, weight, ratio, s, u);
+}
+
+/// The observation energy of a site (eqs. 17 and 18); observation is (y, p = K c).
+float observed(vec2 displacement, vec4 observation)
+{
+    vec2 energy = observation.zw * abs(observation.xy - displacement);
+    return energy.x + energy.y;
+}

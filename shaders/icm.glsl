@@ -1,0 +1,110 @@
+// One sweep of iterated conditional modes: every site moves to its best displacement, given its
+// neighbours (lines 8 and 9 of the algorithm).
+//
+//     local energy(e) = A/g e (e - 2 g b/A) + p (|y - d - e| - |y - d|)   for a move e, g the damping
+//
+// A and b are what the site's cliques say (cliques.glsl): those whose middle it is, or with
+// BLANKET all that contain it. With STEPS > 0 the move is the best of {0} and {-e, 0, e}^2 for
+// each of the steps e, the earlier one of equals; with STEPS 0 the exact minimiser,
+// d = y + soft(q - y, g p / 2A), q = d + g b/A.
+//
+// Inputs:  displacement  d, pixels
+//          straight, diagonal  stiffness ratios (ratios.glsl)
+//          observation   (y in pixels, p = K c in energy per pixel)
+//          weights       of the lines for the (row, col) component, no unit
+//          relaxation    g, in (0, 1]
+//          steps         e, pixels
+// Outputs: moved         the new d, pixels
+//          share         the site's share of U_total *before* it moved, pixels squared
+// Border rule: cliques that leave the image do not exist; reads are clamped to the image.
+
+uniform vec2 weights[4];
+uniform float relaxation;
+#if STEPS > 0
+uniform float steps[STEPS];
+#endif
+
+// Below this a displacement becomes 0: arithmetic on denormal numbers is slow on some devices.
+const float FLUSH = 1e-18;
+const float TINY = 1e-30;
+
+#if STEPS > 0
+/// The best of {0, step, -step} for one component: the move, and the energy it changes (<= 0).
+/// `way` is q - d and `off` is y - d.
+vec2 best_move(float step, float curvature, float way, float penalty, float off)
+{
+    float now = penalty * abs(off);
+    float up = curvature * step * (step - 2.0 * way) + (penalty * abs(off - step) - now);
+    float down = curvature * step * (step + 2.0 * way) + (penalty * abs(off + step) - now);
+    float change = min(min(up, down), 0.0);
+    float move = up <= down ? step : -step;
+    return vec2(change < 0.0 ? move : 0.0, change);
+}
+#endif
+
+/// The displacement of least local energy among those the site may choose from.
+vec2 best(vec2 d, vec2 curvature, vec2 way, vec4 seen)
+{
+#if STEPS > 0
+    vec2 off = seen.xy - d;
+    vec2 move = vec2(0.0);
+    float least = 0.0;
+    for (int k = 0; k < STEPS; ++k) {
+        vec2 row = best_move(steps[k], curvature.x, way.x, seen.z, off.x);
+        vec2 col = best_move(steps[k], curvature.y, way.y, seen.w, off.y);
+        float change = row.y + col.y;
+        move = change < least ? vec2(row.x, col.x) : move;
+        least = min(change, least);
+    }
+    return d + move;
+#else
+    vec2 reach = seen.zw / (2.0 * max(curvature, vec2(TINY)));
+    vec2 distance = (d + way) - seen.xy;
+    return seen.xy + (distance - min(max(distance, -reach), reach));
+#endif
+}
+
+#if BLANKET
+/// What the cliques that a site is an end of say; `ratios` is the image that holds the line's.
+void add_ends(
+    inout Evidence evidence, ivec2 site, vec2 d, ivec2 line, vec2 weight, sampler2D ratios, bool second)
+{
+    ivec2 size = textureSize(displacement, 0);
+    for (int end = -1; end <= 1; end += 2) {
+        ivec2 middle = site + end * line;
+        vec4 both = texelFetch(ratios, clamped(middle, size), 0);
+        vec2 ratio = second ? both.zw : both.xy;
+        // Seen from the middle the site lies behind, at its end s, where it came from `end` > 0.
+        ratio = end > 0 ? ratio : ratio.yx;
+        ratio = in_image(middle, size) ? ratio : vec2(0.0);
+        vec2 d_t = texelFetch(displacement, clamped(middle, size), 0).xy;
+        vec2 d_far = texelFetch(displacement, clamped(middle + end * line, size), 0).xy;
+        add_end(evidence, weight, ratio, d - d_t, d_far - d_t);
+    }
+}
+#endif
+
+void kernel(ivec2 site)
+{
+    vec2 d = texelFetch(displacement, site, 0).xy;
+    vec4 seen = texelFetch(observation, site, 0);
+    vec4 ratios_0 = texelFetch(straight, site, 0);
+    vec4 ratios_1 = texelFetch(diagonal, site, 0);
+
+    Evidence evidence = Evidence(vec2(0.0), vec2(0.0), 0.0);
+    add_line(evidence, site, d, VERTICAL, weights[0], ratios_0.xy);
+    add_line(evidence, site, d, HORIZONTAL, weights[1], ratios_0.zw);
+    add_line(evidence, site, d, DIAGONAL, weights[2], ratios_1.xy);
+    add_line(evidence, site, d, ANTIDIAGONAL, weights[3], ratios_1.zw);
+    share = evidence.energy + observed(d, seen);
+#if BLANKET
+    add_ends(evidence, site, d, VERTICAL, weights[0], straight, false);
+    add_ends(evidence, site, d, HORIZONTAL, weights[1], straight, true);
+    add_ends(evidence, site, d, DIAGONAL, weights[2], diagonal, false);
+    add_ends(evidence, site, d, ANTIDIAGONAL, weights[3], diagonal, true);
+#endif
+
+    vec2 way = relaxation * (evidence.slope / max(evidence.curvature, vec2(TINY)));
+    vec2 chosen = best(d, evidence.curvature / relaxation, way, seen);
+    moved = mix(vec2(0.0), chosen, greaterThan(abs(chosen), vec2(FLUSH)));
+}

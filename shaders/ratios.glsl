@@ -1,0 +1,32 @@
+// The stiffness ratios of the four cliques that a site is the middle of.
+//
+//     straight = (m_t/m_s, m_t/m_u) of the vertical line, then of the horizontal line
+//     diagonal = (m_t/m_s, m_t/m_u) of the diagonal, then of the antidiagonal
+//
+// Inputs:  stiffness  (m, 1/m), any unit, both 0 in void
+// Outputs: straight, diagonal  no unit; both ratios of a clique are 0 where it does not exist
+// Border rule: outside the image is void, so a clique that leaves the image does not exist.
+//
+// They do not change on a level, so they are computed once for all of its sweeps.
+
+/// 1/m, or 0 in void and outside the image.
+float inverse_stiffness(ivec2 site)
+{
+    ivec2 size = textureSize(stiffness, 0);
+    float inverse = texelFetch(stiffness, clamped(site, size), 0).y;
+    return in_image(site, size) ? inverse : 0.0;
+}
+
+vec2 ratios_of(ivec2 site, ivec2 line, float m)
+{
+    vec2 inverse = vec2(inverse_stiffness(site - line), inverse_stiffness(site + line));
+    bool exists = inverse.x * m * inverse.y > 0.0;
+    return exists ? m * inverse : vec2(0.0);
+}
+
+void kernel(ivec2 site)
+{
+    float m = texelFetch(stiffness, clamped(site, textureSize(stiffness, 0)), 0).x;
+    straight = vec4(ratios_of(site, VERTICAL, m), ratios_of(site, HORIZONTAL, m));
+    diagonal = vec4(ratios_of(site, DIAGONAL, m), ratios_of(site, ANTIDIAGONAL, m));
+}
