@@ -1,0 +1,8 @@
+"""``python -m napari_hmrf``: the same as the command ``napari-hmrf``."""
+
+import sys
+
+from napari_hmrf.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,161 @@
+"""The commands: ``napari-hmrf demo`` and ``napari-hmrf selftest``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import napari_hmrf
+from napari_hmrf.backends import BACKEND_NAMES
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.optimizers import Monitor
+from napari_hmrf.phantoms import PHANTOM_NAMES, SMALLEST
+
+if TYPE_CHECKING:
+    from napari_hmrf.demo import Demonstration
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        What was typed after ``napari-hmrf``; by default what was typed.
+
+    Returns
+    -------
+    int
+        The exit code: 0 if all went well, 1 if not, 130 if it was interrupted.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        if options.command == "selftest":
+            return _selftest()
+        return _demo(options)
+    except KeyboardInterrupt:
+        _tell("interrupted")
+        return 130
+    except (HmrfError, OSError) as error:
+        _tell(f"napari-hmrf: {error}")
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="napari-hmrf",
+        description="How soft tissue moves, computed on the pixels of an image.",
+    )
+    parser.add_argument(
+        "--version", action="version", version=f"napari-hmrf {napari_hmrf.__version__}"
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    demo = commands.add_parser(
+        "demo", help="deform a sample, draw it, and open it in napari where there is a display"
+    )
+    demo.add_argument(
+        "--phantom", choices=PHANTOM_NAMES, default=PHANTOM_NAMES[0], help="default: %(default)s"
+    )
+    demo.add_argument(
+        "--size",
+        type=_size,
+        default=300,
+        metavar="N",
+        help="pixels along each side (default: %(default)s, the size with a finite-element field)",
+    )
+    demo.add_argument(
+        "--out",
+        type=Path,
+        default=Path("demo-output"),
+        metavar="DIR",
+        help="where the pictures and the result go (default: %(default)s)",
+    )
+    demo.add_argument(
+        "--backend",
+        choices=BACKEND_NAMES,
+        help="default: the shaders (opengl), or the compiled loops (cpu) where there is no OpenGL",
+    )
+    demo.add_argument("--no-window", action="store_true", help="do not open napari")
+    commands.add_parser("selftest", help="report what this runs on, and check it: for a bug report")
+    return parser
+
+
+def _size(text: str) -> int:
+    try:
+        size = int(text)
+    except ValueError:
+        size = 0
+    if size < SMALLEST:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {SMALLEST}")
+    return size
+
+
+def _selftest() -> int:
+    from napari_hmrf.selftest import selftest
+
+    return 0 if selftest(lambda line: print(line, flush=True)) else 1
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from napari_hmrf.demo import demonstrate, write_results
+
+    # Before the work, so that it is not done in vain.
+    options.out.mkdir(parents=True, exist_ok=True)
+    progress = _ProgressLine()
+    demonstration = demonstrate(
+        options.phantom, options.size, options.backend, progress.show, _tell
+    )
+    progress.end()
+    print(demonstration.table(), flush=True)
+    _tell("drawing ...")
+    written = write_results(demonstration, options.out)
+    print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
+    if not options.no_window and _has_display():
+        _tell("opening napari ...")
+        _open_napari(demonstration)
+    return 0
+
+
+class _ProgressLine:
+    """Progress on stderr: one line that changes on a terminal, one message elsewhere."""
+
+    def __init__(self) -> None:
+        self._live = sys.stderr.isatty()
+        self._shown = 0
+
+    def show(self, monitor: Monitor) -> None:
+        line = f"{monitor.fraction:4.0%}  {monitor.message}"
+        if self._live:
+            sys.stderr.write("\r" + line.ljust(self._shown))
+            sys.stderr.flush()
+            self._shown = len(line)
+        elif not self._shown:
+            _tell(line.strip())
+            self._shown = len(line)
+
+    def end(self) -> None:
+        if self._live and self._shown:
+            sys.stderr.write("\r" + " " * self._shown + "\r")
+            sys.stderr.flush()
+
+
+def _tell(message: str) -> None:
+    print(message, file=sys.stderr, flush=True)
+
+
+def _has_display() -> bool:
+    """Whether somebody may be there to see a window."""
+    if os.environ.get("CI"):
+        return False
+    if not sys.platform.startswith("linux"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _open_napari(demonstration: Demonstration) -> None:
+    """Show a demonstration in napari, with the widget beside it, until the window is closed."""
+    raise NotImplementedError

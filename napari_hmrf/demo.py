@@ -1,0 +1,122 @@
+"""The demonstration: a sample solved, measured against finite elements, and drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.deformation import count_folds
+from napari_hmrf.errors import BackendError
+from napari_hmrf.optimizers import Monitor
+from napari_hmrf.phantoms import Phantom, phantom, reference_displacement, sample
+from napari_hmrf.solution import Solution
+from napari_hmrf.solve import solve
+
+#: The size that `sample_data` has phantoms and finite-element fields of, in pixels.
+SAMPLE_SIZE = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """A phantom, its solution, and what was measured on it.
+
+    Attributes
+    ----------
+    phantom : Phantom
+    solution : Solution
+    rmsd : float or None
+        Root mean square deviation from the finite-element displacement over the tissue, in pixels
+        (eq. 20); None where there is no such field to compare with.
+    folds : int
+        Places where the tissue is turned over: the determinant of its motion is 0 or less.
+    """
+
+    phantom: Phantom
+    solution: Solution
+    rmsd: float | None
+    folds: int
+
+    def table(self) -> str:
+        """What was measured, one line each."""
+        solution = self.solution
+        run = solution.provenance
+        size = " x ".join(str(pixels) for pixels in solution.tissue.shape)
+        rows = (
+            ("sample", f"{self.phantom.title}, {size}"),
+            ("renderer", f"{run.renderer} ({run.backend})"),
+            ("levels", f"{len(solution.levels)}"),
+            ("iterations", f"{solution.iterations}"),
+            ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
+            ("mean energy", f"{solution.mean_energy:.4g} px^2 per site"),
+            ("RMSD to FEM", "-" if self.rmsd is None else f"{self.rmsd:.2f} px"),
+            ("folds", f"{self.folds}"),
+        )
+        width = max(len(name) for name, _ in rows)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+
+def demonstrate(
+    name: str,
+    size: int,
+    backend: str | None,
+    progress: Callable[[Monitor], None],
+    notice: Callable[[str], None],
+) -> Demonstration:
+    """Solve a phantom with the paper's schedule.
+
+    Parameters
+    ----------
+    name : str
+        One of `PHANTOM_NAMES`.
+    size : int
+        Pixels along each side.
+    backend : str or None
+        One of `BACKEND_NAMES`; None takes the shaders, and the compiled loops where there is no
+        OpenGL.
+    progress : callable
+        Is given a `Monitor` now and then.
+    notice : callable
+        Is told, in words, if the shaders could not be taken.
+
+    Raises
+    ------
+    ValueError
+        If there is no such phantom, or not of that size.
+    BackendError
+        If the backend asked for cannot run.
+    """
+    subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
+    try:
+        solution = solve(subject.problem, backend=backend or "opengl", progress=progress)
+    except BackendError as error:
+        if backend is not None:
+            raise
+        notice(f"The shaders cannot run here: {error} Taking the compiled loops instead.")
+        solution = solve(subject.problem, backend="cpu", progress=progress)
+    return Demonstration(
+        phantom=subject,
+        solution=solution,
+        rmsd=_rmsd(solution, reference_displacement(name)) if size == SAMPLE_SIZE else None,
+        folds=count_folds(solution.displacement, solution.spacing, solution.tissue),
+    )
+
+
+def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
+    """Write the solution and its pictures to a folder that exists; the files written."""
+    from napari_hmrf.pictures import save_pictures
+
+    path = folder / "solution.npz"
+    demonstration.solution.save(path)
+    subject = demonstration.phantom
+    pictures = save_pictures(folder, subject.image, subject.problem, demonstration.solution)
+    return [path, *pictures]
+
+
+def _rmsd(solution: Solution, reference: npt.NDArray[np.float32]) -> float:
+    difference = (solution.displacement - reference)[solution.tissue]
+    return math.sqrt(float(np.mean(np.sum(difference.astype(np.float64) ** 2, axis=-1))))

@@ -1,0 +1,188 @@
+"""Pictures of a problem and its solution, for files and papers; drawn with matplotlib.
+
+Without a window and without pyplot: a figure is made, returned, and belongs to the caller.
+matplotlib is imported by the first picture.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.deformation import arrows, deformation_grid
+from napari_hmrf.problem import Problem
+from napari_hmrf.solution import Solution
+from napari_hmrf.warp import warp
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: About so many arrows show a displacement, and a boundary.
+ARROWS = 500
+BOUNDARY_ARROWS = 250
+#: Lines of the deformation grid along the longer side.
+GRID_LINES = 50
+_ARROW_COLOUR = "#e8590c"
+_FIXED_COLOUR = "#4dabf7"
+_GRID_COLOUR = "#0b7285"
+
+
+def save_pictures(
+    folder: Path, image: npt.ArrayLike, problem: Problem, solution: Solution
+) -> list[Path]:
+    """Draw a solve into PNG files.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist; files of the same names are replaced.
+    image : array_like, shape (H, W)
+        What the tissue looks like before it moves.
+    problem : Problem
+    solution : Solution
+
+    Returns
+    -------
+    list of Path
+        What was written: input, displacement, warped, grid, energy.
+    """
+    grey = np.asarray(image)
+    figures = {
+        "input": boundary_picture(grey, problem),
+        "displacement": displacement_picture(grey, solution),
+        "warped": warped_picture(grey, solution),
+        "grid": grid_picture(solution),
+        "energy": energy_picture(solution),
+    }
+    written = []
+    for name, figure in figures.items():
+        path = folder / f"{name}.png"
+        figure.savefig(path, dpi=150)
+        written.append(path)
+    return written
+
+
+def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
+    """Draw the image and the observed displacement where it counts (c > 0); dots are fixed."""
+    figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
+    _show(axes, image)
+    known = (problem.c > 0).any(axis=-1) & problem.tissue
+    # Every few pixels of it: a boundary is thin, and a regular pattern would miss most.
+    starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
+    vectors = problem.y[tuple(starts.T)] / np.array(problem.spacing)
+    rows, cols = starts[~vectors.any(axis=-1)].T
+    axes.plot(cols, rows, ".", color=_FIXED_COLOUR, markersize=3)
+    _draw_arrows(axes, np.stack([starts, vectors], axis=1))
+    return figure
+
+
+def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
+    """Draw where the tissue goes, as arrows of true length on the image before it moves."""
+    figure, (axes,) = _figure(solution.spacing, "where the tissue goes")
+    _show(axes, image)
+    field = (solution.displacement, solution.spacing, solution.tissue)
+    _draw_arrows(axes, arrows(*field, about=ARROWS))
+    return figure
+
+
+def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
+    """Draw the image before and after it moves with the tissue, side by side."""
+    figure, (before, after) = _figure(solution.spacing, "before", "after")
+    moved = warp(image, solution.displacement, solution.spacing, tissue=solution.tissue)
+    _show(before, image)
+    _show(after, moved, greys_of=image)
+    return figure
+
+
+def grid_picture(solution: Solution) -> Figure:
+    """Draw a regular grid after it has moved with the tissue (figure 4)."""
+    from matplotlib.collections import LineCollection
+
+    figure, (axes,) = _figure(solution.spacing, "a regular grid, moved with the tissue")
+    height, width = solution.tissue.shape
+    every = max(1, max(height, width) // GRID_LINES)
+    segments = deformation_grid(
+        solution.displacement, solution.spacing, every=every, tissue=solution.tissue
+    )
+    starts, ends = segments[:, 0], segments.sum(axis=1)
+    lines = np.stack([starts, ends], axis=1)[..., ::-1]
+    axes.add_collection(LineCollection(list(lines), colors=_GRID_COLOUR, linewidths=0.7))
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+    return figure
+
+
+def energy_picture(solution: Solution) -> Figure:
+    """Draw the mean energy after each iteration, coarse to fine, with the level boundaries."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(np.arange(1, len(solution.energy) + 1), solution.energy, color=_GRID_COLOUR, lw=1.2)
+    first = 0
+    for level in solution.levels:
+        axes.axvline(first + 0.5, color="0.85", lw=0.8, zorder=0)
+        middle = first + 0.5 + level.iterations / 2
+        axes.annotate(
+            str(level.number),
+            (middle, 0.97),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="top",
+            color="0.5",
+        )
+        first += level.iterations
+    if (solution.energy > 0).any():
+        axes.set_yscale("log", nonpositive="mask")
+    axes.margins(x=0, y=0.15)
+    axes.set_xlabel("iteration (number of the scale level on top)")
+    axes.set_ylabel("mean energy per site / pixel²")
+    return figure
+
+
+def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a row of image axes in pixels, drawn in the pixels' true proportions."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0 * len(titles), 6.2), layout="constrained")
+    row = list(figure.subplots(1, len(titles), squeeze=False)[0])
+    for axes, title in zip(row, titles, strict=True):
+        axes.set_title(title, fontsize=11)
+        axes.set_axis_off()
+        axes.set_aspect(spacing[0] / spacing[1])
+    return figure, row
+
+
+def _show(axes: Axes, image: npt.NDArray[Any], greys_of: npt.NDArray[Any] | None = None) -> None:
+    """Show an image, with the grey levels of another one if given: darker is then darker."""
+    levels = image if greys_of is None else greys_of
+    axes.imshow(
+        image,
+        cmap="gray",
+        aspect=axes.get_aspect(),
+        vmin=float(np.nanmin(levels)),
+        vmax=float(np.nanmax(levels)),
+    )
+
+
+def _draw_arrows(axes: Axes, vectors: npt.NDArray[Any]) -> None:
+    """Draw arrows (start, direction) in (row, col) pixels, at their true length."""
+    (rows, cols), (down, right) = vectors[:, 0].T, vectors[:, 1].T
+    axes.quiver(
+        cols,
+        rows,
+        right,
+        down,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color=_ARROW_COLOUR,
+        width=0.003,
+        headwidth=4,
+        headlength=5,
+        headaxislength=4.5,
+        minlength=0,
+    )

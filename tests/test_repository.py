@@ -1,0 +1,188 @@
+"""Claims about the repository: what it says is true, and its parts know only what they should."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import metadata
+from pathlib import Path
+
+import pytest
+
+import napari_hmrf
+from napari_hmrf import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "napari_hmrf"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl", "glcontext")
+HEAVY += ("numba", "matplotlib", "vispy", "pandas")
+
+pytestmark = pytest.mark.skipif(
+    not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"
+)
+
+
+def tracked_files() -> list[Path]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip("this is no git checkout")
+    files = [ROOT / name for name in listed.stdout.split("\0") if name]
+    return [file for file in files if file.is_file()]
+
+
+def imports(module: Path, *, top_level_only: bool = False) -> set[str]:
+    """Full names of what a module imports."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    nodes = ast.walk(tree) if not top_level_only else iter(_run_on_import(tree))
+    found = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
+    """Statements at module level, also within its conditions, but not those for type checkers."""
+    statements, todo = [], list(tree.body)
+    while todo:
+        statement = todo.pop()
+        statements.append(statement)
+        for_types = isinstance(statement, ast.If) and "TYPE_CHECKING" in ast.unparse(statement.test)
+        if isinstance(statement, ast.If | ast.Try) and not for_types:
+            todo += [child for child in ast.walk(statement) if isinstance(child, ast.stmt)][1:]
+    return statements
+
+
+def packages(names: set[str]) -> set[str]:
+    return {name.partition(".")[0] for name in names}
+
+
+def part(module: Path) -> str:
+    return module.relative_to(PACKAGE).as_posix()
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
+    known = packages(imports(module))
+    where = part(module)
+    beside_napari = where.startswith(("layers/", "widgets/")) or where in (
+        "contributions.py",
+        "cli.py",
+    )
+    if not where.startswith("backends/opengl/"):
+        assert not known & {"moderngl", "glcontext"}
+    if not where.startswith("widgets/"):
+        assert not known & {"qtpy", "superqt", "vispy"}
+    if not beside_napari:
+        assert not known & {"napari", "magicgui"}
+    assert not known & {"PyQt5", "PyQt6", "PySide2", "PySide6"}, "Qt is reached through qtpy only"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_the_solver_knows_nothing_of_what_uses_it(module):
+    where = part(module)
+    users = ("layers", "widgets", "contributions", "cli", "demo", "selftest", "pictures")
+    if where.partition("/")[0].removesuffix(".py") in (*users, "__main__"):
+        return
+    of_ours = {name.split(".")[1] for name in imports(module) if name.startswith("napari_hmrf.")}
+    assert not of_ours & set(users)
+
+
+def test_the_commands_start_without_napari():
+    assert "napari" not in packages(imports(PACKAGE / "cli.py", top_level_only=True))
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = f"import sys, napari_hmrf; print([n for n in {HEAVY!r} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_no_committed_file_names_somebodys_folders():
+    somewhere = re.compile(rb"(/home/\w|/Users/\w|/root\b|[A-Z]:\\Users|/work/\w|/tmp/\w)")
+    for file in tracked_files():
+        if file.resolve() == Path(__file__).resolve():
+            continue
+        found = somewhere.search(file.read_bytes())
+        assert found is None, f"{file.relative_to(ROOT)} names {found[0]!r}"
+
+
+def test_modules_are_one_sitting_s_reading():
+    too_long = {
+        part(module): lines
+        for module in MODULES
+        if (lines := len(module.read_text(encoding="utf-8").splitlines())) > 350
+    }
+    assert too_long == {}
+
+
+def test_the_version_is_the_same_everywhere():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == napari_hmrf.__version__
+    assert f"\nversion: {napari_hmrf.__version__}\n" in read("CITATION.cff")
+    # Of the environment, which may be older than an edit of pyproject.toml, only the name.
+    assert metadata("napari-hmrf")["Name"] == project["name"]
+
+
+def test_the_citation_names_the_paper_and_its_licence_is_the_project_s():
+    yaml = pytest.importorskip("yaml")
+    citation = yaml.safe_load(read("CITATION.cff"))
+    project = tomllib.loads(read("pyproject.toml"))["project"]
+    assert citation["cff-version"] == "1.2.0"
+    assert {"message", "title", "authors"} <= set(citation)
+    assert citation["license"] == project["license"]
+    paper = citation["preferred-citation"]
+    assert paper["title"] == (
+        "Hierarchical Markov Random Fields Applied to Model Soft Tissue Deformations on "
+        "Graphics Hardware"
+    )
+    assert paper["authors"][0]["family-names"] == "Seiler"
+    assert "BSD 3-Clause" in read("LICENSE")
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", ".ci/run"])
+def test_every_make_command_that_is_mentioned_exists(page):
+    targets = set(re.findall(r"^([a-z-]+):", read("Makefile"), flags=re.MULTILINE))
+    mentioned = set(re.findall(r"\bmake ([a-z][a-z-]+)\b", code_in(page)))
+    assert mentioned
+    assert mentioned <= targets
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_every_napari_hmrf_command_that_is_mentioned_is_understood(page):
+    lines = re.findall(r"napari-hmrf ((?:demo|selftest)[^`\n#]*)", code_in(page))
+    for line in lines:
+        arguments = [word for word in line.split() if not word.startswith("[")]
+        assert cli._parser().parse_args(arguments).command == arguments[0]
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+def test_every_file_that_is_linked_exists(page):
+    links = re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", read(page))
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+def test_the_readme_s_python_example_does_what_it_says():
+    examples = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
+    assert examples
+    for example in examples:
+        exec(compile(example, "README.md", "exec"), {})
+
+
+def read(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def code_in(page: str) -> str:
+    """What stands in code blocks and between backticks; all of a file that is no page."""
+    text = read(page)
+    if not page.endswith(".md"):
+        return text
+    blocks = re.findall(r"```\w*\n(.*?)```|`([^`\n]+)`", text, flags=re.DOTALL)
+    return "\n".join(block or inline for block, inline in blocks)
