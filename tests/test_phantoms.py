@@ -1,0 +1,138 @@
+"""Phantoms are what they say: tissue, a boundary that moves, and the problem these make."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import PHANTOM_NAMES, phantom, reference_displacement, sample
+from napari_hmrf.annotation import boundary_images, stiffness_image
+
+BRAINS = ("expansion", "mass-effect")
+SMALL_SIZES = (*range(16, 24), 31, 64)
+
+
+def outward(sites, centre):
+    away = sites - np.asarray(centre)
+    return away / np.linalg.norm(away, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize("name", PHANTOM_NAMES)
+def test_the_stored_sample_is_the_phantom_as_drawn_today(name):
+    stored, drawn = sample(name), phantom(name)
+    for array in ("image", "tissue_labels", "boundary_labels"):
+        np.testing.assert_array_equal(getattr(stored, array), getattr(drawn, array))
+        assert getattr(stored, array).dtype == np.uint8
+    assert stored.materials == drawn.materials
+    assert stored.boundary == drawn.boundary
+    assert (stored.name, stored.title) == (drawn.name, drawn.title)
+
+
+@pytest.mark.parametrize("name", PHANTOM_NAMES)
+def test_the_stored_reference_obeys_the_boundary_of_its_phantom(name):
+    problem, reference = phantom(name).problem, reference_displacement(name)
+    assert reference.dtype == np.float32
+    known = problem.c > 0
+    np.testing.assert_allclose(reference[known], problem.y[known], atol=5.1e-4)
+    assert (reference[~problem.tissue] == 0).all()
+
+
+@pytest.mark.parametrize("name", PHANTOM_NAMES)
+def test_a_problem_is_what_the_painted_labels_and_the_tables_say(name):
+    drawn = phantom(name, 48)
+    y, c = boundary_images(drawn.boundary_labels, drawn.boundary)
+    np.testing.assert_array_equal(drawn.problem.y, y)
+    np.testing.assert_array_equal(drawn.problem.c, c)
+    np.testing.assert_array_equal(
+        drawn.problem.m, stiffness_image(drawn.tissue_labels, drawn.materials)
+    )
+
+
+@pytest.mark.parametrize("size", SMALL_SIZES)
+@pytest.mark.parametrize("name", PHANTOM_NAMES)
+def test_any_size_makes_a_problem_with_a_free_inside(name, size):
+    drawn = phantom(name, size)
+    assert drawn.image.shape == ((round(size / 3), size) if name == "bar" else (size, size))
+    free = drawn.problem.tissue & ~(drawn.problem.c > 0).any(axis=-1)
+    assert free.any()
+    assert (drawn.problem.y != 0).any()
+
+
+@pytest.mark.parametrize("name", BRAINS)
+def test_the_brain_has_the_tissues_and_stiffnesses_of_the_paper(name):
+    drawn = phantom(name)
+    assert set(np.unique(drawn.tissue_labels)) == {0, 1, 2, 3}
+    by_name = {material.name: material.stiffness for material in drawn.materials}
+    assert by_name["normal tissue"] == 20
+    assert by_name["soft tissue"] == 10
+    assert by_name["tumour"] == 40
+    assert set(np.unique(drawn.problem.m)) == {0, 10, 20, 40}
+
+
+@pytest.mark.parametrize("name", BRAINS)
+def test_the_image_shows_black_outside_dark_tumour_grey_and_white_tissue(name):
+    drawn = phantom(name)
+    means = [drawn.image[drawn.tissue_labels == label].mean() for label in (0, 3, 1, 2)]
+    assert means == sorted(means)
+    assert np.diff(means).min() > 30
+    deep = drawn.image[100:110, 60:90]
+    assert deep.std() > 2  # some texture, so that motion within a tissue can be seen
+
+
+def test_the_outline_of_the_expanding_brain_moves_outward_everywhere():
+    problem = phantom("expansion").problem
+    edge = (problem.c > 0).all(axis=-1)
+    moves = problem.y[edge]
+    np.testing.assert_allclose(np.linalg.norm(moves, axis=-1), 10, rtol=1e-5)
+    directions = outward(np.argwhere(edge), (149.5, 149.5))
+    assert ((moves / 10 * directions).sum(axis=-1) > 0.9).all()
+    left, right = edge[:, :150], edge[:, 150:]
+    np.testing.assert_array_equal(left, right[:, ::-1])
+
+
+def test_the_tumour_grows_radially_inside_a_fixed_skull():
+    drawn = phantom("mass-effect")
+    rim = drawn.boundary_labels == 2
+    centre = np.argwhere(drawn.tissue_labels == 3).mean(axis=0)
+    moves = drawn.problem.y[rim]
+    np.testing.assert_allclose(np.linalg.norm(moves, axis=-1), 8, rtol=1e-5)
+    assert ((moves / 8 * outward(np.argwhere(rim), centre)).sum(axis=-1) > 0.98).all()
+    fixed = drawn.boundary_labels == 1
+    assert (drawn.problem.y[fixed] == 0).all()
+    assert (drawn.problem.c[fixed] == 1).all()
+
+
+def test_motion_scales_with_size():
+    for name in PHANTOM_NAMES:
+        large, small = phantom(name, 300).problem, phantom(name, 150).problem
+        assert np.abs(small.y).max() == pytest.approx(np.abs(large.y).max() / 2, rel=1e-3)
+
+
+def test_the_bar_is_pulled_at_its_right_end_only():
+    drawn = phantom("bar")
+    problem = drawn.problem
+    assert problem.tissue.all()
+    assert set(np.unique(problem.m[:, :150])) == {20}
+    assert set(np.unique(problem.m[:, 150:])) == {10}
+    assert (problem.c[:, :3] == 1).all()
+    assert (problem.y[:, :3] == 0).all()
+    assert (problem.y[:, -3:] == (0, 20)).all()
+    assert (problem.c[:, 3:-3] == 0).all()
+
+
+def test_what_does_not_exist_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"'liver'.*expansion, mass-effect, bar"):
+        phantom("liver")
+    with pytest.raises(ValueError, match="liver"):
+        sample("liver")
+    with pytest.raises(ValueError, match="liver"):
+        reference_displacement("liver")
+
+
+@pytest.mark.parametrize("size", [15, 0, -3, 64.0, "big", None])
+def test_a_size_without_room_for_a_phantom_is_refused(size):
+    with pytest.raises(ValueError, match=r"size must be a whole number of at least 16"):
+        phantom("bar", size)
+
+
+def test_a_phantom_cannot_be_changed_by_accident():
+    with pytest.raises(ValueError, match="read-only"):
+        sample("bar").image[0, 0] = 1
