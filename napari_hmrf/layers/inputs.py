@@ -1,0 +1,316 @@
+"""Layers and tables become a problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.annotation import BoundaryRule, Material, boundary_images, stiffness_image
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.outputs import Pictures
+from napari_hmrf.layers.view import View, describe, full_resolution
+from napari_hmrf.problem import Problem
+
+FloatArray = npt.NDArray[np.float32]
+
+#: Pixels sheared by less than this many degrees pass for rectangles.
+_RIGHT_ANGLE = 0.1
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user chose: layers, tables, and the slice that was shown.
+
+    Attributes
+    ----------
+    tissue : napari.layers.Labels or napari.layers.Image
+        Labels, each with a stiffness in `materials`; or the stiffness itself.
+    boundary : napari.layers.Labels or napari.layers.Vectors
+        Labels, each with a rule in `rules`; or the observed displacements as arrows.
+    image : napari.layers.Image, optional
+        The picture to deform; its place is the reference, else that of `tissue`.
+    materials : tuple of Material
+    rules : tuple of BoundaryRule
+        Lengths in the unit of the image.
+    confidence : napari.layers.Image, optional
+        With arrows: how sure each is, 0 to 1; by default 1.
+    view : View, optional
+        Which slice; by default the first, of the last two axes.
+    """
+
+    tissue: Any
+    boundary: Any
+    image: Any = None
+    materials: tuple[Material, ...] = ()
+    rules: tuple[BoundaryRule, ...] = ()
+    confidence: Any = None
+    view: View | None = None
+
+    @property
+    def layers(self) -> tuple[Any, ...]:
+        """The layers that are there, the reference first."""
+        chosen = (self.image, self.tissue, self.boundary, self.confidence)
+        return tuple(layer for layer in chosen if layer is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Copies of everything a solve needs, which no later painting changes.
+
+    Attributes
+    ----------
+    problem : Problem
+    frame : Frame
+        Where the slice lies.
+    pictures : Pictures
+        The slices of the image and of the tissue labels, to be deformed.
+    ignored : int
+        Boundary pixels painted where there is no tissue.
+    notes : tuple of str
+        What the user should know about how the layers were read.
+    """
+
+    problem: Problem
+    frame: Frame
+    pictures: Pictures
+    ignored: int = 0
+    notes: tuple[str, ...] = ()
+
+    def same_as(self, other: Inputs) -> bool:
+        """Whether a solve of the other would have given the same result."""
+        pairs = [
+            (self.problem.y, other.problem.y),
+            (self.problem.c, other.problem.c),
+            (self.problem.m, other.problem.m),
+            (self.pictures.image, other.pictures.image),
+            (self.pictures.labels, other.pictures.labels),
+        ]
+        return self.frame == other.frame and all(_equal(mine, its) for mine, its in pairs)
+
+
+def read_layers(request: Request) -> Inputs:
+    """Turn layers and tables into a problem; the one way to do so.
+
+    Parameters
+    ----------
+    request : Request
+
+    Returns
+    -------
+    Inputs
+        Copies; no layer is kept or changed.
+
+    Raises
+    ------
+    ProblemError
+        Naming the layer, what is wrong with it and what to do.
+    """
+    reference = request.layers[0]
+    frame = Frame.of(reference, request.view)
+    height, width = _plane_shape(reference, frame)
+    notes = _notes(request, frame, (height, width))
+    taken = {
+        id(layer): _take(layer, reference, frame, (height, width), request.view)
+        for layer in request.layers
+        if type(layer).__name__ != "Vectors"
+    }
+    image = None if request.image is None else taken[id(request.image)]
+    if image is not None:
+        notes += _check_picture(request.image, image)
+    with _naming(m=request.tissue):
+        labelled = type(request.tissue).__name__ == "Labels"
+        tissue = taken[id(request.tissue)]
+        if not labelled and request.tissue.rgb:
+            raise ProblemError(
+                "m",
+                "is a colour image, which cannot be a stiffness. Choose a Labels layer or a grey "
+                "image.",
+            )
+        m = stiffness_image(tissue, request.materials) if labelled else tissue
+    named = {"m": request.tissue, "y": request.boundary, "spacing": reference}
+    with _naming(**named, c=request.confidence or request.boundary):
+        if type(request.boundary).__name__ == "Labels":
+            y, c = boundary_images(taken[id(request.boundary)], request.rules, frame.spacing)
+        else:
+            y, c = _observed(request, frame, (height, width), taken)
+        problem = Problem(y, c, m, frame.spacing)
+    ignored = int(((problem.c > 0).any(axis=-1) & ~problem.tissue).sum())
+    return Inputs(
+        problem=problem,
+        frame=frame,
+        pictures=Pictures(
+            image=image,
+            labels=tissue if labelled else None,
+            name=str(reference.name),
+            labels_name=str(request.tissue.name),
+            look=_look(request.image),
+            labels_look=_look(request.tissue) if labelled else {},
+        ),
+        ignored=ignored,
+        notes=(*notes, *_loose_pieces(problem)),
+    )
+
+
+def _look(layer: Any) -> dict[str, Any]:
+    """How an Image or Labels layer is drawn, as a new layer takes it."""
+    if layer is None:
+        return {}
+    if type(layer).__name__ == "Labels":
+        return {"colormap": layer.colormap, "opacity": layer.opacity}
+    if layer.rgb:
+        return {}
+    return {
+        "colormap": layer.colormap,
+        "contrast_limits": tuple(layer.contrast_limits),
+        "gamma": layer.gamma,
+    }
+
+
+def _plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
+    if type(layer).__name__ == "Vectors":
+        raise ProblemError(
+            describe(layer),
+            "has no pixels. Choose an image, or paint the tissue in a Labels layer.",
+        )
+    shape = full_resolution(layer).shape
+    return int(shape[frame.plane[0]]), int(shape[frame.plane[1]])
+
+
+def _take(
+    layer: Any, reference: Any, frame: Frame, shape: tuple[int, int], view: View | None
+) -> npt.NDArray[Any]:
+    """Copy the slice of a layer that covers the same pixels as the reference's."""
+    own = frame if layer is reference else Frame.of(layer, view)
+    _check_place(layer, own, reference, frame, shape)
+    own_shape = _plane_shape(layer, own)
+    if own_shape != shape:
+        raise ProblemError(
+            describe(layer),
+            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but {describe(reference)} "
+            f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
+        )
+    try:
+        return own.take(full_resolution(layer))
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        raise ProblemError(
+            describe(layer), f"could not be read: {error}. Check the file it comes from."
+        ) from error
+
+
+def _check_place(
+    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
+) -> None:
+    if not frame.same_place(own, shape):
+        raise ProblemError(
+            describe(layer),
+            f"lies elsewhere than {describe(reference)}: their scale, translation, rotation, "
+            "shear, affine or units differ. Give both the same transform, or resample one.",
+        )
+
+
+def _notes(request: Request, frame: Frame, shape: tuple[int, int]) -> tuple[str, ...]:
+    notes = []
+    if frame.skew > _RIGHT_ANGLE:
+        notes.append(
+            f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
+        )
+    if any(getattr(layer, "multiscale", False) for layer in request.layers):
+        notes.append(f"computed on the finest level, {shape[0]} x {shape[1]}")
+    return tuple(notes)
+
+
+def _check_picture(layer: Any, picture: npt.NDArray[Any]) -> tuple[str, ...]:
+    """Refuse a picture of nothing; count the holes of another."""
+    if picture.dtype.kind != "f":
+        return ()
+    bad = int((~np.isfinite(picture)).sum())
+    if bad == picture.size:
+        raise ProblemError(
+            describe(layer), "is NaN everywhere in this slice. Choose another image or slice."
+        )
+    return (f"{bad} pixels of '{layer.name}' are NaN or infinite",) if bad else ()
+
+
+def _observed(
+    request: Request,
+    frame: Frame,
+    shape: tuple[int, int],
+    taken: dict[int, npt.NDArray[Any]],
+) -> tuple[FloatArray, FloatArray]:
+    """Displacement and confidence from arrows, each counting for the pixel it starts in."""
+    own = Frame.of(request.boundary, request.view)
+    _check_place(request.boundary, own, request.layers[0], frame, shape)
+    vectors = np.asarray(request.boundary.data, dtype=float)
+    bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
+    if len(bad):
+        raise ProblemError("y", f"has NaN or infinity in vector {bad[0]}. Remove it.")
+    others = [axis for axis in range(own.ndim) if axis not in own.plane]
+    here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
+    rows = np.flatnonzero(here.all(axis=1))
+    arrows = vectors[rows][:, :, list(own.plane)]
+    at = np.rint(arrows[:, 0]).astype(int)
+    outside = np.flatnonzero(((at < 0) | (at >= shape)).any(axis=1))
+    if len(outside):
+        first = outside[0]
+        raise ProblemError(
+            "y",
+            f"has {len(outside)} vectors that start outside the image of {shape[0]} x {shape[1]} "
+            f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
+            "Remove them.",
+        )
+    y = np.zeros((*shape, 2), dtype=np.float32)
+    c = np.zeros_like(y)
+    steps = (arrows[:, 1] * frame.spacing).astype(np.float32)
+    y[tuple(at.T)] = steps
+    c[tuple(at.T)] = 1
+    conflict = np.flatnonzero((y[tuple(at.T)] != steps).any(axis=1))
+    if len(conflict):
+        first = conflict[0]
+        raise ProblemError(
+            "y",
+            f"has vectors that start in the same pixel and differ, as vector {rows[first]} at "
+            f"{tuple(at[first].tolist())}. Keep one for each pixel.",
+        )
+    if request.confidence is not None:
+        if request.confidence.rgb:
+            raise ProblemError("c", "is a colour image. Choose a grey image of values 0 to 1.")
+        sure = taken[id(request.confidence)].astype(np.float32)
+        c = np.where(c > 0, sure[..., None], np.float32(0))
+    return y, c
+
+
+def _loose_pieces(problem: Problem) -> tuple[str, ...]:
+    """Say so where tissue hangs on nothing that was observed."""
+    pieces, count = ndimage.label(problem.tissue, structure=np.ones((3, 3)))
+    held = np.unique(pieces[(problem.c > 0).any(axis=-1)])
+    loose = count - int((held > 0).sum())
+    if not loose:
+        return ()
+    pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
+    what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
+    return (f"{what} no boundary ({pixels} pixels): how it moves is not determined",)
+
+
+@contextmanager
+def _naming(**layers: Any) -> Iterator[None]:
+    """Let errors about y, c, m or the spacing name the layer these came from."""
+    try:
+        yield
+    except ProblemError as error:
+        layer = layers.get(error.field)
+        if layer is None:
+            raise
+        raise ProblemError(describe(layer), error.message) from error
+
+
+def _equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f")

@@ -1,0 +1,224 @@
+"""A solution becomes layers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.deformation import arrows, count_folds, deformation_grid, magnitude
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.solution import Solution
+from napari_hmrf.warp import inverse_map, resample
+
+Kind = Literal["image", "arrows", "grid", "magnitude", "labels"]
+#: The layers there can be, in the order they are stacked, lowest first.
+KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "grid", "arrows")
+
+#: Where a layer's metadata hold what this package knows of it.
+METADATA = "napari-hmrf"
+
+#: Arrows enough to see the motion, few enough to see the image.
+ARROWS = 500
+#: Lines of the deformation grid across the longer side.
+LINES = 30
+
+
+class LayerData(NamedTuple):
+    """A layer before it is one, as napari's readers and samples give it."""
+
+    data: Any
+    attributes: dict[str, Any]
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """What may be deformed along with the field.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+    labels : ndarray of int, shape (H, W), optional
+    name, labels_name : str
+        Of the layers they came from; results are named after them.
+    look, labels_look : dict
+        How they are drawn: colormap and the like, as a new layer takes it.
+    """
+
+    image: npt.NDArray[Any] | None = None
+    labels: npt.NDArray[Any] | None = None
+    name: str = ""
+    labels_name: str = ""
+    look: dict[str, Any] = field(default_factory=dict)
+    labels_look: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """The layers of a result, and what there is to say of it.
+
+    Attributes
+    ----------
+    solution : Solution
+        With its frame.
+    layers : dict of kind to LayerData
+        In stacking order.
+    folds : int
+        Sites at which the tissue folds over itself (Jacobian determinant <= 0).
+    """
+
+    solution: Solution
+    layers: dict[Kind, LayerData]
+    folds: int
+
+
+def result_layers(
+    solution: Solution,
+    frame: Frame | None = None,
+    pictures: Pictures | None = None,
+    kinds: Collection[Kind] = ("arrows", "image"),
+    checkpoint: Callable[[], None] = lambda: None,
+) -> Outputs:
+    """Turn a solution into layer data; the one way to do so. Needs neither window nor layer.
+
+    Parameters
+    ----------
+    solution : Solution
+    frame : Frame, optional
+        Where it lies; by default as its `frame` says, or at the origin.
+    pictures : Pictures, optional
+        What to deform with it.
+    kinds : collection of {"image", "arrows", "grid", "magnitude", "labels"}
+        The layers to make; those that lack their picture are left out.
+    checkpoint : callable
+        Called between the parts; raises to stop the work.
+
+    Returns
+    -------
+    Outputs
+
+    Raises
+    ------
+    ValueError
+        If the solution's frame is not one that layers have.
+    """
+    if frame is None:
+        stored = solution.frame
+        frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
+    solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
+    checkpoint()
+    folds = count_folds(solution.displacement, solution.spacing, solution.tissue)
+    maker = _Maker(solution, frame, pictures or Pictures(), folds)
+    layers: dict[Kind, LayerData] = {}
+    for kind in KINDS:
+        checkpoint()
+        if kind in kinds and (made := getattr(maker, kind)()) is not None:
+            layers[kind] = made
+    return Outputs(solution, layers, folds)
+
+
+class _Maker:
+    """One method per kind of layer."""
+
+    def __init__(self, solution: Solution, frame: Frame, pictures: Pictures, folds: int) -> None:
+        self._solution = solution
+        self._frame = frame
+        self._pictures = pictures
+        self._field = (solution.displacement, solution.spacing)
+        self._facts = {
+            "source": pictures.name,
+            "slice": frame.slice_name,
+            "unit": frame.unit,
+            "folds": folds,
+            "provenance": asdict(solution.provenance),
+        }
+
+    def image(self) -> LayerData | None:
+        """The image, moved with the tissue."""
+        picture = self._pictures.image
+        if picture is None:
+            return None
+        finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
+        # What tissue leaves behind is background: black, or the darkest there is (air in CT).
+        fill = 0.0 if picture.ndim == 3 else float(finite.min())
+        moved = resample(picture, *self._inverse, order=1, fill=fill)
+        return self._picture("image", moved, "deformed", self._pictures.look, rgb=moved.ndim == 3)
+
+    def labels(self) -> LayerData | None:
+        """The tissue labels, moved with the tissue."""
+        labels = self._pictures.labels
+        if labels is None:
+            return None
+        moved = resample(labels, *self._inverse, order=0)
+        data = self._picture("labels", moved, "deformed", self._pictures.labels_look)
+        return data._replace(
+            attributes={**data.attributes, "name": self._name("deformed", labels=True)},
+            kind="labels",
+        )
+
+    def magnitude(self) -> LayerData:
+        """How far the tissue moves."""
+        length = magnitude(self._solution.displacement)
+        look = {
+            "colormap": "viridis",
+            "blending": "translucent",
+            "opacity": 0.6,
+            "contrast_limits": (0.0, float(length.max()) or 1.0),
+        }
+        what = f"displacement ({self._frame.unit})"
+        return self._picture("magnitude", length, what, look, rgb=False)
+
+    def grid(self) -> LayerData:
+        """A grid that has moved with the tissue."""
+        every = max(1, round(max(self._solution.tissue.shape) / LINES))
+        segments = deformation_grid(*self._field, every=every, tissue=self._solution.tissue)
+        look = {"vector_style": "line", "edge_color": "cyan", "edge_width": 0.6}
+        return self._vectors("grid", segments, "deformation grid", look)
+
+    def arrows(self) -> LayerData:
+        """Where the tissue goes."""
+        found = arrows(*self._field, tissue=self._solution.tissue, about=ARROWS)
+        step = max(1.0, math.sqrt(self._solution.tissue.sum() / ARROWS))
+        look = {"vector_style": "arrow", "edge_color": "yellow", "edge_width": step / 6}
+        return self._vectors("arrows", found, "displacement arrows", look)
+
+    @cached_property
+    def _inverse(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        return inverse_map(*self._field, self._solution.tissue)
+
+    def _picture(
+        self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any], **more: Any
+    ) -> LayerData:
+        attributes = {
+            **look,
+            **more,
+            **self._frame.placement(image=True),
+            "name": self._name(what),
+            "metadata": {METADATA: {"kind": kind, **self._facts}},
+        }
+        return LayerData(self._frame.put_image(picture), attributes, "image")
+
+    def _vectors(
+        self, kind: Kind, segments: npt.NDArray[Any], what: str, look: dict[str, Any]
+    ) -> LayerData:
+        facts = {"kind": kind, **self._facts, "solution": self._solution}
+        attributes = {
+            **look,
+            **self._frame.placement(),
+            "length": 1.0,
+            "opacity": 1.0,
+            "name": self._name(what),
+            "metadata": {METADATA: facts},
+        }
+        return LayerData(self._frame.put_vectors(segments), attributes, "vectors")
+
+    def _name(self, what: str, labels: bool = False) -> str:
+        source = self._pictures.labels_name if labels else self._pictures.name
+        where = f" ({self._frame.slice_name})" if self._frame.slice_name else ""
+        return f"{source} {what}".strip() + where

@@ -1,0 +1,119 @@
+"""Which slice of a layer a viewer shows, and how layers are named and measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+
+
+@dataclass(frozen=True)
+class View:
+    """What a viewer shows: a copy of the parts of its `Dims` that pick a slice.
+
+    Attributes
+    ----------
+    displayed : tuple of int
+        World axes drawn, in the order (rows, columns).
+    point : tuple of float
+        World coordinates of the slice on every axis.
+    units : tuple of str, optional
+        Of `point`, if the viewer has them.
+    """
+
+    displayed: tuple[int, ...]
+    point: tuple[float, ...]
+    units: tuple[str, ...] | None = None
+
+    @classmethod
+    def of(cls, dims: Any) -> View:
+        """Copy a viewer's dims."""
+        units = getattr(dims, "units", None)
+        return cls(
+            tuple(int(axis) for axis in dims.displayed),
+            tuple(float(value) for value in dims.point),
+            None if units is None else tuple(str(unit) for unit in units),
+        )
+
+
+def describe(layer: Any) -> str:
+    """A layer as errors name it, such as "<Labels layer 'Tissue' (uint8, 300 x 300)>"."""
+    kind = type(layer).__name__
+    if kind == "Vectors":
+        return f"<Vectors layer '{layer.name}' ({len(layer.data)} vectors, {layer.ndim}-D)>"
+    data = full_resolution(layer)
+    size = " x ".join(str(extent) for extent in data.shape)
+    return f"<{kind} layer '{layer.name}' ({data.dtype}, {size})>"
+
+
+def full_resolution(layer: Any) -> Any:
+    """The data of an Image or Labels layer, the finest level of a multiscale one."""
+    return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
+
+
+def slice_shown(
+    layer: Any, matrix: npt.NDArray[np.float64], view: View | None
+) -> tuple[tuple[int, int], tuple[int, ...]]:
+    """The layer's axes that a viewer draws as rows and columns, and its slice on the others."""
+    ndim = int(layer.ndim)
+    if view is None:
+        return (ndim - 2, ndim - 1), (0,) * ndim
+    missing = len(view.point) - ndim
+    rows, cols = (axis - missing for axis in view.displayed[-2:])
+    if min(rows, cols) < 0:
+        raise ProblemError(
+            describe(layer),
+            f"has {ndim} axes, and not the one the viewer shows as world axis "
+            f"{min(view.displayed[-2:])}. Show its own axes (the roll button below the canvas).",
+        )
+    others = [axis for axis in range(ndim) if axis not in (rows, cols)]
+    size = np.abs(matrix[:-1, :-1]).max()
+    if others and np.abs(matrix[np.ix_(others, [rows, cols])]).max() > 1e-9 * size:
+        raise ProblemError(
+            describe(layer),
+            "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
+            "others. Show the axes it was taken in, or resample it.",
+        )
+    index = [0] * ndim
+    if others:
+        point = np.array(view.point[missing:])
+        if view.units is not None:
+            point = point * [
+                unit_factor(unit, str(to))
+                for unit, to in zip(view.units[missing:], layer.units, strict=True)
+            ]
+        pixel = np.asarray(layer.world_to_data(np.nan_to_num(point)))
+        extents = layer_extents(layer)
+        for axis in others:
+            index[axis] = round(float(pixel[axis]))
+            if extents is not None and not 0 <= index[axis] < extents[axis]:
+                raise ProblemError(
+                    describe(layer),
+                    f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
+                    f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
+                )
+    return (rows, cols), tuple(index)
+
+
+def layer_extents(layer: Any) -> tuple[int, ...] | None:
+    """Pixels of an image-like layer along its axes; None for vectors."""
+    if type(layer).__name__ == "Vectors":
+        return None
+    return tuple(full_resolution(layer).shape[: layer.ndim])
+
+
+def unit_factor(unit: str, to: str) -> float:
+    """How many `to` make one `unit`; NaN if they measure different things."""
+    if unit == to:
+        return 1.0
+    import pint
+
+    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
+    try:
+        return float(registry.Quantity(1, unit).to(to).magnitude)
+    except pint.errors.PintError:
+        return float("nan")

@@ -1,0 +1,514 @@
+"""Layers and tables become one problem, or one error that names the layer."""
+
+import json
+import warnings
+
+import dask.array as da
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image, Labels, Vectors
+
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.inputs import Request, read_layers
+from napari_hmrf.layers.view import View, describe
+
+MATERIALS = (Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(2, "soft", 10.0))
+RULES = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 3.0)))
+SHAPE = (12, 15)
+
+
+def tissue_labels(shape=SHAPE):
+    tissue = np.zeros(shape, np.uint8)
+    tissue[..., 2:-2, 2:-2] = 1
+    tissue[..., 2:-2, 8:-2] = 2
+    return tissue
+
+
+def boundary_labels(shape=SHAPE):
+    boundary = np.zeros(shape, np.uint8)
+    boundary[..., 2:-2, 2] = 1
+    boundary[..., 2:-2, -3] = 2
+    return boundary
+
+
+def picture(shape=SHAPE, dtype=np.float32):
+    return (np.arange(np.prod(shape)) % 251).reshape(shape).astype(dtype)
+
+
+def request(shape=SHAPE, image=None, tissue=None, boundary=None, view=None, **place):
+    """Painted layers that make a solvable problem, with one of them exchanged."""
+    return Request(
+        image=Image(picture(shape), name="MR", **place) if image is None else image,
+        tissue=Labels(tissue_labels(shape), name="Tissue", **place) if tissue is None else tissue,
+        boundary=Labels(boundary_labels(shape), name="Boundary", **place)
+        if boundary is None
+        else boundary,
+        materials=MATERIALS,
+        rules=RULES,
+        view=view,
+    )
+
+
+def refusal(wanted: Request) -> ProblemError:
+    """The error, and that no layer was changed by it."""
+    before = [(np.array(layer.data), layer.name) for layer in wanted.layers]
+    with pytest.raises(ProblemError) as caught:
+        read_layers(wanted)
+    for layer, (data, name) in zip(wanted.layers, before, strict=True):
+        np.testing.assert_array_equal(layer.data, data)
+        assert layer.name == name
+    return caught.value
+
+
+def test_painted_layers_make_a_problem():
+    inputs = read_layers(request())
+    assert inputs.problem.shape == SHAPE
+    assert inputs.problem.m[5, 3] == 20
+    assert inputs.problem.m[5, 9] == 10
+    assert inputs.problem.m[0, 0] == 0
+    np.testing.assert_array_equal(inputs.problem.y[5, -3], [0, 3])
+    np.testing.assert_array_equal(inputs.problem.c[5, 2], [1, 1])
+    assert inputs.ignored == 0
+    assert inputs.notes == ()
+
+
+def test_nothing_that_is_painted_later_changes_what_was_read():
+    wanted = request()
+    inputs = read_layers(wanted)
+    before = inputs.pictures.image.copy()
+    wanted.image.data[:] = -1
+    wanted.tissue.data[:] = 0
+    np.testing.assert_array_equal(inputs.pictures.image, before)
+    assert inputs.pictures.labels.any()
+
+
+def test_reading_again_tells_whether_anything_that_matters_changed():
+    wanted = request()
+    first = read_layers(wanted)
+    assert first.same_as(read_layers(wanted))
+    wanted.tissue.data[5, 5] = 2
+    assert not first.same_as(read_layers(wanted))
+
+
+def test_anisotropic_pixels_give_the_spacing_and_lengths_keep_their_unit():
+    inputs = read_layers(request(scale=(0.5, 2.0), units=("mm", "mm")))
+    assert inputs.problem.spacing == pytest.approx((0.5, 2.0))
+    assert inputs.frame.unit == "millimeter"
+    np.testing.assert_array_equal(inputs.problem.y[5, -3], [0, 3])  # 3 mm, not 3 pixels
+
+
+def test_a_negative_scale_is_a_positive_spacing():
+    assert read_layers(request(scale=(-1.0, 2.0))).problem.spacing == pytest.approx((1.0, 2.0))
+
+
+def test_lengths_of_an_affine_count():
+    affine = np.diag([3.0, 4.0, 1.0])
+    assert read_layers(request(affine=affine)).problem.spacing == pytest.approx((3.0, 4.0))
+
+
+def test_columns_in_another_unit_of_length_are_converted():
+    inputs = read_layers(request(scale=(1.0, 1000.0), units=("mm", "um")))
+    assert inputs.problem.spacing == pytest.approx((1.0, 1.0))
+
+
+def test_millimetres_beside_pixels_are_refused():
+    error = refusal(request(units=("mm", "pixel")))
+    assert "'MR'" in str(error)
+    assert "unit" in str(error)
+
+
+def test_sheared_pixels_are_taken_as_rectangles_and_it_is_said():
+    inputs = read_layers(request(shear=[0.2]))
+    assert any("sheared by 11.3 degrees" in note for note in inputs.notes)
+
+
+@pytest.mark.parametrize("bad", [(np.nan, 1.0)])
+def test_a_scale_that_is_no_number_is_refused(bad):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        image = Image(picture(), name="MR")
+        image.translate = bad
+        error = refusal(request(image=image))
+    assert "'MR'" in str(error)
+
+
+def test_layers_of_different_size_are_refused_with_both_sizes():
+    error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
+    assert "<Labels layer 'Tissue' (uint8, 12 x 14)>" in str(error)
+    assert "12 x 15" in str(error)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {"scale": (2.0, 1.0)},
+        {"translate": (0.0, 0.5)},
+        {"rotate": 10.0},
+        {"shear": [0.1]},
+        {"affine": np.diag([1.0, 1.1, 1.0])},
+        {"units": ("mm", "mm")},
+    ],
+    ids=lambda place: next(iter(place)),
+)
+def test_layers_that_lie_elsewhere_are_refused_with_both_names(place):
+    error = refusal(request(boundary=Labels(boundary_labels(), name="Boundary", **place)))
+    assert error.field == describe(Labels(boundary_labels(), name="Boundary"))
+    assert "lies elsewhere than <Image layer 'MR' (float32, 12 x 15)>" in error.message
+
+
+def test_the_same_place_said_differently_is_the_same_place():
+    tissue = Labels(tissue_labels(), name="Tissue", affine=np.diag([2.0, 1.0, 1.0]))
+    boundary = Labels(boundary_labels(), scale=(2.0, 1.0), units=("pixel", "pixel"))
+    image = Image(picture(), scale=(2.0, 1.0), translate=(1e-9, 0.0))
+    assert read_layers(request(image=image, tissue=tissue, boundary=boundary)).ignored == 0
+
+
+def test_micrometres_and_millimetres_of_the_same_length_are_the_same_place():
+    image = Image(picture(), scale=(1.0, 1.0), units=("mm", "mm"))
+    place = {"scale": (1000.0, 1000.0), "units": ("um", "um")}
+    tissue = Labels(tissue_labels(), **place)
+    boundary = Labels(boundary_labels(), **place)
+    inputs = read_layers(request(image=image, tissue=tissue, boundary=boundary))
+    assert inputs.problem.spacing == pytest.approx((1.0, 1.0))
+
+
+def test_a_colour_image_is_one_because_the_layer_says_so():
+    small = np.zeros((*SHAPE, 3), np.uint8)
+    inputs = read_layers(request(image=Image(small, rgb=True)))
+    assert inputs.pictures.image.shape == (*SHAPE, 3)
+
+
+def test_a_colour_image_is_no_stiffness():
+    tissue = Image(np.ones((*SHAPE, 3), np.uint8), rgb=True, name="photo")
+    error = refusal(request(tissue=tissue))
+    assert "'photo'" in str(error)
+    assert "colour" in str(error)
+
+
+def test_an_image_can_be_the_stiffness():
+    tissue = Image(tissue_labels().astype(float) * 3, name="stiffness")
+    inputs = read_layers(request(tissue=tissue))
+    assert inputs.problem.m[5, 9] == 6
+    assert inputs.pictures.labels is None
+
+
+@pytest.mark.parametrize(("value", "said"), [(-1.0, "negative"), (np.nan, "NaN"), (np.inf, "NaN")])
+def test_an_impossible_stiffness_names_its_layer(value, said):
+    m = np.ones(SHAPE)
+    m[3, 4] = value
+    error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
+    assert "<Image layer 'stiffness' (float64, 12 x 15)>" in str(error)
+    assert said in str(error)
+    assert "(3, 4)" in str(error)
+
+
+def test_a_stiffness_beyond_single_precision_is_refused_with_its_largest_value():
+    m = np.full(SHAPE, 1e39)
+    error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
+    assert "1e+39" in str(error)
+
+
+def test_an_extreme_stiffness_ratio_is_refused():
+    m = np.ones(SHAPE)
+    m[0, 0] = 1e9
+    assert "ratio" in str(refusal(request(tissue=Image(m, name="stiffness"))))
+
+
+def test_tissue_labels_without_a_stiffness_are_listed():
+    tissue = tissue_labels()
+    tissue[3, 3], tissue[4, 4] = 9, 12
+    error = refusal(request(tissue=Labels(tissue, name="Tissue")))
+    assert error.field == "<Labels layer 'Tissue' (uint8, 12 x 15)>"
+    assert "labels 9, 12 without a stiffness" in error.message
+
+
+def test_no_boundary_at_all_is_refused_by_layer():
+    error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
+    assert error.field == "<Labels layer 'Boundary' (uint8, 12 x 15)>"
+    assert "fixed or moving" in error.message
+
+
+def test_a_boundary_in_the_void_alone_is_refused():
+    boundary = np.zeros(SHAPE, np.uint8)
+    boundary[0] = 1
+    error = refusal(request(boundary=Labels(boundary, name="Boundary")))
+    assert "'Boundary'" in str(error)
+    assert "no tissue" in str(error)
+
+
+def test_a_boundary_painted_over_the_edge_is_ignored_there_and_counted():
+    boundary = boundary_labels()
+    boundary[0, :4] = 1
+    inputs = read_layers(request(boundary=Labels(boundary)))
+    assert inputs.ignored == 4
+
+
+def test_a_piece_of_tissue_that_hangs_on_nothing_is_mentioned():
+    tissue = tissue_labels((12, 30))
+    tissue[:, 14:16] = 0
+    boundary = np.zeros((12, 30), np.uint8)
+    boundary[2:-2, 2] = 1
+    inputs = read_layers(request((12, 30), tissue=Labels(tissue), boundary=Labels(boundary)))
+    assert any("touches no boundary" in note for note in inputs.notes)
+
+
+def test_holes_in_the_picture_are_counted_and_a_picture_of_nothing_refused():
+    holes = picture()
+    holes[0, :3] = np.nan
+    inputs = read_layers(request(image=Image(holes, name="MR")))
+    assert inputs.notes == ("3 pixels of 'MR' are NaN or infinite",)
+    nothing = Image(np.full(SHAPE, np.nan), name="MR", contrast_limits=(0, 1))
+    assert "'MR'" in str(refusal(request(image=nothing)))
+
+
+def test_a_constant_picture_is_fine():
+    assert read_layers(request(image=Image(np.full(SHAPE, 7)))).pictures.image.min() == 7
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda a: a.astype(">f4"),
+        lambda a: np.asfortranarray(a),
+        lambda a: a[::-1][::-1],
+        lambda a: np.broadcast_to(a, a.shape),
+        lambda a: a.astype(np.float16),
+        lambda a: da.from_array(a, chunks=5),
+    ],
+    ids=["big-endian", "Fortran", "strides", "read-only", "float16", "dask"],
+)
+def test_however_the_stiffness_is_stored_it_reads_the_same(make):
+    m = tissue_labels().astype(np.float32)
+    tissue = Image(make(m), name="stiffness", contrast_limits=(0, 2))
+    np.testing.assert_array_equal(read_layers(request(tissue=tissue)).problem.m, m)
+
+
+def test_a_mask_is_a_tissue():
+    mask = tissue_labels() > 0
+    assert read_layers(request(tissue=Labels(mask))).problem.m.max() == 20
+
+
+def test_a_multiscale_image_is_solved_on_its_finest_level_and_it_is_said():
+    levels = [picture(), picture()[::2, ::2]]
+    inputs = read_layers(request(image=Image(levels, multiscale=True)))
+    assert inputs.problem.shape == SHAPE
+    assert inputs.notes == ("computed on the finest level, 12 x 15",)
+
+
+def test_one_row_of_pixels_is_a_problem_and_one_pixel_is_not():
+    row = np.ones((1, 9), np.uint8)
+    ends = np.array([[1, 0, 0, 0, 0, 0, 0, 0, 2]], np.uint8)
+    inputs = read_layers(Request(Labels(row), Labels(ends), None, MATERIALS, RULES))
+    assert inputs.problem.shape == (1, 9)
+    one = Labels(np.ones((1, 1), np.uint8), name="dot")
+    assert "single pixel" in str(refusal(Request(one, one, None, MATERIALS, RULES)))
+
+
+class Unreadable:
+    """An array whose file is gone."""
+
+    shape, dtype, ndim = SHAPE, np.dtype("float32"), 2
+
+    def __init__(self):
+        self.gone = False
+
+    def __getitem__(self, key):
+        if self.gone:
+            raise OSError("no such file")
+        return picture()[key]
+
+    def __array__(self, dtype=None, copy=None):
+        return picture()
+
+
+def test_a_file_that_cannot_be_read_names_its_layer():
+    data = Unreadable()
+    image = Image(data, name="far away", contrast_limits=(0, 1))
+    data.gone = True
+    with pytest.raises(ProblemError, match=r"'far away'.*could not be read: no such file"):
+        read_layers(request(image=image))
+
+
+# Arrows as boundary
+
+
+def arrow_layer(*arrows, **place):
+    return Vectors(np.array(arrows, dtype=float).reshape(-1, 2, 2), ndim=2, name="arrows", **place)
+
+
+def test_arrows_are_observations_in_the_unit_of_the_image():
+    place = {"scale": (1.0, 2.0)}
+    boundary = arrow_layer([(5, 3), (1, 1.5)], [(6, 4), (0, 0)], **place)
+    inputs = read_layers(request(boundary=boundary, **place))
+    np.testing.assert_array_equal(inputs.problem.y[5, 3], [1, 3])
+    assert (inputs.problem.c > 0).all(axis=-1).sum() == 2
+
+
+def test_confidence_can_come_from_an_image():
+    boundary = arrow_layer([(5, 3), (1, 1)], [(6, 4), (0, 1)])
+    sure = np.full(SHAPE, 0.25)
+    wanted = request(boundary=boundary)
+    wanted = Request(wanted.tissue, boundary, wanted.image, MATERIALS, (), Image(sure, name="sure"))
+    c = read_layers(wanted).problem.c
+    np.testing.assert_array_equal(c[5, 3], [0.25, 0.25])
+    assert (c > 0).sum() == 4
+    wanted.confidence.data = sure * 8
+    error = refusal(wanted)
+    assert "'sure'" in str(error)
+    assert "outside 0 to 1" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("arrows", "said"),
+    [
+        ([[(40, 3), (1, 1)]], "vector 0 at (40, 3)"),
+        ([[(5, 3), (1, 1)], [(5.2, 3), (2, 1)]], "vector 0 at (5, 3)"),
+        ([], "0 everywhere"),
+    ],
+    ids=["outside", "conflict", "none"],
+)
+def test_arrows_that_say_nothing_clear_are_refused_by_number(arrows, said):
+    error = refusal(request(boundary=arrow_layer(*arrows)))
+    assert "<Vectors layer 'arrows'" in str(error)
+    assert said in str(error)
+
+
+def test_an_arrow_that_is_no_number_is_refused_by_number():
+    boundary = arrow_layer([(5, 3), (1, 1)])
+    boundary.data[0, 1, 0] = np.nan  # behind napari's back: it cannot draw such a thing
+    assert "vector 0" in str(refusal(request(boundary=boundary)))
+
+
+def test_arrows_that_agree_merge():
+    boundary = arrow_layer([(5, 3), (1, 1)], [(5, 3), (1, 1)])
+    assert read_layers(request(boundary=boundary)).problem.y[5, 3, 0] == 1
+
+
+# Stacks
+
+
+def stack(viewer_shape=(4, *SHAPE), **place):
+    viewer = ViewerModel()
+    wanted = request(viewer_shape, **place)
+    for layer in wanted.layers:
+        viewer.add_layer(layer)
+    return viewer, wanted
+
+
+def seen(viewer, wanted):
+    return Request(
+        wanted.tissue,
+        wanted.boundary,
+        wanted.image,
+        MATERIALS,
+        RULES,
+        None,
+        View.of(viewer.dims),
+    )
+
+
+def test_the_slice_that_is_shown_is_read():
+    viewer, wanted = stack(scale=(5.0, 1.0, 1.0), translate=(7.0, 0.0, 0.0))
+    viewer.dims.set_current_step(0, 2)
+    inputs = read_layers(seen(viewer, wanted))
+    assert inputs.frame.index == (2, 0, 0)
+    assert inputs.frame.slice_name == "axis 0 = 2"
+    np.testing.assert_array_equal(inputs.pictures.image, picture((4, *SHAPE))[2])
+
+
+def test_the_slice_is_found_though_viewer_and_layer_count_in_different_units():
+    viewer, wanted = stack(scale=(5.0, 1.0, 1.0), units=("mm", "mm", "mm"))
+    viewer.add_image(
+        np.zeros((4, *SHAPE)), scale=(5000.0, 1000.0, 1000.0), units=("um", "um", "um")
+    )
+    viewer.dims.set_current_step(0, 3)
+    assert read_layers(seen(viewer, wanted)).frame.index[0] == 3
+
+
+def test_rolled_axes_give_the_other_plane_and_swapped_axes_the_transpose():
+    viewer, wanted = stack((12, *SHAPE))
+    viewer.dims.set_current_step(0, 5)
+    upright = read_layers(seen(viewer, wanted))
+    viewer.dims.order = (0, 2, 1)
+    turned = read_layers(seen(viewer, wanted))
+    np.testing.assert_array_equal(turned.pictures.image, upright.pictures.image.T)
+    np.testing.assert_array_equal(turned.problem.m, upright.problem.m.T)
+    viewer.dims.order = (1, 0, 2)
+    viewer.dims.set_current_step(1, 4)
+    other = read_layers(seen(viewer, wanted))
+    np.testing.assert_array_equal(other.pictures.image, wanted.image.data[:, 4])
+
+
+def test_a_slice_beyond_the_layer_is_refused():
+    viewer, wanted = stack()
+    viewer.add_image(np.zeros((9, *SHAPE)))
+    viewer.dims.set_current_step(0, 8)
+    error = refusal(seen(viewer, wanted))
+    assert "slice 8" in str(error)
+    assert "'MR'" in str(error)
+
+
+def test_an_axis_that_a_layer_lacks_is_named():
+    viewer, wanted = stack(SHAPE)
+    viewer.add_image(np.zeros((4, *SHAPE)))
+    viewer.dims.order = (1, 0, 2)
+    assert "world axis 0" in str(refusal(seen(viewer, wanted)))
+
+
+def test_flat_labels_lie_on_every_slice():
+    viewer, wanted = stack()
+    flat = Request(
+        Labels(tissue_labels()),
+        Labels(boundary_labels()),
+        wanted.image,
+        MATERIALS,
+        RULES,
+        None,
+        View.of(viewer.dims),
+    )
+    assert read_layers(flat).frame.ndim == 3
+
+
+@pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")
+def test_a_slice_at_an_angle_is_refused():
+    tilted = Image(picture((4, *SHAPE)), rotate=(0.0, 20.0, 0.0), name="tilted")
+    viewer = ViewerModel()
+    viewer.add_layer(tilted)
+    wanted = Request(tilted, tilted, None, view=View.of(viewer.dims))
+    assert "at an angle" in str(refusal(wanted))
+
+
+def test_only_the_slice_of_a_lazy_stack_is_computed():
+    touched = []
+
+    def block(block_info=None):
+        touched.append(block_info[None]["chunk-location"][0])
+        return picture((1, *SHAPE))
+
+    lazy = da.map_blocks(
+        block,
+        dtype=np.float32,
+        chunks=((1,) * 6, (SHAPE[0],), (SHAPE[1],)),
+        meta=np.zeros((0,) * 3),
+    )
+    image = Image(lazy, contrast_limits=(0, 1), name="lazy")
+    viewer = ViewerModel()
+    viewer.add_layer(image)
+    viewer.dims.set_current_step(0, 4)
+    touched.clear()
+    wanted = request()
+    read_layers(
+        Request(wanted.tissue, wanted.boundary, image, MATERIALS, RULES, None, View.of(viewer.dims))
+    )
+    assert set(touched) == {4}
+
+
+def test_a_frame_survives_a_file():
+    viewer, wanted = stack(scale=(5.0, 0.5, 1.0), units=("mm", "mm", "mm"))
+    frame = Frame.of(wanted.image, View.of(viewer.dims))
+    assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
+    with pytest.raises(ValueError, match="place of a slice"):
+        Frame.from_dict({"plane": [0, 1]})

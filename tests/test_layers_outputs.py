@@ -1,0 +1,178 @@
+"""A solution becomes layers that lie where the tissue does."""
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image, Labels, Layer
+
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.outputs import ARROWS, KINDS, METADATA, Pictures, result_layers
+from napari_hmrf.layers.view import View
+from napari_hmrf.optimizers.base import LevelRun
+from napari_hmrf.solution import Provenance, Solution
+
+SHAPE = (30, 40)
+
+
+def solution(displacement=(2.0, 0.0), spacing=(1.0, 1.0), shape=SHAPE):
+    """All tissue moves alike."""
+    field = np.broadcast_to(np.float32(displacement), (*shape, 2)).copy()
+    return Solution(
+        displacement=field,
+        energy=np.array([1.0]),
+        levels=(LevelRun(0, shape, 1),),
+        tissue=np.ones(shape, bool),
+        spacing=spacing,
+        provenance=Provenance("cpu", "a test"),
+    )
+
+
+def spot(shape=SHAPE, at=(10, 20)):
+    image = np.zeros(shape, np.float32)
+    image[at] = 1
+    return image
+
+
+def layers_of(outputs):
+    """The layers, as napari makes them."""
+    return {
+        kind: Layer.create(made.data, made.attributes, made.kind)
+        for kind, made in outputs.layers.items()
+    }
+
+
+def test_arrows_and_picture_move_the_same_way():
+    outputs = result_layers(solution((3.0, -2.0)), pictures=Pictures(image=spot(), name="MR"))
+    layers = layers_of(outputs)
+    assert list(layers) == ["image", "arrows"]
+    np.testing.assert_allclose(layers["arrows"].data[:, 1], [[3, -2]] * len(layers["arrows"].data))
+    assert np.unravel_index(layers["image"].data.argmax(), SHAPE) == (13, 18)
+
+
+def test_every_layer_can_be_had_and_is_named_after_its_source():
+    labels = (spot() > 0).astype(np.uint8)
+    pictures = Pictures(spot(), labels, "MR", "Tissue")
+    layers = layers_of(result_layers(solution(), pictures=pictures, kinds=KINDS))
+    assert {kind: layer.name for kind, layer in layers.items()} == {
+        "image": "MR deformed",
+        "magnitude": "MR displacement (pixel)",
+        "labels": "Tissue deformed",
+        "grid": "MR deformation grid",
+        "arrows": "MR displacement arrows",
+    }
+    assert layers["labels"].data[12, 20] == 1
+    assert layers["magnitude"].data.max() == pytest.approx(2.0)
+    assert layers["arrows"].vector_style == "arrow"
+    assert layers["grid"].vector_style == "line"
+
+
+def test_without_a_picture_there_is_none_to_deform():
+    assert list(result_layers(solution(), kinds=KINDS).layers) == ["magnitude", "grid", "arrows"]
+
+
+def test_arrows_leave_room_to_see_the_image():
+    outputs = result_layers(solution(shape=(300, 300)))
+    assert ARROWS / 2 < len(outputs.layers["arrows"].data) < 2 * ARROWS
+
+
+def test_what_tissue_leaves_behind_is_the_darkest_there_is():
+    air = spot() - 1000
+    moved = result_layers(solution((5.0, 0.0)), pictures=Pictures(air)).layers["image"].data
+    assert moved[0, 0] == -1000
+
+
+def test_a_colour_image_stays_one():
+    colours = np.zeros((*SHAPE, 3), np.uint8)
+    colours[10, 20] = (255, 0, 9)
+    image = layers_of(result_layers(solution(), pictures=Pictures(colours)))["image"]
+    assert image.rgb
+    np.testing.assert_array_equal(image.data[12, 20], [255, 0, 9])
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {"scale": (0.5, 2.0), "units": ("mm", "mm"), "axis_labels": ("row", "col")},
+        {"translate": (10.0, -4.0)},
+        {"rotate": 25.0},
+        {"shear": [0.2]},
+        {"affine": np.array([[0.0, 2.0, 5.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])},
+        {"scale": (-1.0, 1.0), "rotate": 90.0, "translate": (3.0, 3.0)},
+    ],
+    ids=lambda place: next(iter(place)),
+)
+def test_results_lie_where_the_source_does(place):
+    source = Image(spot(), **place)
+    frame = Frame.of(source)
+    spacing = frame.spacing
+    moved = solution((2.0 * spacing[0], 3.0 * spacing[1]), spacing)
+    outputs = result_layers(moved, frame, Pictures(spot(), name="MR"), KINDS)
+    target = np.array(source.data_to_world((12, 23)))
+    for kind, layer in layers_of(outputs).items():
+        assert layer.units == source.units, kind
+        assert layer.axis_labels == source.axis_labels, kind
+        np.testing.assert_allclose(layer.data_to_world((12, 23)), target, err_msg=kind)
+    arrows = layers_of(outputs)["arrows"]
+    np.testing.assert_allclose(arrows.data[0, 1], [2, 3], rtol=1e-5)
+    tip = arrows.data_to_world(arrows.data[0].sum(axis=0))
+    tail = source.data_to_world(arrows.data[0, 0] + [2, 3])
+    np.testing.assert_allclose(tip, tail, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)])
+def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
+    viewer = ViewerModel()
+    data = np.random.default_rng(0).random((30, 31, 32))
+    affine = np.diag([1.0, 1.0, 1.0, 1.0])
+    affine[:3, 3] = (1, 2, 3)
+    source = viewer.add_image(
+        data, scale=(4.0, 0.5, 2.0), translate=(9, 8, 7), affine=affine, axis_labels=("z", "y", "x")
+    )
+    viewer.dims.order = order
+    viewer.dims.set_current_step(order[0], 5)
+    frame = Frame.of(source, View.of(viewer.dims))
+    picture = frame.take(source.data)
+    still = solution((0.0, 0.0), frame.spacing, picture.shape)
+    layers = layers_of(
+        result_layers(still, frame, Pictures(picture, picture > 0, "MR", "T"), KINDS)
+    )
+    for name, layer in layers.items():
+        assert layer.ndim == 3, name
+        assert layer.name.endswith(f"({'zyx'[order[0]]} = 5)"), name
+        assert layer.metadata[METADATA]["slice"] == f"{'zyx'[order[0]]} = 5", name
+    # Where the picture lies it equals the source: look one pixel up through the world.
+    at = [3, 4, 6]
+    at[order[0]] = 5
+    own = layers["image"].world_to_data(source.data_to_world(at))
+    assert layers["image"].data[tuple(np.rint(own).astype(int))] == data[tuple(at)]
+    starts = layers["arrows"].data[:, 0]
+    assert (starts[:, order[0]] == 5).all()
+
+
+def test_arrows_carry_the_whole_solution_with_its_frame():
+    frame = Frame.of(Labels(np.ones(SHAPE, int), scale=(2.0, 2.0)))
+    outputs = result_layers(solution(), frame)
+    kept = outputs.layers["arrows"].attributes["metadata"][METADATA]["solution"]
+    assert Frame.from_dict(kept.frame) == frame
+    # And from the solution alone the same layers come back.
+    again = result_layers(kept)
+    np.testing.assert_array_equal(again.layers["arrows"].data, outputs.layers["arrows"].data)
+
+
+def test_folds_are_counted():
+    folded = solution((0.0, 0.0))
+    folded.displacement[:, 20] = (0, 5)
+    assert result_layers(folded).folds > 0
+    assert result_layers(solution()).folds == 0
+
+
+def test_the_work_can_be_stopped_between_its_parts():
+    calls = []
+
+    def stop():
+        calls.append(1)
+        if len(calls) == 3:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        result_layers(solution(), kinds=KINDS, checkpoint=stop)
