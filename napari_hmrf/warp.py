@@ -208,7 +208,10 @@ def checked_field(
             f"has shape {d.shape} and type {d.dtype}, but real numbers of shape (H, W, 2) are "
             "needed: one (row, col) vector per pixel.",
         )
-    sizes = np.asarray(spacing, dtype=np.float64)
+    try:
+        sizes = np.asarray(spacing, dtype=np.float64)
+    except (TypeError, ValueError):
+        sizes = np.zeros(0)
     if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
         raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
     mask = np.ones(d.shape[:2], dtype=bool)

@@ -1,0 +1,174 @@
+"""What a displacement says: growth, folds, and the pictures drawn of them."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    ProblemError,
+    arrows,
+    count_folds,
+    deformation_grid,
+    jacobian_determinant,
+    magnitude,
+    phantom,
+    reference_displacement,
+)
+
+
+def places(shape):
+    return np.moveaxis(np.indices(shape), 0, -1).astype(float)
+
+
+def test_a_uniform_strain_changes_every_area_alike_borders_included():
+    gradient = np.array([[0.2, 0.1], [-0.3, 0.05]])
+    spacing = np.array([2.0, 0.5])
+    displacement = (places((7, 9)) * spacing) @ gradient.T
+    expected = np.linalg.det(np.eye(2) + gradient)
+    np.testing.assert_allclose(jacobian_determinant(displacement, spacing), expected, rtol=1e-6)
+
+
+def test_differences_are_central_inside():
+    displacement = np.zeros((5, 9, 2))
+    displacement[..., 1] = 0.01 * np.arange(9.0) ** 2
+    jacobian = jacobian_determinant(displacement)
+    np.testing.assert_allclose(jacobian[2, 1:-1], 1 + 0.02 * np.arange(1, 8), rtol=1e-6)
+    assert jacobian.dtype == np.float32
+
+
+def test_nothing_is_known_outside_tissue_and_nothing_taken_from_there():
+    tissue = np.zeros((8, 8), dtype=bool)
+    tissue[2:6, 1:7] = True
+    displacement = np.where(tissue[..., None], 0.1 * places((8, 8)), np.nan)
+    jacobian = jacobian_determinant(displacement, tissue=tissue)
+    assert np.isnan(jacobian[~tissue]).all()
+    np.testing.assert_allclose(jacobian[tissue], 1.21, rtol=1e-6)
+
+
+def test_a_line_of_tissue_is_unstrained_across_and_a_lone_site_altogether():
+    tissue = np.zeros((5, 9), dtype=bool)
+    tissue[2, :6], tissue[4, 8] = True, True
+    jacobian = jacobian_determinant(0.1 * places((5, 9)), tissue=tissue)
+    np.testing.assert_allclose(jacobian[2, :6], 1.1, rtol=1e-6)
+    assert jacobian[4, 8] == 1
+
+
+def test_tissue_that_stays_or_moves_as_one_has_no_folds():
+    assert count_folds(np.zeros((6, 7, 2))) == 0
+    assert count_folds(np.full((6, 7, 2), 1e3)) == 0
+    for name in ("expansion", "mass-effect", "bar"):
+        tissue = phantom(name).problem.tissue
+        assert count_folds(reference_displacement(name), tissue=tissue) == 0
+
+
+def test_a_mirrored_body_is_folded_everywhere():
+    displacement = np.zeros((6, 7, 2))
+    displacement[..., 1] = -2 * np.arange(7)
+    assert count_folds(displacement) == 42
+    assert (jacobian_determinant(displacement) < 0).all()
+
+
+def test_a_site_that_jumps_over_its_neighbour_is_a_fold_though_central_differences_miss_it():
+    displacement = np.zeros((5, 9, 2))
+    displacement[2, 4, 1] = -1.5
+    assert (jacobian_determinant(displacement) > 0).all()
+    assert count_folds(displacement) > 0
+
+
+def test_a_fold_is_where_the_overlap_is():
+    displacement = np.zeros((8, 20, 2))
+    displacement[:, :10, 1] = 2.5  # the left half is pushed over the right
+    folded = jacobian_determinant(displacement) <= 0
+    assert folded[:, 9:11].all()
+    assert folded.sum() == 16
+    assert count_folds(displacement) == 16
+
+
+def test_magnitude_is_a_length_in_the_unit_of_the_displacement():
+    lengths = magnitude(np.full((3, 4, 2), [3.0, 4.0]))
+    assert lengths.dtype == np.float32
+    np.testing.assert_array_equal(lengths, np.full((3, 4), 5.0))
+
+
+def test_a_grid_at_rest_is_square_and_spans_the_image():
+    segments = deformation_grid(np.zeros((21, 41, 2)), every=10)
+    ends = segments.sum(axis=1)
+    assert segments.shape[1:] == (2, 2)
+    assert segments.dtype == np.float32
+    rows = segments[segments[:, 1, 0] == 0]  # those that run along a row
+    cols = segments[segments[:, 1, 1] == 0]
+    assert len(rows) + len(cols) == len(segments)
+    assert set(rows[:, 0, 0]) == {0, 10, 20}
+    assert set(cols[:, 0, 1]) == {0, 10, 20, 30, 40}
+    assert rows[:, 1, 1].sum() == 3 * 40
+    assert cols[:, 1, 0].sum() == 5 * 20
+    assert ends.max(axis=0).tolist() == [20, 40]
+
+
+def test_a_grid_moves_with_the_tissue_in_pixels():
+    displacement = np.broadcast_to([4.0, 1.5], (21, 21, 2))
+    still = deformation_grid(np.zeros((21, 21, 2)))
+    moved = deformation_grid(displacement, spacing=(2.0, 0.5))
+    np.testing.assert_allclose(moved[:, 0] - still[:, 0], np.tile([2.0, 3.0], (len(still), 1)))
+    np.testing.assert_allclose(moved[:, 1], still[:, 1], atol=1e-5)
+
+
+def test_grid_lines_are_drawn_in_tissue_only():
+    tissue = np.zeros((40, 40), dtype=bool)
+    tissue[8:33, 8:33] = True
+    tissue[20, 20] = False
+    segments = deformation_grid(np.zeros((40, 40, 2)), every=1, tissue=tissue)
+    ends = segments.sum(axis=1)
+    assert ((segments[:, 0] >= 8) & (ends <= 32)).all()
+    around = np.abs(np.concatenate([segments[:, 0], ends]) - 20).max(axis=1)
+    assert around.min() == 1
+    assert len(segments) == 2 * 24 * 25 - 4
+
+
+def test_arrows_start_at_sites_and_show_where_they_go_in_pixels():
+    displacement = places((50, 60)) * 0.1
+    vectors = arrows(displacement, spacing=(2.0, 0.5), about=100)
+    assert vectors.shape[1:] == (2, 2)
+    assert vectors.dtype == np.float32
+    starts, directions = vectors[:, 0], vectors[:, 1]
+    np.testing.assert_allclose(directions, starts * [0.05, 0.2], rtol=1e-5)
+    assert 60 < len(vectors) < 160
+
+
+@pytest.mark.parametrize("about", [1, 10, 1000, 10**6])
+def test_about_as_many_arrows_as_asked_for_and_all_in_tissue(about):
+    problem = phantom("expansion").problem
+    vectors = arrows(reference_displacement("expansion"), tissue=problem.tissue, about=about)
+    wanted = min(about, int(problem.tissue.sum()))
+    assert 0.5 * wanted <= len(vectors) <= max(2 * wanted, 4)
+    assert problem.tissue[tuple(vectors[:, 0].astype(int).T)].all()
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (2, 1), (2, 2), (1, 300)])
+def test_few_arrows_are_still_a_list_of_arrows(shape):
+    vectors = arrows(np.ones((*shape, 2)))
+    assert vectors.shape == (np.prod(shape), 2, 2)
+    assert arrows(np.ones((*shape, 2)), tissue=np.zeros(shape)).shape == (0, 2, 2)
+    assert deformation_grid(np.ones((*shape, 2)), every=1).shape[1:] == (2, 2)
+
+
+def test_thin_tissue_between_the_arrows_still_gets_some():
+    tissue = np.zeros((100, 100), dtype=bool)
+    tissue[::10, ::10] = True
+    tissue[:, 5] = False
+    assert len(arrows(np.ones((100, 100, 2)), tissue=tissue, about=4)) >= 1
+
+
+@pytest.mark.parametrize(
+    ("call", "complaint"),
+    [
+        (lambda: jacobian_determinant(np.zeros((4, 4))), "displacement: has shape"),
+        (lambda: count_folds(np.zeros((4, 4, 2)), (1, -1)), "spacing"),
+        (lambda: arrows(np.zeros((4, 4, 2)), tissue=np.ones((3, 4))), "tissue: has shape"),
+        (lambda: arrows(np.zeros((4, 4, 2)), about=0), "about: is 0"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), every=0), "every: is 0"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), every=2.5), "every: is 2.5"),
+    ],
+)
+def test_what_does_not_fit_is_named(call, complaint):
+    with pytest.raises(ProblemError, match=complaint):
+        call()
