@@ -188,12 +188,13 @@ class _Either:
 
 def _prepare(device: Backend[Any], prior: SeilerPrior, optimizer: Optimizer) -> None:
     """Compile what a schedule needs by running it on the smallest problem, once per process."""
-    key = (device.name, device.renderer, repr(prior), repr(optimizer))
+    rehearsal = optimizer.rehearsal()
+    key = (device.name, device.renderer, repr(prior), repr(rehearsal))
     if key in _prepared:
         return
     grid = (3, 3)
     smallest = Problem(np.zeros((*grid, 2)), np.ones((*grid, 2)), np.ones(grid))
-    optimizer.run(smallest, prior, device, lambda _: None)
+    rehearsal.run(smallest, prior, device, lambda _: None)
     _prepared.add(key)
 
 

@@ -69,6 +69,10 @@ class Optimizer(Protocol):
         """Run the schedule; on the compute thread only."""
         ...
 
+    def rehearsal(self) -> Optimizer:
+        """Return the shortest schedule that runs the same kernels, to have them compiled."""
+        ...
+
     @property
     def parameters(self) -> dict[str, Any]:
         """What it would take to run it again, for the record (JSON types only)."""

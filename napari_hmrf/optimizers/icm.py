@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,10 @@ class ICM:
     def parameters(self) -> dict[str, Any]:
         """The parameters, by name."""
         return {"optimizer": "ICM", **asdict(self)}
+
+    def rehearsal(self) -> ICM:
+        """Return one sweep on each level, with the same kernels."""
+        return replace(self, iterations=1, tolerance=None)
 
     def run(
         self, problem: Problem, prior: SeilerPrior, backend: Backend[Any], report: Report

@@ -1,0 +1,127 @@
+"""One way in, off the caller's thread, that can be watched and stopped at any time."""
+
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from test_icm import frame_problem
+
+from napari_hmrf import ICM, BackendError, Cancelled, solve
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.solve import run_here
+
+
+class After:
+    """A cancel flag that is set once it has been looked at `looks` times."""
+
+    def __init__(self, looks):
+        self.left = looks
+
+    def is_set(self):
+        self.left -= 1
+        return self.left < 0
+
+
+def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
+    seen, threads = [], set()
+
+    def progress(monitor):
+        seen.append(monitor)
+        threads.add(threading.current_thread())
+
+    solve(frame_problem((60, 50)), backend="cpu", progress=progress)
+    fractions = [monitor.fraction for monitor in seen]
+    assert fractions == sorted(fractions)
+    assert fractions[0] == 0
+    assert fractions[-1] == pytest.approx(1)
+    assert threads == {threading.current_thread()}
+    assert "level 0 (60 x 50), sweep 70" in seen[-1].message
+
+
+@pytest.mark.parametrize("looks", [0, 1, 2, 5, 20, 60])
+def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(looks):
+    problem = frame_problem((40, 40))
+    expected = solve(problem, backend="cpu").displacement
+    with pytest.raises(Cancelled):
+        solve(problem, backend="cpu", cancel=After(looks))
+    np.testing.assert_array_equal(solve(problem, backend="cpu").displacement, expected)
+
+
+def test_cancel_takes_effect_within_a_fifth_of_a_second():
+    problem = frame_problem((400, 400))
+    solve(frame_problem((8, 8)), backend="cpu")  # its kernels are compiled before the clock starts
+    cancel = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        job = pool.submit(
+            solve, problem, optimizer=ICM(iterations=10**6), backend="cpu", cancel=cancel
+        )
+        time.sleep(0.3)
+        asked = time.perf_counter()
+        cancel.set()
+        with pytest.raises(Cancelled):
+            job.result(timeout=5)
+    assert time.perf_counter() - asked < 0.2
+
+
+def test_an_error_in_the_callers_progress_stops_the_work():
+    def progress(monitor):
+        if monitor.fraction > 0:
+            raise RuntimeError("the caller's own")
+
+    with pytest.raises(RuntimeError, match="the caller's own"):
+        solve(
+            frame_problem((50, 50)),
+            optimizer=ICM(iterations=10**6),
+            backend="cpu",
+            progress=progress,
+        )
+    started = time.perf_counter()
+    solve(frame_problem((10, 10)), backend="cpu")
+    assert time.perf_counter() - started < 5
+
+
+def test_solves_from_many_threads_take_turns_and_are_all_right():
+    problems = [frame_problem((40, 30 + k), seed=k) for k in range(6)]
+    expected = [solve(problem, backend="cpu").displacement for problem in problems]
+    with ThreadPoolExecutor(6) as pool:
+        found = list(pool.map(lambda problem: solve(problem, backend="cpu"), problems))
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.displacement, other)
+
+
+def test_a_solution_says_what_was_run():
+    solution = solve(frame_problem((20, 20)), optimizer=ICM(iterations=7), backend="cpu")
+    run = solution.provenance
+    assert run.backend == "cpu"
+    assert "threads" in run.renderer
+    assert run.seconds > 0
+    assert run.parameters["optimizer"]["iterations"] == 7
+    assert run.parameters["prior"]["conditional"] == "centred"
+    assert set(run.inputs) == {"y", "c", "m"}
+    assert all(len(digest) == 64 for digest in run.inputs.values())
+    assert "numpy" in run.versions
+
+
+def test_an_unknown_backend_is_refused_with_the_known_ones():
+    with pytest.raises(BackendError, match="auto, opengl"):
+        solve(frame_problem((5, 5)), backend="cuda")
+
+
+def test_kernels_run_on_the_compute_thread_only():
+    with pytest.raises(RuntimeError, match="compute thread"):
+        run_here(frame_problem((5, 5)), None, None, "cpu", None, threading.Event())
+
+
+def test_a_job_on_the_compute_thread_may_solve():
+    job = compute_thread.submit(lambda: solve(frame_problem((12, 12)), backend="cpu"))
+    assert job.result(timeout=60).displacement.shape == (12, 12, 2)
+
+
+def test_the_compute_thread_ends_and_starts_again():
+    solve(frame_problem((6, 6)), backend="cpu")
+    assert compute_thread.stop()
+    names = [thread.name for thread in threading.enumerate()]
+    assert "napari-hmrf compute" not in names
+    solve(frame_problem((6, 6)), backend="cpu")
