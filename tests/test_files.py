@@ -1,0 +1,431 @@
+"""A saved solution comes back exactly, and anything else is refused in one sentence."""
+
+import dataclasses
+import errno
+import io
+import json
+import os
+import re
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    FileFormatError,
+    Provenance,
+    Solution,
+    files,
+    is_solution_file,
+    load_solution,
+    phantom,
+    save_solution,
+    solve,
+)
+from napari_hmrf.optimizers.base import LevelRun
+
+MEMBERS = {"displacement.npy", "energy.npy", "header.npy", "tissue.npy"}
+
+
+def made_up(shape=(7, 11), frame=None):
+    """A solution with every kind of number in it."""
+    rng = np.random.default_rng(5)
+    return Solution(
+        displacement=rng.normal(size=(*shape, 2)).astype(np.float32),
+        energy=rng.random(30),
+        levels=(LevelRun(1, (4, 6), 20), LevelRun(0, shape, 10)),
+        tissue=rng.random(shape) > 0.2,
+        spacing=(0.1, 1 / 3),
+        provenance=Provenance(
+            backend="cpu",
+            renderer="compiled loops on ½ a machine",
+            reason="asked for",
+            seconds=0.1 + 0.2,
+            preparation_seconds=1e-9,
+            parameters={"prior": {"penalty": 1e4, "damping": None}, "steps": [1.0, 0.1]},
+            versions={"napari-hmrf": "0.1.0"},
+            inputs={"y": "00ff"},
+        ),
+        frame=frame,
+    )
+
+
+@pytest.fixture
+def solution():
+    return made_up(frame={"units": ["mm", "mm"], "slice": 3, "scale": [0.1, 1 / 3]})
+
+
+@pytest.fixture
+def path(solution, tmp_path):
+    return solution.save(tmp_path / "result.npz")
+
+
+def as_json(provenance):
+    return json.loads(json.dumps(dataclasses.asdict(provenance)))
+
+
+def assert_same(a, b):
+    for name in ("displacement", "energy", "tissue"):
+        first, second = getattr(a, name), getattr(b, name)
+        assert first.dtype == second.dtype
+        np.testing.assert_array_equal(first, second)
+    assert a.levels == b.levels
+    assert a.spacing == b.spacing
+    assert a.frame == b.frame
+    assert as_json(a.provenance) == as_json(b.provenance)
+
+
+def repacked(path, target, compression=zipfile.ZIP_DEFLATED, **members):
+    """A copy of a file with members replaced, added or, where None, left out."""
+    with zipfile.ZipFile(path) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    content.update({f"{name}.npy": data for name, data in members.items()})
+    with zipfile.ZipFile(target, "w", compression) as archive:
+        for name, data in content.items():
+            if data is not None:
+                archive.writestr(name, data)
+    return target
+
+
+def npy(array, **options):
+    file = io.BytesIO()
+    np.save(file, array, **options)
+    return file.getvalue()
+
+
+def header_of(path):
+    with np.load(path) as file:
+        return json.loads(file["header"].item())
+
+
+def with_header(path, target, **changes):
+    return repacked(path, target, header=npy(np.array(json.dumps({**header_of(path), **changes}))))
+
+
+def refusal(path):
+    """The one sentence with which a file is refused."""
+    with pytest.raises(FileFormatError) as caught:
+        load_solution(path)
+    message = str(caught.value)
+    start = f"{path.name}: not a valid napari-hmrf result: "
+    assert message.startswith(start)
+    assert "pickle" not in message
+    assert "\n" not in message
+    assert len(message) < 400
+    return message.removeprefix(start)
+
+
+def test_what_was_saved_comes_back_exactly(solution, path):
+    assert_same(load_solution(path), solution)
+    assert_same(Solution.load(str(path)), solution)
+
+
+def test_a_real_solution_comes_back(tmp_path):
+    solution = solve(phantom("mass-effect", 32).problem, backend="cpu")
+    back = load_solution(solution.save(tmp_path / "solution.npz"))
+    assert_same(back, solution)
+    assert back.iterations == solution.iterations
+    assert back.mean_energy == solution.mean_energy
+
+
+def test_a_field_of_zeros_is_a_field_however_well_it_packs(tmp_path):
+    still = dataclasses.replace(made_up((600, 600)), displacement=np.zeros((600, 600, 2), "f4"))
+    assert not load_solution(still.save(tmp_path / "still.npz")).displacement.any()
+
+
+def test_numpy_alone_can_read_it(solution, path):
+    with np.load(path, allow_pickle=False) as file:
+        np.testing.assert_array_equal(file["displacement"], solution.displacement)
+        header = json.loads(file["header"].item())
+    assert header["format"] == "napari-hmrf solution"
+    assert header["schema"] == 1
+    assert header["spacing"] == list(solution.spacing)
+
+
+@pytest.mark.parametrize(
+    ("given", "written"),
+    [
+        ("result.npz", "result.npz"),
+        ("result", "result.npz"),
+        ("result.dat", "result.dat"),
+        ("my result ünïcödé 脳.npz", "my result ünïcödé 脳.npz"),
+        ("v1.2 of it.npz", "v1.2 of it.npz"),
+        ("x" * 240 + ".npz", "x" * 240 + ".npz"),
+    ],
+)
+def test_a_file_has_the_name_that_was_given(solution, tmp_path, given, written):
+    assert solution.save(tmp_path / given) == tmp_path / written
+    assert os.listdir(tmp_path) == [written]
+    assert_same(load_solution(tmp_path / written), solution)
+
+
+def test_saving_again_replaces_the_file(solution, path):
+    other = made_up((5, 5))
+    other.save(path)
+    assert_same(load_solution(path), other)
+    assert os.listdir(path.parent) == [path.name]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+def test_a_link_is_followed_not_replaced(solution, path):
+    link = path.with_name("link.npz")
+    link.symlink_to(path)
+    other = made_up((5, 5))
+    other.save(link)
+    assert link.is_symlink()
+    assert_same(load_solution(path), other)
+
+
+def disk_full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
+    monkeypatch.setattr(files.os, step, disk_full)
+    with pytest.raises(OSError, match=r"cannot save the result: No space left.*result\.npz"):
+        made_up((5, 5)).save(path)
+    monkeypatch.undo()
+    assert_same(load_solution(path), solution)
+    assert os.listdir(path.parent) == [path.name]
+
+
+def test_a_disk_that_does_not_keep_what_it_was_given_is_found_out(solution, path, monkeypatch):
+    monkeypatch.setattr(files.Path, "read_bytes", lambda _: b"")
+    with pytest.raises(OSError, match=r"'result\.npz'.*did not keep"):
+        made_up((5, 5)).save(path)
+    monkeypatch.undo()
+    assert_same(load_solution(path), solution)
+    assert os.listdir(path.parent) == [path.name]
+
+
+def always_held(*_):
+    raise PermissionError(errno.EACCES, "held")
+
+
+def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
+    """As Windows does while a virus scanner reads the old one."""
+    attempts = []
+    rename = os.replace
+
+    def held(*names):
+        attempts.append(names)
+        if len(attempts) < 3:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        rename(*names)
+
+    monkeypatch.setattr(files.os, "replace", held)
+    monkeypatch.setattr(files.time, "sleep", lambda _: None)
+    other = made_up((5, 5))
+    other.save(path)
+    assert_same(load_solution(path), other)
+    monkeypatch.setattr(files.os, "replace", always_held)
+    with pytest.raises(PermissionError, match=r"cannot save the result: held.*result\.npz"):
+        solution.save(path)
+    assert_same(load_solution(path), other)
+
+
+def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
+    with pytest.raises(FileNotFoundError, match=r"cannot save the result.*nowhere"):
+        solution.save(tmp_path / "nowhere" / "result.npz")
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"cannot save .*folder"):
+        solution.save(tmp_path / "folder.npz")
+
+    def closed(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("builtins.open", closed)
+    with pytest.raises(PermissionError, match=r"cannot save the result: Permission denied"):
+        solution.save(tmp_path / "result.npz")
+
+
+def test_what_a_killed_process_left_behind_is_removed_once_it_is_old(solution, tmp_path):
+    old, young = tmp_path / ".napari-hmrf-0.tmp", tmp_path / ".napari-hmrf-1.tmp"
+    foreign = tmp_path / "thesis.tmp"
+    for leftover in (old, young, foreign):
+        leftover.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    os.utime(foreign, (0, 0))
+    solution.save(tmp_path / "result.npz")
+    assert sorted(os.listdir(tmp_path)) == [young.name, "result.npz", foreign.name]
+
+
+def test_a_solution_that_could_not_be_read_back_is_not_written(path, solution):
+    bad = made_up()
+    bad.displacement[0, 0] = np.nan
+    with pytest.raises(ValueError, match=r"cannot be saved.*not numbers"):
+        bad.save(path)
+    with pytest.raises(TypeError, match="JSON"):
+        made_up(frame={"layer": object()}).save(path)
+    assert_same(load_solution(path), solution)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
+def test_a_truncated_file_is_refused(path, part):
+    content = path.read_bytes()
+    path.write_bytes(content[: int(part * len(content))])
+    assert refusal(path) == "it is damaged or incomplete"
+    assert not is_solution_file(path)
+
+
+def test_a_flipped_bit_is_found_wherever_it_is(solution, path):
+    content = path.read_bytes()
+    found = 0
+    for at in np.linspace(0, len(content) - 1, 150).astype(int):
+        damaged = bytearray(content)
+        damaged[at] ^= 0x10
+        path.write_bytes(damaged)
+        try:
+            back = load_solution(path)
+        except FileFormatError:
+            found += 1
+        else:  # a bit that means nothing, such as in a date
+            assert_same(back, solution)
+    assert found > 100
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"row,col\n1,2\n", b"\x93NUMPY", os.urandom(999)])
+def test_something_else_altogether_is_refused(tmp_path, content):
+    path = tmp_path / "odd.npz"
+    path.write_bytes(content)
+    assert refusal(path) == "it is damaged or incomplete"
+    assert not is_solution_file(path)
+
+
+def test_a_lone_array_or_foreign_archive_is_another_kind_of_file(tmp_path):
+    np.savez(tmp_path / "foreign.npz", a=np.ones(3), b=np.ones((2, 2)))
+    assert refusal(tmp_path / "foreign.npz") == "it is another kind of file"
+    np.savez(tmp_path / "header.npz", header=np.array('{"format": "other", "schema": 1}'))
+    assert refusal(tmp_path / "header.npz") == "it is another kind of file"
+    np.savez(tmp_path / "list.npz", header=np.array("[1, 2]"))
+    assert refusal(tmp_path / "list.npz") == "it is another kind of file"
+    np.save(tmp_path / "lone.npy", np.ones(3))
+    assert refusal(tmp_path / "lone.npy") == "it is damaged or incomplete"
+    for name in os.listdir(tmp_path):
+        assert not is_solution_file(tmp_path / name)
+
+
+def test_a_missing_file_is_missing_not_invalid(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.npz"):
+        load_solution(tmp_path / "none.npz")
+    assert not is_solution_file(tmp_path / "none.npz")
+    assert refusal(tmp_path) == "it is a folder"
+    assert not is_solution_file(tmp_path)
+
+
+class Trap:
+    """Unpickling it would run code."""
+
+    def __reduce__(self):
+        return (exec, ("raise SystemExit('code from a file was run')",))
+
+
+@pytest.mark.parametrize("member", ["displacement", "energy", "tissue", "header"])
+def test_code_in_a_file_is_never_run(path, tmp_path, member):
+    trap = np.empty({"displacement": (7, 11, 2), "energy": 30, "tissue": (7, 11)}.get(member, ()),
+                    dtype=object)  # fmt: skip
+    trap.fill(Trap())
+    bad = repacked(path, tmp_path / "trap.npz", **{member: npy(trap, allow_pickle=True)})
+    assert member in refusal(bad)
+
+
+def test_a_zip_bomb_costs_no_memory(path, tmp_path):
+    rows = 6_000
+    start = npy(np.zeros((1, 1), "f4"))[:128].replace(
+        b"(1, 1), ", b"(%d, %d, 2), " % (rows, rows)
+    )  # fmt: skip
+    bomb = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path) as archive:
+        rest = {name: archive.read(name) for name in MEMBERS - {"displacement.npy"}}
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in rest.items():
+            archive.writestr(name, data)
+        with archive.open("displacement.npy", "w", force_zip64=True) as member:
+            member.write(start)
+            for _ in range(rows // 100):
+                member.write(bytes(100 * rows * 8))
+    assert bomb.stat().st_size < 2e6
+    tracemalloc.start()
+    assert "more than a solution may hold" in refusal(bomb)
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("member", ["displacement", "header"])
+def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, member):
+    if member == "header":
+        lie = npy(np.array("x" * 10)).replace(b"<U10'", b"<U999999999'")
+    else:
+        lie = npy(np.zeros((7, 11, 2), "f4")).replace(b"(7, 11, 2)", b"(700000, 700000, 2)")
+    bad = repacked(path, tmp_path / "liar.npz", **{member: lie})
+    tracemalloc.start()
+    refusal(bad)
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"energy": None}, "lacks 'energy.npy'"),
+        ({"header": None}, "another kind of file"),
+        ({"extra": npy(np.ones(3))}, "holds 'extra.npy', which no solution does"),
+        ({"../../evil": npy(np.ones(3))}, "no solution does"),
+        ({"displacement": npy(np.zeros((7, 11, 2)))}, "displacement is float64"),
+        ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement is >f4"),
+        ({"displacement": npy(np.zeros((7, 11), "f4"))}, r"of shape \(7, 11\)"),
+        ({"displacement": npy(np.zeros((11, 7, 2), "f4"))}, "disagree"),
+        ({"displacement": npy(np.zeros((7, 11, 3), "f4"))}, "disagree"),
+        ({"displacement": npy(np.full((7, 11, 2), np.inf, "f4"))}, "not numbers"),
+        ({"energy": npy(np.zeros(29))}, "energies and iterations disagree"),
+        ({"tissue": npy(np.zeros((7, 11), np.uint8))}, "tissue is uint8"),
+        ({"header": npy(np.array("{"))}, "damaged"),
+        ({"header": npy(np.array(3))}, "header is int64 .*not text"),
+        ({"header": b"\x93NUMPY\x03\x00"}, "format"),
+        ({"header": npy(np.array("[" * 100_000))}, "damaged"),
+        ({"header": npy(np.array("x" * 300_000))}, "header claims"),
+    ],
+)
+def test_a_file_that_holds_something_else_is_refused(path, tmp_path, changes, complaint):
+    bad = repacked(path, tmp_path / "bad.npz", **changes)
+    assert re.search(complaint, refusal(bad))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"schema": 2}, "written by a later version .*update napari-hmrf"),
+        ({"schema": "one"}, "version is 'one'"),
+        ({"spacing": [1.0]}, "spacing is"),
+        ({"spacing": [1.0, -1.0]}, "spacing is"),
+        ({"spacing": None}, "damaged"),
+        ({"levels": [{"number": 0}]}, "damaged"),
+        ({"provenance": 3}, "damaged"),
+        ({"provenance": {"renderer": "no backend"}}, "damaged"),
+        ({"frame": [1, 2]}, "frame"),
+    ],
+)
+def test_a_header_that_makes_no_sense_is_refused(path, tmp_path, changes, complaint):
+    bad = with_header(path, tmp_path / "bad.npz", **changes)
+    assert re.search(complaint, refusal(bad))
+    assert is_solution_file(bad)  # it says that it is one, so that its reader can say what is wrong
+
+
+def test_the_same_member_twice_is_refused(path, tmp_path):
+    bad = tmp_path / "twice.npz"
+    bad.write_bytes(path.read_bytes())
+    with zipfile.ZipFile(bad, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("tissue.npy", npy(np.ones((7, 11), dtype=bool)))
+    assert refusal(bad) == "it holds one thing twice"
+
+
+def test_what_a_later_version_adds_to_the_provenance_is_passed_over(solution, path, tmp_path):
+    provenance = {**header_of(path)["provenance"], "mood": "sunny"}
+    newer = with_header(path, tmp_path / "newer.npz", provenance=provenance)
+    assert_same(load_solution(newer), solution)
+
+
+def test_a_saved_solution_is_recognised_by_its_content_not_its_name(solution, tmp_path):
+    assert is_solution_file(save_solution(solution, tmp_path / "anything.dat"))
