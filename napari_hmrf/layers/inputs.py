@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from napari.layers import Labels, Vectors
 from scipy import ndimage
 
 from napari_hmrf.annotation import BoundaryRule, Material, boundary_images, stiffness_image
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.observations import arrow_observations
 from napari_hmrf.layers.outputs import Pictures
-from napari_hmrf.layers.view import View, describe, full_resolution
+from napari_hmrf.layers.reading import check_place, naming, plane_shape, take_slice
+from napari_hmrf.layers.view import View, describe
 from napari_hmrf.problem import Problem
 
 FloatArray = npt.NDArray[np.float32]
@@ -114,18 +115,18 @@ def read_layers(request: Request) -> Inputs:
     """
     reference = request.layers[0]
     frame = Frame.of(reference, request.view)
-    height, width = _plane_shape(reference, frame)
+    height, width = plane_shape(reference, frame)
     notes = _notes(request, frame, (height, width))
     taken = {
-        id(layer): _take(layer, reference, frame, (height, width), request.view)
+        id(layer): take_slice(layer, reference, frame, (height, width), request.view)
         for layer in request.layers
-        if type(layer).__name__ != "Vectors"
+        if not isinstance(layer, Vectors)
     }
     image = None if request.image is None else taken[id(request.image)]
     if image is not None:
         notes += _check_picture(request.image, image)
-    with _naming(m=request.tissue):
-        labelled = type(request.tissue).__name__ == "Labels"
+    with naming(m=request.tissue):
+        labelled = isinstance(request.tissue, Labels)
         tissue = taken[id(request.tissue)]
         if not labelled and request.tissue.rgb:
             raise ProblemError(
@@ -135,8 +136,8 @@ def read_layers(request: Request) -> Inputs:
             )
         m = stiffness_image(tissue, request.materials) if labelled else tissue
     named = {"m": request.tissue, "y": request.boundary, "spacing": reference}
-    with _naming(**named, c=request.confidence or request.boundary):
-        if type(request.boundary).__name__ == "Labels":
+    with naming(**named, c=request.confidence or request.boundary):
+        if isinstance(request.boundary, Labels):
             y, c = boundary_images(taken[id(request.boundary)], request.rules, frame.spacing)
         else:
             y, c = _observed(request, frame, (height, width), taken)
@@ -162,7 +163,7 @@ def _look(layer: Any) -> dict[str, Any]:
     """How an Image or Labels layer is drawn, as a new layer takes it."""
     if layer is None:
         return {}
-    if type(layer).__name__ == "Labels":
+    if isinstance(layer, Labels):
         return {"colormap": layer.colormap, "opacity": layer.opacity}
     if layer.rgb:
         return {}
@@ -171,48 +172,6 @@ def _look(layer: Any) -> dict[str, Any]:
         "contrast_limits": tuple(layer.contrast_limits),
         "gamma": layer.gamma,
     }
-
-
-def _plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
-    if type(layer).__name__ == "Vectors":
-        raise ProblemError(
-            describe(layer),
-            "has no pixels. Choose an image, or paint the tissue in a Labels layer.",
-        )
-    shape = full_resolution(layer).shape
-    return int(shape[frame.plane[0]]), int(shape[frame.plane[1]])
-
-
-def _take(
-    layer: Any, reference: Any, frame: Frame, shape: tuple[int, int], view: View | None
-) -> npt.NDArray[Any]:
-    """Copy the slice of a layer that covers the same pixels as the reference's."""
-    own = frame if layer is reference else Frame.of(layer, view)
-    _check_place(layer, own, reference, frame, shape)
-    own_shape = _plane_shape(layer, own)
-    if own_shape != shape:
-        raise ProblemError(
-            describe(layer),
-            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but {describe(reference)} "
-            f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
-        )
-    try:
-        return own.take(full_resolution(layer))
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        raise ProblemError(
-            describe(layer), f"could not be read: {error}. Check the file it comes from."
-        ) from error
-
-
-def _check_place(
-    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
-) -> None:
-    if not frame.same_place(own, shape):
-        raise ProblemError(
-            describe(layer),
-            f"lies elsewhere than {describe(reference)}: their scale, translation, rotation, "
-            "shear, affine or units differ. Give both the same transform, or resample one.",
-        )
 
 
 def _notes(request: Request, frame: Frame, shape: tuple[int, int]) -> tuple[str, ...]:
@@ -239,45 +198,11 @@ def _check_picture(layer: Any, picture: npt.NDArray[Any]) -> tuple[str, ...]:
 
 
 def _observed(
-    request: Request,
-    frame: Frame,
-    shape: tuple[int, int],
-    taken: dict[int, npt.NDArray[Any]],
+    request: Request, frame: Frame, shape: tuple[int, int], taken: dict[int, npt.NDArray[Any]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Displacement and confidence from arrows, each counting for the pixel it starts in."""
     own = Frame.of(request.boundary, request.view)
-    _check_place(request.boundary, own, request.layers[0], frame, shape)
-    vectors = np.asarray(request.boundary.data, dtype=float)
-    bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
-    if len(bad):
-        raise ProblemError("y", f"has NaN or infinity in vector {bad[0]}. Remove it.")
-    others = [axis for axis in range(own.ndim) if axis not in own.plane]
-    here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
-    rows = np.flatnonzero(here.all(axis=1))
-    arrows = vectors[rows][:, :, list(own.plane)]
-    at = np.rint(arrows[:, 0]).astype(int)
-    outside = np.flatnonzero(((at < 0) | (at >= shape)).any(axis=1))
-    if len(outside):
-        first = outside[0]
-        raise ProblemError(
-            "y",
-            f"has {len(outside)} vectors that start outside the image of {shape[0]} x {shape[1]} "
-            f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
-            "Remove them.",
-        )
-    y = np.zeros((*shape, 2), dtype=np.float32)
-    c = np.zeros_like(y)
-    steps = (arrows[:, 1] * frame.spacing).astype(np.float32)
-    y[tuple(at.T)] = steps
-    c[tuple(at.T)] = 1
-    conflict = np.flatnonzero((y[tuple(at.T)] != steps).any(axis=1))
-    if len(conflict):
-        first = conflict[0]
-        raise ProblemError(
-            "y",
-            f"has vectors that start in the same pixel and differ, as vector {rows[first]} at "
-            f"{tuple(at[first].tolist())}. Keep one for each pixel.",
-        )
+    check_place(request.boundary, own, request.layers[0], frame, shape)
+    y, c = arrow_observations(request.boundary, own, frame.spacing, shape)
     if request.confidence is not None:
         if request.confidence.rgb:
             raise ProblemError("c", "is a colour image. Choose a grey image of values 0 to 1.")
@@ -296,18 +221,6 @@ def _loose_pieces(problem: Problem) -> tuple[str, ...]:
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
     return (f"{what} no boundary ({pixels} pixels): how it moves is not determined",)
-
-
-@contextmanager
-def _naming(**layers: Any) -> Iterator[None]:
-    """Let errors about y, c, m or the spacing name the layer these came from."""
-    try:
-        yield
-    except ProblemError as error:
-        layer = layers.get(error.field)
-        if layer is None:
-            raise
-        raise ProblemError(describe(layer), error.message) from error
 
 
 def _equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> bool:

@@ -42,7 +42,7 @@ class View:
 
 def describe(layer: Any) -> str:
     """A layer as errors name it, such as "<Labels layer 'Tissue' (uint8, 300 x 300)>"."""
-    kind = type(layer).__name__
+    kind = layer.__class__.__name__  # not type(): napari hands plugins proxies
     if kind == "Vectors":
         return f"<Vectors layer '{layer.name}' ({len(layer.data)} vectors, {layer.ndim}-D)>"
     data = full_resolution(layer)
@@ -101,7 +101,7 @@ def slice_shown(
 
 def layer_extents(layer: Any) -> tuple[int, ...] | None:
     """Pixels of an image-like layer along its axes; None for vectors."""
-    if type(layer).__name__ == "Vectors":
+    if layer.__class__.__name__ == "Vectors":
         return None
     return tuple(full_resolution(layer).shape[: layer.ndim])
 
