@@ -8,6 +8,7 @@ costs one clear error and no memory.
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -142,15 +143,24 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
     OSError
         If it cannot be opened (`FileNotFoundError`, `PermissionError`).
     """
-    name = Path(path).name
     if os.path.isdir(path):
-        raise FileFormatError(f"{name}: not a valid napari-hmrf result: it is a folder")
+        raise _refusal(path, "it is a folder")
     with open(path, "rb") as file:
         try:
             return _unpacked(file)
-        except _DAMAGE as error:
-            reason = str(error) if isinstance(error, _Invalid) else "it is damaged or incomplete"
-            raise FileFormatError(f"{name}: not a valid napari-hmrf result: {reason}") from None
+        except _Invalid as error:
+            raise _refusal(path, str(error)) from None
+        except _DAMAGE:
+            raise _refusal(path, "it is damaged or incomplete") from None
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            # The archive's table points to before the beginning of the file.
+            raise _refusal(path, "it is damaged or incomplete") from None
+
+
+def _refusal(path: str | os.PathLike[str], reason: str) -> FileFormatError:
+    return FileFormatError(f"{Path(path).name}: not a valid napari-hmrf result: {reason}")
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:

@@ -286,6 +286,23 @@ def test_a_flipped_bit_is_found_wherever_it_is(solution, path):
     assert found > 100
 
 
+def test_an_archive_whose_table_points_nowhere_is_refused(path):
+    content = bytearray(path.read_bytes())
+    at = content.rindex(b"PK\x05\x06") + 12  # the size of the table, in its last record
+    content[at : at + 4] = (2**31).to_bytes(4, "little")
+    path.write_bytes(content)
+    assert refusal(path) == "it is damaged or incomplete"
+    content[at : at + 4] = (len(content) - 23).to_bytes(4, "little")
+    path.write_bytes(content)
+    assert refusal(path) == "it is damaged or incomplete"
+
+
+def test_a_disk_that_cannot_be_read_is_not_the_files_fault(path, monkeypatch):
+    monkeypatch.setattr(files.zipfile, "ZipFile", disk_full)
+    with pytest.raises(OSError, match="No space"):
+        load_solution(path)
+
+
 @pytest.mark.parametrize("content", [b"", b"PK", b"row,col\n1,2\n", b"\x93NUMPY", os.urandom(999)])
 def test_something_else_altogether_is_refused(tmp_path, content):
     path = tmp_path / "odd.npz"
