@@ -57,13 +57,36 @@ def _draw(moved, source, state, value, height, width, a_row, a_col, b_row, b_col
     return not kept
 
 
+@numba.njit
+def _stroke(moved, source, state, height, width, a_row, a_col, b_row, b_col):
+    """Draw the moved line between two sites, or a single one, onto pixels still empty."""
+    ay = moved[a_row, a_col, 0]
+    ax = moved[a_row, a_col, 1]
+    by = moved[b_row, b_col, 0] - ay
+    bx = moved[b_row, b_col, 1] - ax
+    # Half a pixel at a time; a line longer than the image mostly lies outside.
+    steps = math.ceil(2.0 * min(max(abs(by), abs(bx)), 1.0 * (height + width)))
+    for step in range(steps + 1):
+        part = step / max(steps, 1)
+        y = ay + part * by + 0.5
+        x = ax + part * bx + 0.5
+        if 0 <= y < height and 0 <= x < width:
+            row = math.floor(y)
+            col = math.floor(x)
+            if state[row, col] == 0:
+                state[row, col] = 2
+                source[row, col, 0] = a_row + part * (b_row - a_row)
+                source[row, col, 1] = a_col + part * (b_col - a_col)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def rasterise(moved, tissue):
     """Invert the motion of the sites, linear on each triangle of three neighbouring sites.
 
-    Each cell of 2 x 2 sites is two triangles; a cell that lacks one corner is one. What no triangle
-    covers goes to the site, if any, that has moved onto that pixel, so that tissue one pixel thin
-    survives and all tissue reaches half a pixel beyond its outermost sites, as pixels do.
+    Each cell of 2 x 2 sites is two triangles; a cell that lacks one corner is one. A pixel that no
+    triangle covers goes to the site or the line between two outermost sites that has moved onto
+    it, if any: tissue one pixel thin survives, and all tissue reaches half a pixel beyond its
+    outermost sites, as pixels do.
 
     Parameters
     ----------
@@ -77,7 +100,7 @@ def rasterise(moved, tissue):
     source : ndarray, shape (H, W, 2), float64
         Where the tissue now on each pixel came from, in pixels.
     state : ndarray, shape (H, W), uint8
-        0 nothing came, 1 by a triangle turned over, 2 by one that was not, or by a single site.
+        0 nothing came, 1 by a triangle turned over, 2 by one that was not, or by a line.
     """
     height, width = tissue.shape
     source = np.zeros((height, width, 2))
@@ -119,16 +142,22 @@ def rasterise(moved, tissue):
                         )  # fmt: skip
     for row in range(height):
         for col in range(width):
+            if tissue[row, col]:
+                _stroke(moved, source, state, height, width, row, col, row, col)
+    for row in range(height):
+        for col in range(width):
             if not tissue[row, col]:
                 continue
-            y = moved[row, col, 0]
-            x = moved[row, col, 1]
-            if not (-0.5 <= y < height - 0.5 and -0.5 <= x < width - 0.5):
-                continue
-            to_row = math.floor(y + 0.5)
-            to_col = math.floor(x + 0.5)
-            if state[to_row, to_col] == 0:
-                state[to_row, to_col] = 2
-                source[to_row, to_col, 0] = row
-                source[to_row, to_col, 1] = col
+            below = row + 1
+            right = col + 1
+            if right < width and tissue[row, right]:
+                before = row > 0 and (tissue[row - 1, col] or tissue[row - 1, right])
+                behind = below < height and (tissue[below, col] or tissue[below, right])
+                if not (before and behind):
+                    _stroke(moved, source, state, height, width, row, col, row, right)
+            if below < height and tissue[below, col]:
+                before = col > 0 and (tissue[row, col - 1] or tissue[below, col - 1])
+                behind = right < width and (tissue[row, right] or tissue[below, right])
+                if not (before and behind):
+                    _stroke(moved, source, state, height, width, row, col, below, col)
     return source, state

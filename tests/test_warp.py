@@ -199,6 +199,29 @@ def test_tissue_one_pixel_thin_does_not_vanish(vector):
     assert (moved >= 25).sum() == tissue.sum()
 
 
+@pytest.mark.parametrize("along", [0, 1])
+def test_a_thin_line_that_is_stretched_does_not_tear(along):
+    shape = (9, 40) if along else (40, 9)
+    tissue = block(shape, 4, slice(2, 12)) if along else block(shape, slice(2, 12), 4)
+    displacement = np.zeros((*shape, 2))
+    displacement[..., along] = 2 * places(shape)[..., along]  # three times as long
+    moved = warp(tissue.astype(np.uint8), displacement, tissue=tissue)
+    seen = moved[4] if along else moved[:, 4]
+    assert seen[6:34].all()
+    assert moved.sum() == 28
+
+
+@pytest.mark.parametrize("squeeze", [0.98, 0.9])
+def test_the_edge_of_a_body_stays_smooth(squeeze):
+    """As the long sides of a bar that is pulled."""
+    shape = (40, 120)
+    displacement = np.stack(
+        [(squeeze - 1) * (places(shape)[..., 0] - 19.5), 0.1 * places(shape)[..., 1]], axis=-1
+    )
+    moved = warp(np.ones(shape, dtype=np.uint8), displacement)
+    assert np.unique(moved.sum(axis=0)).size == 1
+
+
 def test_a_cell_that_lacks_one_corner_is_still_a_triangle():
     for corner in np.ndindex(2, 2):
         tissue = np.ones((2, 2), dtype=bool)
