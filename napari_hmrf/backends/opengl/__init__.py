@@ -2,5 +2,6 @@
 
 from napari_hmrf.backends.opengl.backend import OpenGLBackend
 from napari_hmrf.backends.opengl.context import is_software_renderer
+from napari_hmrf.backends.opengl.report import describe
 
-__all__ = ["OpenGLBackend", "is_software_renderer"]
+__all__ = ["OpenGLBackend", "describe", "is_software_renderer"]

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
 
-from napari_hmrf.backends.base import Checkpoint, EnergyArray, FloatArray, SiteRule
+from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, FloatArray, SiteRule
+from napari_hmrf.backends.opengl.context import is_software_renderer
 from napari_hmrf.backends.opengl.device import the_device
-from napari_hmrf.backends.opengl.pace import Pace
+from napari_hmrf.backends.opengl.pace import MAX_PASS_SECONDS, Pace
 from napari_hmrf.backends.opengl.programs import Program
 from napari_hmrf.backends.opengl.source import STAGES, Stage
+from napari_hmrf.backends.opengl.totals import (
+    BLOCK,
+    KEPT_SITES,
+    BlockTotals,
+    SiteTotals,
+    Totals,
+)
 from napari_hmrf.errors import BackendError
 from napari_hmrf.hierarchy import Level
-
-#: Rows and columns of sites whose energies one invocation of the sum adds up.
-BLOCK = 8
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32, observation 16,
 # displacement 2 x 8, energy 4; a third more for the coarser levels.
@@ -61,9 +67,12 @@ class OpenGLBackend:
         self._device.ensure(self._stage)
         self.name = f"opengl:{self._stage}"
         self.renderer = self._device.renderer
-        self._pace = Pace(self._device.finish, checkpoint)
-        self._textures: list[Any] = []
-        self._spare: dict[tuple[tuple[int, ...], int], list[Any]] = {}
+        software = is_software_renderer(self.renderer)
+        # A software renderer dispatches while the interpreter, and with it the window, waits.
+        longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
+        self._pace = Pace(self._device.finish, checkpoint, longest)
+        self._pool = _Pool(self._device.texture)
+        self._keeps_shares = software
         self._targets: dict[tuple[int, ...], Any] = {}
 
     def upload(self, values: FloatArray) -> GLField:
@@ -77,7 +86,7 @@ class OpenGLBackend:
 
     def download(self, field: GLField) -> FloatArray:
         """Return the values, (H, W, C); a device that has stopped computing is found out."""
-        self._pace.wait()
+        self._wait()
         values = np.frombuffer(field.texture.read(), np.float32)
         self._device.check("reading an image")
         self._device.canary(self._stage)
@@ -122,16 +131,14 @@ class OpenGLBackend:
             }
         )
         around = [*self._ratios(stiffness), observation.texture]
-        source, target = displacement.texture, self._texture(shape, 2)
-        share = self._texture(shape, 1)
-        totals = _Totals(self, shape, sweeps)
+        source, target = displacement.texture, self._pool.take(shape, 2)
+        totals = self._totals(shape, sweeps)
         for _ in range(sweeps):
-            self._run(program, [source, *around], [target, share], shape)
-            totals.add(share)
+            self._run(program, [source, *around], [target, totals.share()], shape)
+            totals.add()
             source, target = target, source
         energies = totals.read()
-        self._recycle(shape, 2, target)
-        self._recycle(shape, 1, share)
+        self._pool.give(shape, 2, target)
         return GLField(shape, 2, source), energies
 
     def energy(
@@ -141,28 +148,25 @@ class OpenGLBackend:
         shape = displacement.shape
         program = self._program("energy")
         program.set({"weights": rule.weights.astype(np.float32)})
-        share = self._texture(shape, 1)
+        totals = self._totals(shape, 1)
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
-        self._run(program, inputs, [share], shape)
-        totals = _Totals(self, shape, 1)
-        totals.add(share)
-        self._recycle(shape, 1, share)
+        self._run(program, inputs, [totals.share()], shape)
+        totals.add()
         return float(totals.read()[0])
 
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""
         for released in fields:
-            self._recycle(released.shape, released.components, released.texture)
+            self._pool.give(released.shape, released.components, released.texture)
             for ratios in released.ratios:
-                self._recycle(released.shape, 4, ratios)
+                self._pool.give(released.shape, 4, ratios)
             released.ratios.clear()
 
     def close(self) -> None:
         """Free every texture; the context and the compiled kernels stay for the next solve."""
-        self._device.free((*self._targets.values(), *self._textures))
+        self._device.free((*self._targets.values(), *self._pool.all))
         self._targets.clear()
-        self._textures.clear()
-        self._spare.clear()
+        self._pool = _Pool(self._device.texture)
 
     def _program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
         return self._device.program(name, self._stage, defines)
@@ -191,23 +195,23 @@ class OpenGLBackend:
         """Return the stiffness ratios of a level; they are the same in all of its sweeps."""
         if not stiffness.ratios:
             shape = stiffness.shape
-            stiffness.ratios += [self._texture(shape, 4), self._texture(shape, 4)]
+            stiffness.ratios += [self._pool.take(shape, 4), self._pool.take(shape, 4)]
             self._run(self._program("ratios"), [stiffness.texture], stiffness.ratios, shape)
         return stiffness.ratios
 
     def _field(self, shape: tuple[int, ...], components: int) -> GLField:
-        return GLField(shape, components, self._texture(shape, components))
+        return GLField(shape, components, self._pool.take(shape, components))
 
-    def _texture(self, shape: tuple[int, ...], components: int) -> Any:
-        spare = self._spare.get((shape, components))
-        if spare:
-            return spare.pop()
-        made = self._device.texture(shape, components)
-        self._textures.append(made)
-        return made
+    def _totals(self, shape: tuple[int, ...], sweeps: int) -> Totals:
+        wait = self._wait
+        if self._keeps_shares and math.prod(shape) <= KEPT_SITES:
+            return SiteTotals(self._pool, wait, shape, sweeps)
+        program, largest = self._program("sum", {"BLOCK": BLOCK}), self._device.largest
+        return BlockTotals(program, self._run, self._pool, wait, shape, sweeps, largest)
 
-    def _recycle(self, shape: tuple[int, ...], components: int, texture: Any) -> None:
-        self._spare.setdefault((shape, components), []).append(texture)
+    def _wait(self) -> None:
+        self._pace.wait()
+        self._device.check("computing")
 
     def _refuse_too_large(self, height: int, width: int) -> None:
         """Refuse an image before anything is allocated for it."""
@@ -221,41 +225,23 @@ class OpenGLBackend:
             )
 
 
-class _Totals:
-    """Energies of many sweeps, kept on the device until the last one.
+class _Pool:
+    """The textures of one backend: those in use, and those waiting to be used again."""
 
-    The totals of a sweep's blocks fill one strip of rows of an atlas; the atlas is read once.
-    """
+    def __init__(self, make: Callable[[tuple[int, ...], int], Any]) -> None:
+        self._make = make
+        self._spare: dict[tuple[tuple[int, ...], int], list[Any]] = {}
+        self.all: list[Any] = []
 
-    def __init__(self, backend: OpenGLBackend, shape: tuple[int, ...], sweeps: int) -> None:
-        self._backend = backend
-        self._device = backend._device
-        self._program = backend._program("sum", {"BLOCK": BLOCK})
-        self._blocks = tuple(-(-size // BLOCK) for size in shape)
-        rows, cols = self._blocks
-        self._strips = max(1, min(sweeps, self._device.largest // rows))
-        self._shape = (rows * self._strips, cols)
-        self._atlas = backend._texture(self._shape, 1)
-        self._used = 0
-        self._energies: list[float] = []
+    def take(self, shape: tuple[int, ...], components: int) -> Any:
+        """Return a texture of unknown content."""
+        spare = self._spare.get((shape, components))
+        if spare:
+            return spare.pop()
+        made = self._make(shape, components)
+        self.all.append(made)
+        return made
 
-    def add(self, share: Any) -> None:
-        """Sum the sites' shares of one sweep."""
-        if self._used == self._strips:
-            self._flush()
-        row = self._used * self._blocks[0]
-        self._backend._run(self._program, [share], [self._atlas], self._blocks, row)
-        self._used += 1
-
-    def read(self) -> EnergyArray:
-        """Return the sums, in the order they were added, and give the atlas back."""
-        self._flush()
-        self._backend._recycle(self._shape, 1, self._atlas)
-        return np.array(self._energies)
-
-    def _flush(self) -> None:
-        self._backend._pace.wait()
-        blocks = np.frombuffer(self._atlas.read(), np.float32).reshape(self._strips, -1)
-        self._device.check("reading energies")
-        self._energies += list(blocks[: self._used].sum(axis=1, dtype=np.float64))
-        self._used = 0
+    def give(self, shape: tuple[int, ...], components: int, texture: Any) -> None:
+        """Take a texture back for others to use."""
+        self._spare.setdefault((shape, components), []).append(texture)

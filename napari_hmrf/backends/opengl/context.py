@@ -111,10 +111,11 @@ def _ways() -> Iterator[_Way]:
     egl = glcontext.get_backend_by_name("egl")
     # The second names are those of the run-time packages, found without a linker's cache.
     for libraries in ({}, {"libegl": "libEGL.so.1", "libgl": "libGL.so.1"}):
-        devices = 1 if "GLCONTEXT_DEVICE_INDEX" in os.environ else _device_count(egl, libraries)
-        for index in range(max(devices, 1)):
+        chosen = os.environ.get("GLCONTEXT_DEVICE_INDEX")  # glcontext takes it over ours
+        devices = 1 if chosen else max(1, _device_count(egl, libraries))
+        for index in [chosen] if chosen else range(devices):
             name = f"EGL device {index}" + (" by library name" if libraries else "")
-            settings = {"device_index": index, **libraries}
+            settings = {"device_index": int(index), **libraries}
             yield _Way(name, egl, settings, others=devices > 1)
     if os.environ.get("DISPLAY"):
         yield _Way(f"X11 display {os.environ['DISPLAY']}", glcontext.default_backend(), {})

@@ -25,11 +25,19 @@ class Pace:
         Waits until the device has done everything; lets other Python threads run.
     checkpoint : callable
         Called after each wait; raises to stop the work.
+    longest : float
+        How many seconds a pass may take before it is cut into strips.
     """
 
-    def __init__(self, finish: Callable[[], None], checkpoint: Checkpoint) -> None:
+    def __init__(
+        self,
+        finish: Callable[[], None],
+        checkpoint: Checkpoint,
+        longest: float = MAX_PASS_SECONDS,
+    ) -> None:
         self._finish = finish
         self._checkpoint = checkpoint
+        self._longest = longest
         self._seconds_per_site = _FIRST_GUESS
         self._measured = False
         self._sites = 0
@@ -42,7 +50,7 @@ class Pace:
         """
         height, width = grid
         seconds = height * width * self._seconds_per_site
-        if seconds <= MAX_PASS_SECONDS:
+        if seconds <= self._longest:
             self._begin()
             yield None
             self._issued(height * width)

@@ -86,6 +86,7 @@ class _Compiled:
         self._ctx = ctx
         self._program = program
         self._written: dict[str, bytes] = {}
+        self._placed: dict[str, tuple[int, ...]] = {}
 
     def set(self, values: Uniforms) -> None:
         for name, value in values.items():
@@ -96,7 +97,9 @@ class _Compiled:
                     self._program[name].write(data)
 
     def _place(self, name: str, *numbers: int) -> None:
-        self.set({name: np.array(numbers, np.int32)})
+        if self._placed.get(name) != numbers:
+            self._placed[name] = numbers
+            self.set({name: np.array(numbers, np.int32)})
 
     def release(self) -> None:
         self._program.release()
