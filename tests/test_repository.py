@@ -103,6 +103,22 @@ def test_importing_the_package_imports_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
+    declared = {
+        re.match(r"[\w-]+", requirement)[0].lower()
+        for requirement in tomllib.loads(read("pyproject.toml"))["project"]["dependencies"]
+    }
+    imported = set().union(*(packages(imports(module)) for module in MODULES))
+    others = {name.lower() for name in imported - sys.stdlib_module_names - {"napari_hmrf"}}
+    assert others == declared
+
+
+def test_the_lower_bounds_are_the_versions_that_are_tested():
+    bounds = tomllib.loads(read("pyproject.toml"))["project"]["dependencies"]
+    oldest = [line for line in read(".github/oldest.txt").splitlines() if "==" in line]
+    assert [line.replace(">=", "==") for line in bounds] == oldest
+
+
 def test_no_committed_file_names_somebodys_folders():
     somewhere = re.compile(rb"(/home/\w|/Users/\w|/root\b|[A-Z]:\\Users|/work/\w|/tmp/\w)")
     for file in tracked_files():
