@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from fem import rmsd
 
-from napari_hmrf import PHANTOM_NAMES, phantom, reference_displacement, sample
+from napari_hmrf import ICM, PHANTOM_NAMES, phantom, reference_displacement, sample, solve
 from napari_hmrf.annotation import boundary_images, stiffness_image
 
 BRAINS = ("expansion", "mass-effect")
@@ -116,6 +117,22 @@ def test_the_bar_is_pulled_at_its_right_end_only():
     assert (problem.y[:, :3] == 0).all()
     assert (problem.y[:, -3:] == (0, 20)).all()
     assert (problem.c[:, 3:-3] == 0).all()
+
+
+@pytest.mark.parametrize("name", BRAINS)
+@pytest.mark.parametrize(
+    ("schedule", "pixels"),
+    [
+        (ICM(), 1.44),  # what the paper reports for its own phantom
+        (ICM(iterations=20_000, steps=None, tolerance=1e-6), 0.45),
+    ],
+    ids=["paper's schedule", "converged"],
+)
+def test_the_solver_comes_as_close_to_finite_elements_as_the_paper_says(name, schedule, pixels):
+    problem = phantom(name).problem
+    solution = solve(problem, optimizer=schedule, backend="cpu")
+    reference = reference_displacement(name)
+    assert rmsd(solution.displacement, reference, problem.tissue) <= pixels
 
 
 def test_what_does_not_exist_is_refused_by_name():
