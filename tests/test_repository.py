@@ -132,7 +132,7 @@ def test_modules_are_one_sitting_s_reading():
     too_long = {
         part(module): lines
         for module in MODULES
-        if (lines := len(module.read_text(encoding="utf-8").splitlines())) > 350
+        if (lines := len(module.read_text(encoding="utf-8").splitlines())) > 400
     }
     assert too_long == {}
 
