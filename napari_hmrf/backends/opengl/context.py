@@ -115,7 +115,7 @@ def _ways() -> Iterator[_Way]:
         devices = 1 if chosen else max(1, _device_count(egl, libraries))
         for index in [chosen] if chosen else range(devices):
             name = f"EGL device {index}" + (" by library name" if libraries else "")
-            settings = {"device_index": int(index), **libraries}
+            settings = {"device_index": 0 if chosen else index, **libraries}
             yield _Way(name, egl, settings, others=devices > 1)
     if os.environ.get("DISPLAY"):
         yield _Way(f"X11 display {os.environ['DISPLAY']}", glcontext.default_backend(), {})

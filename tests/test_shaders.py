@@ -1,0 +1,146 @@
+"""The shaders' text and how it is put together: no OpenGL needed."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from napari_hmrf import BackendError
+from napari_hmrf.backends.opengl import source
+from napari_hmrf.backends.opengl.source import KERNELS, STAGES, compose, triangle
+from napari_hmrf.resources import resource_folder
+
+FILES = sorted(resource_folder("shaders").glob("*.glsl"))
+SHARED = {"common", "cliques", "stage_fragment", "stage_compute", "triangle"}
+
+
+def defines(name: str) -> dict[str, int]:
+    return dict.fromkeys(KERNELS[name].defines, 1)
+
+
+def header(text: str) -> str:
+    """The comment a file begins with."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("//"):
+            break
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def test_every_file_is_a_kernel_or_shared():
+    assert {path.stem for path in FILES} == set(KERNELS) | SHARED
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_file_says_what_happens_at_the_border(path):
+    assert "Border rule:" in header(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_header_of_a_kernel_names_all_it_reads_and_writes(name):
+    text = (resource_folder("shaders") / f"{name}.glsl").read_text(encoding="utf-8")
+    inputs, outputs = header(text).split("// Inputs:")[1].split("// Outputs:")
+    uniforms = re.findall(r"^uniform \w+ (\w+)", text, flags=re.MULTILINE)
+    for word in (*KERNELS[name].inputs, *uniforms):
+        assert re.search(rf"\b{word}\b", inputs), f"{word} is not among the inputs"
+    for word in KERNELS[name].outputs:
+        assert re.search(rf"\b{word}\b", outputs), f"{word} is not among the outputs"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_what_drivers_disagree_about_is_not_used(path):
+    code = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
+    for call in ("texture", "textureLod", "pow", "normalize", "isnan", "precise", "fma", "dFdx"):
+        assert not re.search(rf"\b{call}\b *\(?", code.replace("textureSize", "")), call
+    assert "vec3" not in code
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_both_stages_hold_the_same_kernel_text(name):
+    text = (resource_folder("shaders") / f"{name}.glsl").read_text(encoding="utf-8")
+    for stage in STAGES:
+        assert text in compose(name, stage, defines(name)).text
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_version_comes_first_and_only_once(name, stage):
+    text = compose(name, stage, defines(name)).text
+    assert text.startswith({"fragment": "#version 330", "compute": "#version 430"}[stage])
+    assert text.count("#version") == 1
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_line_directives_give_each_line_its_place_in_its_file(stage):
+    composed = compose("icm", stage, {"BLANKET": 1, "STEPS": 4})
+    seen = set()
+    place: tuple[str, int] | None = None
+    for line in composed.text.splitlines():
+        directive = re.fullmatch(r"#line (\d+) (\d+)", line)
+        if directive:
+            place = (composed.files[int(directive[2])], int(directive[1]))
+            continue
+        if place is not None:
+            name, number = place
+            if name.endswith(".glsl"):
+                path = resource_folder("shaders") / name
+                assert path.read_text(encoding="utf-8").splitlines()[number - 1] == line
+                seen.add(name)
+            place = (name, number + 1)
+    assert seen == {"common.glsl", "cliques.glsl", "icm.glsl", f"stage_{stage}.glsl"}
+
+
+@pytest.mark.parametrize(
+    "log", ["2:14(3): error: no", "2(14) : error C0000: no", "ERROR: 2:14: 'x' : no"]
+)
+def test_a_compilers_message_gets_the_files_name(log):
+    composed = compose("sum", "fragment", {"BLOCK": 8})
+    explained = composed.explain(log)
+    assert re.search(r"sum\.glsl[:(]14", explained.splitlines()[0])
+    fourteenth = (resource_folder("shaders") / "sum.glsl").read_text().splitlines()[13]
+    assert re.search(rf"sum\.glsl:14 \| {re.escape(fourteenth)}", explained)
+
+
+def test_the_vertex_shader_needs_nothing():
+    assert "#version 330" in triangle().text
+    assert "uniform" not in triangle().text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("icn", "fragment", {}), ["icn", "icm"]),
+        (("sum", "geometry", {"BLOCK": 8}), ["geometry", "compute"]),
+        (("sum", "fragment", {}), ["sum", "BLOCK"]),
+        (("project", "fragment", {"BLOCK": 8}), ["project", "BLOCK"]),
+    ],
+)
+def test_a_wrong_request_is_named(arguments, words):
+    with pytest.raises(BackendError) as raised:
+        compose(*arguments)
+    for word in words:
+        assert word in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "install napari-hmrf again"),
+        ("#version 330\nvoid kernel(ivec2 site) {}\n", "#version"),
+        ("void kernel(ivec2 site) {} // \u00fc\n", "ASCII"),
+    ],
+)
+def test_a_missing_or_broken_file_is_named(tmp_path, monkeypatch, content, words):
+    for path in FILES:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    if content is None:
+        (tmp_path / "sum.glsl").unlink()
+    else:
+        (tmp_path / "sum.glsl").write_text(content, encoding="utf-8")
+    monkeypatch.setattr(source, "resource_folder", lambda _: tmp_path)
+    monkeypatch.setattr(source, "_text", source._text.__wrapped__)
+    with pytest.raises(BackendError, match=r"sum\.glsl") as raised:
+        compose("sum", "fragment", {"BLOCK": 8})
+    assert words in str(raised.value)
