@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from napari_hmrf.deformation import arrows, count_folds, deformation_grid, magnitude
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import inverse_map, resample
 
@@ -20,8 +21,8 @@ Kind = Literal["image", "arrows", "grid", "magnitude", "labels"]
 #: The layers there can be, in the order they are stacked, lowest first.
 KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "grid", "arrows")
 
-#: Where a layer's metadata hold what this package knows of it.
-METADATA = "napari-hmrf"
+#: What a file of a solution alone can show.
+RESTORED: tuple[Kind, ...] = ("arrows",)
 
 #: Arrows enough to see the motion, few enough to see the image.
 ARROWS = 500

@@ -1,0 +1,63 @@
+"""What this package keeps in a layer's metadata: what the layer is for, and its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+from typing import Any, Literal
+
+from napari_hmrf.annotation import BoundaryRule, Material
+
+#: Where a layer's metadata hold what this package knows of it.
+METADATA = "napari-hmrf"
+
+Role = Literal["image", "tissue", "boundary"]
+IMAGE: Role = "image"
+TISSUE: Role = "tissue"
+BOUNDARY: Role = "boundary"
+_TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
+    TISSUE: ("materials", Material),
+    BOUNDARY: ("rules", BoundaryRule),
+}
+
+
+def known_of(layer: Any) -> Mapping[str, Any]:
+    """What is known of a layer; nothing, for a layer of others."""
+    known = layer.metadata.get(METADATA)
+    return known if isinstance(known, Mapping) else {}
+
+
+def described(role: Role, rows: Iterable[Any] = (), unit: str = "") -> dict[str, Any]:
+    """Metadata that say what a layer is for, with its table in JSON types.
+
+    Parameters
+    ----------
+    role : {"image", "tissue", "boundary"}
+    rows : iterable of Material or BoundaryRule
+    unit : str
+        Of stiffness.
+    """
+    known: dict[str, Any] = {"role": role}
+    if role in _TABLES:
+        known[_TABLES[role][0]] = [asdict(row) for row in rows]
+    if unit:
+        known["unit"] = unit
+    return {METADATA: known}
+
+
+def role_of(layer: Any) -> Role | None:
+    """What a layer is for, if its metadata say so."""
+    role = known_of(layer).get("role")
+    return role if role in (IMAGE, TISSUE, BOUNDARY) else None
+
+
+def rows_of(layer: Any, role: Role) -> tuple[Any, ...] | None:
+    """The table that a layer's metadata carry, if they carry one that can be read."""
+    key, row_type = _TABLES[role]
+    try:
+        return tuple(
+            row_type(**{name: tuple(v) if isinstance(v, list) else v for name, v in row.items()})
+            for row in known_of(layer)[key]
+        )
+    except (KeyError, TypeError, AttributeError):
+        return None

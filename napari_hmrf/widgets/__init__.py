@@ -1,0 +1,1 @@
+"""What the user sees: a dock widget, in parts that each do one thing."""

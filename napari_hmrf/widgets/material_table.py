@@ -1,0 +1,96 @@
+"""The table of tissues: how stiff each label is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from qtpy.QtWidgets import QMenu, QToolButton
+
+from napari_hmrf.annotation import PRESETS, Material, Preset
+from napari_hmrf.widgets.label_table import LabelTable, number, shown
+
+UNPAINTED = "unpainted"
+
+
+class MaterialTable(LabelTable):
+    """Label, name and stiffness; `rows` are `Material`s."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            [
+                ("", "Label and colour; click a row to paint with it"),
+                ("Tissue", "Any name"),
+                ("Stiffness", ""),
+            ],
+            stretch=1,
+        )
+        self.unit = ""
+
+    @property
+    def unit(self) -> str:
+        """The unit of stiffness, shown only: ratios are what matters."""
+        return self._unit
+
+    @unit.setter
+    def unit(self, unit: str) -> None:
+        self._unit = unit
+        header = self.horizontalHeaderItem(2)
+        header.setText(f"Stiffness ({unit})" if unit else "Stiffness")
+        header.setToolTip(
+            "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
+            "matter.\n0 is no tissue, such as air."
+        )
+
+    def apply_preset(self, preset: Preset) -> None:
+        """Take over a preset's tissues.
+
+        What is unpainted stays void, or becomes the preset's first tissue; so do labels that the
+        preset does not have, since their old stiffness may be in another unit.
+        """
+        given = {material.label: material for material in preset.materials}
+        first = preset.materials[0].stiffness
+        others = [
+            replace(row, stiffness=first if row.stiffness > 0 else 0.0)
+            for row in self._rows
+            if row.label not in given
+        ]
+        self.unit = preset.unit
+        self.rows = [*others, *given.values()]
+
+    def _default(self, label: int) -> Material:
+        # What is new behaves as what is unpainted, until told otherwise.
+        known = [row.stiffness for row in self._rows if row.stiffness > 0]
+        name = UNPAINTED if label == 0 else f"tissue {label}"
+        return Material(label, name, known[0] if known else 20.0)
+
+    def _show(self, row: int, value: Any) -> None:
+        self._text(row, 1, value.name, number=False)
+        tip = "no tissue" if value.stiffness == 0 else ""
+        self._text(row, 2, shown(value.stiffness), tip)
+
+    def _parse(self, row: int, column: int, text: str, value: Any) -> Material:
+        material: Material = value
+        if column == 1:
+            return replace(material, name=text)
+        stiffness = number(text)
+        if not (math.isfinite(stiffness) and stiffness >= 0):
+            raise ValueError("a stiffness is 0 or more")
+        return replace(material, stiffness=stiffness)
+
+
+def preset_button(table: MaterialTable) -> QToolButton:
+    """A menu of published stiffnesses, each with its source."""
+    button = QToolButton()
+    button.setText("Presets")
+    button.setToolTip("Published stiffnesses, with their source; replaces the table")
+    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+    menu = QMenu(button)
+    menu.setToolTipsVisible(True)
+    for preset in PRESETS:
+        action = menu.addAction(f"{preset.name} {preset.unit}")
+        action.setToolTip(f"Source: {preset.source}")
+        action.triggered.connect(lambda _=False, chosen=preset: table.apply_preset(chosen))
+    button.setMenu(menu)
+    return button

@@ -1,0 +1,66 @@
+"""Empty layers to paint on, with tables that make sense from the first stroke."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+
+from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.view import View, layer_extents
+from napari_hmrf.widgets.material_table import UNPAINTED
+
+#: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
+_LARGEST = 2**30
+_PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+
+
+def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
+    """Make a tissue and a boundary layer on an image's pixels, in its place.
+
+    What stays unpainted is normal tissue; the boundary's first two labels hold and push.
+
+    Parameters
+    ----------
+    image : napari.layers.Image
+    view : View, optional
+
+    Returns
+    -------
+    tissue, boundary : napari.layers.Labels
+
+    Raises
+    ------
+    ProblemError
+        If the slice that is shown is none of the image's.
+    """
+    frame = Frame.of(image, view)
+    shape = layer_extents(image) or ()
+    place = {name: getattr(image, name) for name in _PLACE}
+    if math.prod(shape) > _LARGEST:
+        shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
+        place = frame.placement(image=True)
+    paper = PRESETS[0]
+    materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
+    push = 0.03 * max(shape[axis] for axis in frame.plane) * min(frame.spacing)
+    rules = (
+        BoundaryRule(1, "fixed", name="holds"),
+        BoundaryRule(2, "expand", amount=float(f"{push:.1g}"), name="grows"),
+    )
+    tissue = Labels(
+        np.zeros(shape, np.uint8),
+        name="Tissue",
+        opacity=0.4,
+        metadata=described(TISSUE, materials, paper.unit),
+        **place,
+    )
+    boundary = Labels(
+        np.zeros(shape, np.uint8), name="Boundary", metadata=described(BOUNDARY, rules), **place
+    )
+    for layer in (tissue, boundary):
+        layer.brush_size = max(3, round(max(shape[axis] for axis in frame.plane) / 60))
+    return tissue, boundary

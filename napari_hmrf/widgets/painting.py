@@ -1,0 +1,133 @@
+"""Keeping a Labels layer and the table of its labels in step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from napari.layers import Labels
+from psygnal import Signal
+from qtpy.QtCore import QTimer
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
+from napari_hmrf.layers.view import View, full_resolution
+from napari_hmrf.widgets.label_table import LabelTable
+
+#: How long after the last brush stroke the labels are looked at, in milliseconds.
+_PAUSE = 150
+#: The layer's events after which there may be new labels, or other colours.
+_EVENTS = ("data", "set_data", "labels_update", "paint", "colormap")
+
+
+class PaintedLabels:
+    """A Labels layer beside its table: new labels get rows, clicked rows are painted with.
+
+    The table is kept in the layer's metadata, so that it goes where the layer goes.
+
+    Parameters
+    ----------
+    role : "tissue" or "boundary"
+    table : LabelTable
+    view : callable
+        Which slice is shown.
+    """
+
+    #: The paint or the table changed.
+    changed = Signal()
+
+    def __init__(self, role: Role, table: LabelTable, view: Callable[[], View | None]) -> None:
+        self._role = role
+        self._table = table
+        self._view = view
+        self._layer: Any = None
+        self._loading = False
+        self._timer = QTimer(table)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(_PAUSE)
+        self._timer.timeout.connect(self.look)
+        table.edited.connect(self._on_edited)
+        table.picked.connect(self._on_picked)
+
+    @property
+    def layer(self) -> Any:
+        """The Labels layer, or None."""
+        return self._layer
+
+    @layer.setter
+    def layer(self, layer: Any) -> None:
+        if layer is self._layer:
+            return
+        self.release()
+        self._layer = layer if isinstance(layer, Labels) else None
+        if self._layer is None:
+            return
+        self._loading = True
+        if hasattr(self._table, "unit") and self._role == TISSUE:
+            self._table.unit = str(known_of(self._layer).get("unit", ""))
+        self._table.rows = rows_of(self._layer, self._role) or ()
+        self._loading = False
+        for name in _EVENTS:
+            getattr(self._layer.events, name).connect(self._on_painted)
+        self._layer.events.selected_label.connect(self._on_selected)
+        self.look()
+
+    def release(self) -> None:
+        """Stop listening to the layer."""
+        self._timer.stop()
+        if self._layer is not None:
+            for name in _EVENTS:
+                getattr(self._layer.events, name).disconnect(self._on_painted)
+            self._layer.events.selected_label.disconnect(self._on_selected)
+        self._layer = None
+
+    def look(self) -> None:
+        """Give new labels their rows and all rows their colours; now, not after a pause."""
+        self._timer.stop()
+        if self._layer is None:
+            return
+        labels = labels_in(self._layer, self._view())
+        if self._role == BOUNDARY:
+            labels = labels[labels > 0]
+        self._table.ensure(int(label) for label in labels)
+        colours = {}
+        for label in self._table.labels:
+            colour = self._layer.get_color(label)
+            if colour is not None and label != 0:
+                colours[label] = tuple(float(part) for part in colour)
+        self._table.set_colours(colours)
+        self.changed.emit()
+
+    def _on_painted(self) -> None:
+        # Restarted at every stroke: looking at a large image takes longer than a stroke.
+        self._timer.start()
+
+    def _on_selected(self) -> None:
+        if self._layer is not None:
+            self._table.pick(int(self._layer.selected_label))
+
+    def _on_picked(self, label: int) -> None:
+        if self._layer is not None and not self._loading:
+            self._layer.selected_label = label
+
+    def _on_edited(self) -> None:
+        if self._layer is None or self._loading:
+            return
+        unit = str(getattr(self._table, "unit", "")) if self._role == TISSUE else ""
+        self._layer.metadata.update(described(self._role, self._table.rows, unit))
+        self._timer.start()
+        self.changed.emit()
+
+
+def labels_in(layer: Any, view: View | None) -> npt.NDArray[Any]:
+    """The labels in the slice that is shown; none if it cannot be read."""
+    try:
+        picture = Frame.of(layer, view).take(full_resolution(layer))
+    except (ProblemError, OSError):
+        return np.zeros(0, dtype=int)
+    if picture.dtype.kind == "u" and picture.dtype.itemsize <= 2:
+        return np.flatnonzero(np.bincount(picture.ravel()))
+    return np.unique(picture)

@@ -1,0 +1,87 @@
+"""Arrows that show, while painting, what the boundary will do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from napari.layers import Layer
+
+from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.observations import preview_arrows
+from napari_hmrf.layers.outputs import LayerData
+from napari_hmrf.layers.view import View
+from napari_hmrf.widgets.results import same_selection, update_layer
+
+NAME = "boundary preview"
+
+
+class BoundaryPreview:
+    """A Vectors layer of its own, which follows the paint and the table.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._layer: Any = None
+        self._shown: Any = None
+
+    @property
+    def layer(self) -> Any:
+        """The Vectors layer, if there is one in the viewer."""
+        there = self._layer is not None and self._layer in self._viewer.layers
+        return self._layer if there else None
+
+    def update(self, boundary: Any, rules: tuple[BoundaryRule, ...], view: View | None) -> None:
+        """Draw what the rules say now.
+
+        Raises
+        ------
+        ProblemError
+            If they say nothing that can be drawn; the arrows are then those of before.
+        """
+        frame, arrows = preview_arrows(boundary, rules, view)
+        layer = self.layer
+        if layer is None and not len(arrows):
+            return
+        attributes = {
+            **frame.placement(),
+            "name": NAME,
+            "vector_style": "arrow",
+            "edge_color": "magenta",
+            "edge_width": max(0.5, max(_extent(arrows), 60) / 120),
+            "opacity": 1.0,
+            "metadata": {METADATA: {"kind": "preview", "slice": frame.slice_name}},
+        }
+        made = LayerData(frame.put_vectors(arrows), attributes, "vectors")
+        if layer is not None and layer.ndim == frame.ndim:
+            if self._shown is not None and np.array_equal(self._shown, made.data):
+                return
+            update_layer(layer, made)
+            layer.visible = True
+        else:
+            self.remove()
+            self._layer = Layer.create(*made)
+            with same_selection(self._viewer):
+                self._viewer.add_layer(self._layer)
+        self._shown = made.data
+
+    def hide(self) -> None:
+        """Make way for the result; the next edit shows the preview again."""
+        if self.layer is not None:
+            self.layer.visible = False
+
+    def remove(self) -> None:
+        """Take the layer out of the viewer."""
+        if self.layer is not None:
+            self._viewer.layers.remove(self._layer)
+        self._layer = self._shown = None
+
+
+def _extent(arrows: Any) -> float:
+    """Longer side, in pixels, of the box around the arrows' starts."""
+    return float(np.ptp(arrows[:, 0], axis=0).max()) if len(arrows) else 0.0

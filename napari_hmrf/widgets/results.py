@@ -1,0 +1,88 @@
+"""Putting a result's layers into the viewer, and in place of an earlier result's."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from napari.layers import Layer
+
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.outputs import Kind, LayerData, Outputs
+
+_PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+
+
+class ResultLayers:
+    """The layers that hold the results of one widget, by what they show and of which slice.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._layers: dict[tuple[Kind, str, int], weakref.ref[Any]] = {}
+
+    def show(self, outputs: Outputs, source: Any) -> dict[Kind, Any]:
+        """Update the layers of the same source and slice; make those that are not there.
+
+        Parameters
+        ----------
+        outputs : Outputs
+        source : napari.layers.Layer
+            What was deformed.
+
+        Returns
+        -------
+        dict of kind to layer
+        """
+        shown: dict[Kind, Any] = {}
+        with same_selection(self._viewer):
+            for kind, made in outputs.layers.items():
+                where = str(made.attributes["metadata"][METADATA]["slice"])
+                key = (kind, where, id(source))
+                layer = self._existing(key)
+                if layer is None or not _fits(layer, made):
+                    layer = Layer.create(made.data, made.attributes, made.kind)
+                    self._viewer.add_layer(layer)
+                    self._layers[key] = weakref.ref(layer)
+                else:
+                    update_layer(layer, made)
+                shown[kind] = layer
+        return shown
+
+    def _existing(self, key: tuple[Kind, str, int]) -> Any:
+        reference = self._layers.get(key)
+        layer = None if reference is None else reference()
+        return layer if layer is not None and layer in self._viewer.layers else None
+
+
+def _fits(layer: Any, made: LayerData) -> bool:
+    return bool(
+        layer.ndim == len(made.attributes["scale"])
+        and getattr(layer, "rgb", False) == made.attributes.get("rgb", False)
+    )
+
+
+def update_layer(layer: Any, made: LayerData) -> None:
+    """Give a layer other data and place; how the user had it drawn stays."""
+    layer.data = made.data
+    for name in _PLACE:
+        setattr(layer, name, made.attributes[name])
+    layer.metadata = made.attributes["metadata"]
+    if made.attributes["metadata"][METADATA]["kind"] == "magnitude":
+        layer.contrast_limits = made.attributes["contrast_limits"]
+
+
+@contextmanager
+def same_selection(viewer: Any) -> Iterator[None]:
+    """Add layers without taking the brush out of the user's hand."""
+    selected, active = set(viewer.layers.selection), viewer.layers.selection.active
+    yield
+    viewer.layers.selection = {layer for layer in selected if layer in viewer.layers}
+    if active in viewer.layers:
+        viewer.layers.selection.active = active

@@ -1,0 +1,184 @@
+"""The parts of the widget that say what the tissue is and what its boundary does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from magicgui.widgets import CheckBox, Container
+from napari.layers import Image, Labels, Vectors
+from psygnal import Signal
+from qtpy.QtWidgets import QHBoxLayout, QPushButton, QWidget
+
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of
+from napari_hmrf.layers.view import View
+from napari_hmrf.widgets.boundary_table import BoundaryTable
+from napari_hmrf.widgets.label_table import LabelTable
+from napari_hmrf.widgets.layer_choice import LayerChoice
+from napari_hmrf.widgets.material_table import MaterialTable, preset_button
+from napari_hmrf.widgets.painting import PaintedLabels
+
+Layers = Callable[[], list[Any]]
+Shown = Callable[[], View | None]
+
+
+def _is_preview(layer: Any) -> bool:
+    return known_of(layer).get("kind") == "preview"
+
+
+def _add_below(section: Container, *widgets: QWidget) -> QWidget:
+    """Put a row of plain Qt widgets under a section's own."""
+    row = QWidget()
+    layout = QHBoxLayout(row)
+    layout.setContentsMargins(0, 0, 0, 0)
+    for widget in widgets:
+        layout.addWidget(widget)
+    if not isinstance(widgets[0], LabelTable):
+        layout.addStretch()
+    section.native.layout().addWidget(row)
+    return row
+
+
+def _add_button(table: LabelTable, text: str, tooltip: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setToolTip(tooltip)
+    button.clicked.connect(lambda: table.add())
+    return button
+
+
+class TissueSection(Container):
+    """Labels with a table of stiffness, or an image that is the stiffness."""
+
+    edited = Signal()
+
+    def __init__(self, layers: Layers, view: Shown) -> None:
+        super().__init__(labels=True)
+        self._choice = LayerChoice(
+            layers,
+            lambda layer: isinstance(layer, Labels | Image),
+            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (as stiffness)"),
+            label="tissue",
+            tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
+        )
+        self.append(self._choice)
+        self._table = MaterialTable()
+        self._painted = PaintedLabels(TISSUE, self._table, view)
+        self._rows = [
+            _add_below(self, self._table),
+            _add_below(
+                self,
+                _add_button(self._table, "Add tissue", "Add a label to paint with"),
+                preset_button(self._table),
+            ),
+        ]
+        self._choice.changed.connect(self._on_choice)
+        self._painted.changed.connect(self.edited)
+        self._on_choice(None)
+
+    @property
+    def choice(self) -> LayerChoice:
+        """The menu of layers."""
+        return self._choice
+
+    @property
+    def table(self) -> MaterialTable:
+        """The table, for what a script wants to set."""
+        return self._table
+
+    @property
+    def painted(self) -> PaintedLabels:
+        """What keeps layer and table in step."""
+        return self._painted
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """The tissues."""
+        return self._table.rows
+
+    def _on_choice(self, layer: Any) -> None:
+        self._painted.layer = layer
+        for row in self._rows:
+            row.setVisible(isinstance(layer, Labels))
+        self.edited.emit()
+
+
+class BoundarySection(Container):
+    """Labels with a table of rules, or arrows with an image of confidence."""
+
+    edited = Signal()
+
+    def __init__(self, layers: Layers, view: Shown) -> None:
+        super().__init__(labels=True)
+        self._choice = LayerChoice(
+            layers,
+            lambda layer: isinstance(layer, Labels | Vectors) and not _is_preview(layer),
+            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
+            label="boundary",
+            tooltip="A Labels layer in which is painted what holds or moves, or observed "
+            "displacements as a Vectors layer",
+        )
+        self._confidence = LayerChoice(
+            layers,
+            lambda layer: isinstance(layer, Image) and not layer.rgb,
+            label="confidence",
+            tooltip="How sure each arrow is, from 0 to 1; without an image, 1",
+        )
+        self._preview = CheckBox(
+            value=True,
+            text="Preview arrows while painting",
+            tooltip="A layer of its own shows what the boundary will do",
+        )
+        self.extend([self._choice, self._confidence])
+        self._table = BoundaryTable()
+        self._painted = PaintedLabels(BOUNDARY, self._table, view)
+        self._rows = [
+            _add_below(self, self._table),
+            _add_below(
+                self,
+                _add_button(self._table, "Add boundary", "Add a label to paint with"),
+                self._preview.native,
+            ),
+        ]
+        self._choice.changed.connect(self._on_choice)
+        self._confidence.changed.connect(lambda _: self.edited.emit())
+        self._preview.changed.connect(lambda _: self.edited.emit())
+        self._painted.changed.connect(self.edited)
+        self._on_choice(None)
+
+    @property
+    def choice(self) -> LayerChoice:
+        """The menu of layers."""
+        return self._choice
+
+    @property
+    def confidence(self) -> LayerChoice:
+        """The menu of images of confidence, for arrows."""
+        return self._confidence
+
+    @property
+    def table(self) -> BoundaryTable:
+        """The table, for what a script wants to set."""
+        return self._table
+
+    @property
+    def painted(self) -> PaintedLabels:
+        """What keeps layer and table in step."""
+        return self._painted
+
+    @property
+    def preview(self) -> CheckBox:
+        """Whether arrows are drawn while painting."""
+        return self._preview
+
+    @property
+    def rules(self) -> tuple[BoundaryRule, ...]:
+        """What each label does."""
+        return self._table.rows
+
+    def _on_choice(self, layer: Any) -> None:
+        self._painted.layer = layer
+        for row in self._rows:
+            row.setVisible(isinstance(layer, Labels))
+        self._confidence.visible = isinstance(layer, Vectors)
+        self.edited.emit()
