@@ -90,15 +90,17 @@ class Device:
                 f"{self.renderer} takes images of up to {self.largest} x {self.largest}, not "
                 f'{what}. Downsample it, cut it, or take backend="cpu".'
             )
+        self.check("computing")
         try:
             texture = self.ctx.texture((width, height), components, dtype="f4")
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
             self.lose(f"making {what}: {error}")
-        if self.ctx.error != "GL_NO_ERROR":
+        noted = self.ctx.error
+        if noted != "GL_NO_ERROR":
             texture.release()
             self.lose(
-                f"making {what}: it is probably out of memory. Downsample the image, close what "
-                "else uses the graphics card"
+                f"making {what}: {noted}. It is probably out of memory: downsample the image, or "
+                "close what else uses the graphics card"
             )
         texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
         return texture

@@ -29,8 +29,9 @@ def describe() -> dict[str, Any]:
     -------
     dict
         Words, numbers, and lists and dicts of them: ``vendor``, ``renderer``, ``version``,
-        ``software`` (no GPU), ``made_by`` (the way to the context), ``context_seconds``, ``limits``, ``render_targets`` (formats that work), ``stages``,
-        ``default_stage`` and ``canary`` (what each stage made of the test image).
+        ``software`` (no GPU), ``made_by`` (the way to the context), ``context_seconds``,
+        ``limits``, ``render_targets`` (formats that work), ``stages``, ``default_stage`` and
+        ``canary`` (what each stage made of the test image).
 
     Raises
     ------

@@ -26,8 +26,10 @@ GROUP = (8, 8)
 
 _VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
 _TYPES = {1: "float", 2: "vec2", 4: "vec4"}
-# Compilers number the line as "2:14(3): error", "2(14) : error" or "ERROR: 2:14: ...".
-_PLACE = re.compile(r"\b(\d+)([:(])(\d+)\b")
+# Lines of the second file count from 2001, and so on: not every compiler tells the file.
+_FILE_LINES = 1000
+# A place in the text: "0:2014(3): error", "2(2014) : error" or "ERROR: 2:2014: ...".
+_PLACE = re.compile(r"\b\d+([:(])(\d+)\b")
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Source:
     text : str
         What the compiler gets.
     files : tuple of str
-        File names by the number that ``#line`` gives them.
+        File names by the number that ``#line`` gives them: line l of file k is line 1000 k + l.
     """
 
     text: str
@@ -90,25 +92,27 @@ class Source:
     def numbered(self) -> str:
         """The text with the file and line number of each line, as a compiler counts them."""
         lines = []
-        name, number = "", 0
+        number = 0
         for line in self.text.splitlines():
-            directive = re.match(r"#line (\d+) (\d+)$", line)
-            if directive:
-                number, name = int(directive[1]) - 1, self.files[int(directive[2])]
-            place = f"{name}:{number}" if number and not directive else ""
+            directive = re.match(r"#line (\d+)", line)
+            place = "" if directive or not number else ":".join(self._place(number))
             lines.append(f"{place:>24} | {line}")
-            number += 1
+            number = int(directive[1]) if directive else number + bool(number)
         return "\n".join(lines)
 
     def explain(self, log: str) -> str:
         """A compiler's log with file names for their numbers, and the numbered text below it."""
 
         def named(match: re.Match[str]) -> str:
-            number = int(match[1])
-            name = self.files[number] if number < len(self.files) else match[1]
-            return f"{name}{match[2]}{match[3]}"
+            name, line = self._place(int(match[2]))
+            return f"{name}{match[1]}{line}"
 
         return f"{_PLACE.sub(named, log.strip())}\n\n{self.numbered()}"
+
+    def _place(self, number: int) -> tuple[str, str]:
+        """File and line of a line number as ``#line`` has it."""
+        file, line = divmod(number, _FILE_LINES)
+        return self.files[min(file, len(self.files) - 1)], str(line)
 
 
 def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None) -> Source:
@@ -171,7 +175,7 @@ def _joined(version: int, head: list[str], names: list[str]) -> Source:
     files = ["(declarations)", *(f"{name}.glsl" for name in names)]
     parts = [f"#version {version} core", "#line 1 0", *head]
     for number, name in enumerate(names, start=1):
-        parts += [f"#line 1 {number}", _text(name).rstrip("\n")]
+        parts += [f"#line {number * _FILE_LINES + 1} {number}", _text(name).rstrip("\n")]
     return Source("\n".join(parts) + "\n", tuple(files))
 
 

@@ -1,0 +1,121 @@
+"""What is said where OpenGL is missing, broken or old; each in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from opengl_here import on_compute_thread, require_opengl
+
+from napari_hmrf.backends.opengl import describe
+
+_OPEN = """
+from napari_hmrf import BackendError
+from napari_hmrf.backends import compute_thread, open_backend
+
+def job():
+    backend, reason = open_backend("auto", lambda: None)
+    print("auto:", backend.name, reason)
+    backend.close()
+    try:
+        open_backend("opengl", lambda: None)[0].close()
+    except BackendError as error:
+        print("opengl:", error)
+
+compute_thread.submit(job).result()
+"""
+
+_SOLVE = """
+import numpy as np
+from napari_hmrf import ICM, BackendError, Problem, solve
+
+random = np.random.default_rng(0)
+m = np.ones((14, 11)); m[4:8, 3:7] = 3; m[0, :4] = 0
+held = np.zeros((14, 11, 2)); held[[0, -1]] = 1
+problem = Problem(random.normal(size=held.shape), held, m)
+for steps in (None, (1.0, 0.1, 0.01)):
+    plan = ICM(iterations=20, steps=steps)
+    loops = solve(problem, optimizer=plan, backend="cpu")
+    shaders = solve(problem, optimizer=plan, backend="opengl")
+    print(shaders.provenance.backend, shaders.provenance.renderer)
+    print("off", np.abs(loops.displacement - shaders.displacement).max())
+    print("energies", loops.mean_energy, shaders.mean_energy)
+try:
+    solve(problem, backend="opengl:compute")
+except BackendError as error:
+    print("compute:", error)
+"""
+
+
+@pytest.fixture(autouse=True)
+def mesa() -> None:
+    """These variables are Mesa's and glvnd's."""
+    require_opengl()
+    if not sys.platform.startswith("linux"):
+        pytest.skip("the variables that break OpenGL are Linux's")
+    if "Mesa" not in on_compute_thread(describe)["version"]:
+        pytest.skip("the variables that break OpenGL are Mesa's")
+
+
+def run(script: str, **variables: str) -> str:
+    """What a process with these environment variables prints."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=environment | variables,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        (
+            {"__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"},
+            ["no driver offers OpenGL through EGL", "libegl1", "NVIDIA_DRIVER_CAPABILITIES"],
+        ),
+        (
+            {"LIBGL_DRIVERS_PATH": "/nonexistent"},
+            ["does not load", "LIBGL_DRIVERS_PATH", "/dev/dri", "0x3001"],
+        ),
+        (
+            {"MESA_GL_VERSION_OVERRIDE": "3.2"},
+            ["no OpenGL 3.3", "MESA_GL_VERSION_OVERRIDE", "0x3009"],
+        ),
+        (
+            {"GLCONTEXT_DEVICE_INDEX": "7"},
+            ["GLCONTEXT_DEVICE_INDEX", "does not exist", "EGL device 7"],
+        ),
+        ({"GLCONTEXT_LINUX_LIBEGL": "libnone.so"}, ["libraries are missing", "libegl1"]),
+    ],
+    ids=["no vendor", "no driver", "too old", "no such device", "no library"],
+)
+def test_what_is_missing_is_said_with_the_cure(variables, words):
+    said = run(_OPEN, **variables)
+    assert "auto: cpu no usable OpenGL" in said
+    message = said.split("opengl: ")[1]
+    for word in (*words, 'backend="cpu"'):
+        assert word in message
+
+
+def test_nothing_above_opengl_3_3_is_needed():
+    said = run(_SOLVE, GALLIUM_DRIVER="softpipe")
+    assert said.count("opengl:fragment softpipe") == 2
+    offs = [float(line.split()[1]) for line in said.splitlines() if line.startswith("off")]
+    closed_form, candidates = offs
+    assert closed_form < 1e-4
+    assert candidates < 0.2  # where two candidates are equal, rounding takes one
+    for line in said.splitlines():
+        if line.startswith("energies"):
+            loops, shaders = (float(word) for word in line.split()[1:])
+            assert shaders == pytest.approx(loops, rel=0.05)
+    message = said.split("compute: ")[1]
+    for word in ("OpenGL 4.3", "softpipe", 'backend="opengl:fragment"'):
+        assert word in message
