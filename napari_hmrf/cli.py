@@ -158,4 +158,15 @@ def _has_display() -> bool:
 
 def _open_napari(demonstration: Demonstration) -> None:
     """Show a demonstration in napari, with the widget beside it, until the window is closed."""
-    raise NotImplementedError
+    import napari
+    from napari.layers import Layer
+
+    from napari_hmrf.contributions import phantom_layers
+
+    viewer = napari.Viewer()
+    for data, attributes, kind in phantom_layers(demonstration.phantom):
+        viewer.add_layer(Layer.create(data, attributes, kind))
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    # Solved again, so that the layers of the result are the widget's own, which it will update.
+    widget.deform()
+    napari.run()

@@ -206,3 +206,19 @@ def test_the_commands_say_what_they_are(capsys):
     with pytest.raises(SystemExit) as nothing:
         cli.main([])
     assert nothing.value.code == 2
+
+
+def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
+    tmp_path, make_napari_viewer, qtbot, monkeypatch
+):
+    import napari
+
+    viewer = make_napari_viewer()
+    monkeypatch.setattr(cli, "_has_display", lambda: True)
+    monkeypatch.setattr(napari, "Viewer", lambda: viewer)
+    monkeypatch.setattr(napari, "run", lambda: None)
+    assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect") == 0
+    (widget,) = viewer.window.dock_widgets.values()
+    qtbot.waitUntil(lambda: widget.idle, timeout=60_000)
+    assert widget.solution.displacement.shape == (48, 48, 2)
+    assert {"image", "labels", "vectors"} <= {layer._type_string for layer in viewer.layers}
