@@ -33,7 +33,8 @@ def take(viewer: napari.Viewer, name: str) -> None:
     wait_until(lambda: True)
     path = FOLDER / f"{name}.png"
     viewer.screenshot(str(path), canvas_only=False, flash=False)
-    print(f"{path.relative_to(FOLDER.parent.parent)}: {', '.join(l.name for l in viewer.layers)}")
+    shown = ", ".join(layer.name for layer in viewer.layers if layer.visible)
+    print(f"{path.relative_to(FOLDER.parent.parent)}: {shown}")
 
 
 def main() -> None:

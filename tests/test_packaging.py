@@ -88,7 +88,7 @@ def test_the_wheel_has_the_package_its_data_and_nothing_else(wheel):
         packed = {Path(name).name for name in names if name.startswith(f"napari_hmrf/{folder}/")}
         assert own
         assert own <= packed
-    assert not [name for name in names if "test" in name or "__pycache__" in name]
+    assert not [name for name in names if "test_" in name or "tests/" in name or "cache" in name]
 
 
 def test_an_installed_wheel_solves_from_another_folder(elsewhere, tmp_path):

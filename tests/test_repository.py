@@ -177,6 +177,20 @@ def test_every_napari_hmrf_command_that_is_mentioned_is_understood(page):
         assert cli._parser().parse_args(arguments).command == arguments[0]
 
 
+def test_the_readme_names_the_menus_as_napari_does():
+    yaml = pytest.importorskip("yaml")
+    manifest = yaml.safe_load((PACKAGE / "napari.yaml").read_text(encoding="utf-8"))
+    plugin, what = manifest["display_name"], manifest["contributions"]
+    (widget,) = what["widgets"]
+    menus = " ".join(" ".join(re.findall(r"\*\*([^*]+ > [^*]+)\*\*", read("README.md"))).split())
+    assert f"Plugins > {widget['display_name']} ({plugin})" in menus
+    opened = re.findall(r"File > Open Sample > ([^>]+) > (.+?)(?= File| Plugins|$)", menus)
+    assert opened
+    for name, sample in opened:
+        assert name == plugin
+        assert sample in [each["display_name"] for each in what["sample_data"]]
+
+
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
 def test_every_file_that_is_linked_exists(page):
     links = re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", read(page))
