@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from napari_hmrf.phantoms import Phantom
     from napari_hmrf.widgets.deform import DeformTissue
 
 LayerData = tuple[Any, dict[str, Any], str]
@@ -28,11 +29,15 @@ def sample_bar() -> list[LayerData]:
 
 
 def _sample(name: str) -> list[LayerData]:
-    """An image and its two painted layers, with the tables that the widget opens with."""
-    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
     from napari_hmrf.phantoms import sample
 
-    found = sample(name)
+    return phantom_layers(sample(name))
+
+
+def phantom_layers(found: Phantom) -> list[LayerData]:
+    """An image and its two painted layers, with the tables that the widget opens with."""
+    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
+
     # The stored arrays are read-only; layers are there to be painted on.
     return [
         (
