@@ -8,6 +8,7 @@ import tomllib
 from importlib.metadata import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import napari_hmrf
@@ -199,10 +200,16 @@ def test_every_file_that_is_linked_exists(page):
 
 
 def test_the_readme_s_python_example_does_what_it_says():
-    examples = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
-    assert examples
-    for example in examples:
-        exec(compile(example, "README.md", "exec"), {})
+    (example,) = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
+    names = {}
+    exec(compile(example, "README.md", "exec"), names)
+    displacement = names["solution"].displacement
+    assert np.abs(displacement[:, :4]).max() < 0.01, "the left edge is held"
+    assert displacement[:, -4:, 1].min() > 5.99, "the right edge is pulled 6 pixels"
+    assert displacement[32, 32, 1] == pytest.approx(3, abs=0.3)
+    stretch = np.diff(displacement[32, :, 1])
+    assert stretch[26:38].mean() < 0.5 * stretch[8:20].mean(), "the inclusion is stiff"
+    assert names["moved"].shape == names["image"].shape
 
 
 def read(name: str) -> str:
