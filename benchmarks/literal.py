@@ -19,7 +19,7 @@ _f = np.float32
 
 
 def candidates(steps: tuple[float, ...]) -> npt.NDArray[np.float32]:
-    """Gamma: staying, then {0, e, -e} x {0, e, -e} for each step e; of equals, the first is best."""
+    """Gamma: staying, then {0, e, -e} x {0, e, -e} for each step e; the first of equals wins."""
     gamma = [(0.0, 0.0)]
     for step in steps:
         gamma += [(i * step, j * step) for i in (0, 1, -1) for j in (0, 1, -1) if i or j]
