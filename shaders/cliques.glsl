@@ -13,6 +13,14 @@
 // Border rule: a clique that leaves the image or touches void has both ratios 0 (ratios.glsl) and
 // counts for nothing, whatever the displacements given for it.
 
+// Weight of each line for the (row, col) component, no unit: `napari_hmrf.priors.line_weights`.
+// Those of square pixels are given here, because the compiler leaves out what they make zero.
+#if SQUARE
+const vec2 weights[4] = vec2[4](vec2(1.0, 0.0), vec2(0.0, 1.0), vec2(1.0), vec2(1.0));
+#else
+uniform vec2 weights[4];
+#endif
+
 /// What the cliques of a site say about it; energy is that of those whose middle it is.
 struct Evidence {
     vec2 curvature;

@@ -3,13 +3,11 @@
 //     share = sum over the four lines of V(s, t, u) + p_row |y_row - d_row| + p_col |y_col - d_col|
 //
 // Inputs:  displacement  d, pixels
-//          straight, diagonal  stiffness ratios (ratios.glsl)
+//          straight, diagonal  stiffness ratios (ratios.glsl); the lines' weights: cliques.glsl
 //          observation   (y in pixels, p = K c in energy per pixel)
-//          weights       of the lines for the (row, col) component, no unit
 // Outputs: share         pixels squared
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
-uniform vec2 weights[4];
 
 void kernel(ivec2 site)
 {

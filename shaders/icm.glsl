@@ -9,16 +9,14 @@
 // d = y + soft(q - y, g p / 2A), q = d + g b/A.
 //
 // Inputs:  displacement  d, pixels
-//          straight, diagonal  stiffness ratios (ratios.glsl)
+//          straight, diagonal  stiffness ratios (ratios.glsl); the lines' weights: cliques.glsl
 //          observation   (y in pixels, p = K c in energy per pixel)
-//          weights       of the lines for the (row, col) component, no unit
 //          relaxation    g, in (0, 1]
 //          steps         e, pixels
 // Outputs: moved         the new d, pixels
 //          share         the site's share of U_total *before* it moved, pixels squared
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
-uniform vec2 weights[4];
 uniform float relaxation;
 #if STEPS > 0
 uniform float steps[STEPS];
@@ -29,15 +27,15 @@ const float FLUSH = 1e-18;
 const float TINY = 1e-30;
 
 #if STEPS > 0
-/// The best of {0, step, -step} for one component: the move, and the energy it changes (<= 0).
+/// The best of {0, e, -e} for one component: the move, and the energy it changes (<= 0).
 /// `way` is q - d and `off` is y - d.
-vec2 best_move(float step, float curvature, float way, float penalty, float off)
+vec2 best_move(float e, float curvature, float way, float penalty, float off)
 {
     float now = penalty * abs(off);
-    float up = curvature * step * (step - 2.0 * way) + (penalty * abs(off - step) - now);
-    float down = curvature * step * (step + 2.0 * way) + (penalty * abs(off + step) - now);
+    float up = curvature * e * (e - 2.0 * way) + (penalty * abs(off - e) - now);
+    float down = curvature * e * (e + 2.0 * way) + (penalty * abs(off + e) - now);
     float change = min(min(up, down), 0.0);
-    float move = up <= down ? step : -step;
+    float move = up <= down ? e : -e;
     return vec2(change < 0.0 ? move : 0.0, change);
 }
 #endif
@@ -59,8 +57,8 @@ vec2 best(vec2 d, vec2 curvature, vec2 way, vec4 seen)
     return d + move;
 #else
     vec2 reach = seen.zw / (2.0 * max(curvature, vec2(TINY)));
-    vec2 distance = (d + way) - seen.xy;
-    return seen.xy + (distance - min(max(distance, -reach), reach));
+    vec2 off = (d + way) - seen.xy;
+    return seen.xy + (off - min(max(off, -reach), reach));
 #endif
 }
 
@@ -106,5 +104,6 @@ void kernel(ivec2 site)
 
     vec2 way = relaxation * (evidence.slope / max(evidence.curvature, vec2(TINY)));
     vec2 chosen = best(d, evidence.curvature / relaxation, way, seen);
-    moved = mix(vec2(0.0), chosen, greaterThan(abs(chosen), vec2(FLUSH)));
+    // Asked this way round, what is not a number stays so and is found out.
+    moved = mix(chosen, vec2(0.0), lessThanEqual(abs(chosen), vec2(FLUSH)));
 }

@@ -164,6 +164,7 @@ def test_each_sites_share_of_the_energy_is_that_of_the_equations(stage, shape, r
     given = example(shape, ratio, spacing)
     prior = SeilerPrior(penalty=PENALTY)
     weights = {"weights": line_weights(spacing).astype(np.float32)}
+    square = {"SQUARE": int(spacing == (1.0, 1.0))}
     moving = {"relaxation": np.ones(1, np.float32)}
 
     def shares():
@@ -172,9 +173,9 @@ def test_each_sites_share_of_the_energy_is_that_of_the_equations(stage, shape, r
             around = [backend.upload(given.displacement).texture]
             around += backend._ratios(backend.upload(given.stiffness))
             around += [backend.upload(given.observation).texture]
-            icm = backend._program("icm", {"BLANKET": 0, "STEPS": 0})
+            icm = backend._program("icm", {"BLANKET": 0, "STEPS": 0, **square})
             icm.set({**weights, **moving})
-            energy = backend._program("energy")
+            energy = backend._program("energy", square)
             energy.set(weights)
             moved, first, second = (backend._pool.take(shape, k) for k in (2, 1, 1))
             backend._run(icm, around, [moved, first], shape)

@@ -9,7 +9,7 @@ import pytest
 from opengl_here import on_compute_thread, require_opengl
 
 from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
-from napari_hmrf.backends import open_backend
+from napari_hmrf.backends import compute_thread, open_backend
 from napari_hmrf.backends.opengl import OpenGLBackend, describe, is_software_renderer, source
 from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.backends.opengl.pace import Pace
@@ -220,6 +220,63 @@ def test_the_default_context_of_moderngl_stays_everybodys(opengl):
 
     on_compute_thread(the_device)
     assert moderngl._store.default_context is None
+
+
+def test_a_compute_thread_that_ends_takes_the_context_with_it(opengl):
+    device = on_compute_thread(the_device)
+    assert compute_thread.stop(timeout=10)
+    assert device.lost
+    before = threading.active_count()
+    assert solve(body(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+    assert threading.active_count() <= before + 1
+    assert on_compute_thread(the_device) is not device
+
+
+class FakeContext:
+    """A context that was opened, and whether it was given back."""
+
+    def __init__(self, renderer: str) -> None:
+        self.ctx = self
+        self.info = {"GL_RENDERER": renderer}
+        self.released = False
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.mark.parametrize(
+    ("devices", "taken", "released"),
+    [
+        (["AMD"], "AMD", []),
+        (["llvmpipe"], "llvmpipe", []),
+        (["llvmpipe", "NVIDIA"], "NVIDIA", ["llvmpipe"]),
+        (["NVIDIA", "llvmpipe"], "NVIDIA", []),
+        ([None, "Intel"], "Intel", []),
+        (["llvmpipe", None], "llvmpipe", ["llvmpipe"]),
+        (["llvmpipe", "softpipe"], "llvmpipe", ["llvmpipe", "softpipe"]),
+    ],
+)
+def test_a_gpu_is_taken_before_a_program_that_plays_one(monkeypatch, devices, taken, released):
+    from napari_hmrf.backends.opengl import context
+
+    opened = []
+
+    def way(index: int):
+        return context._Way(f"device {index}", lambda: None, {}, others=len(devices) > 1)
+
+    def fake_open(this):
+        renderer = devices[int(this.name.split()[1])]
+        if renderer is None:
+            raise RuntimeError("eglInitialize failed (0x3001)")
+        opened.append(FakeContext(renderer))
+        return opened[-1]
+
+    monkeypatch.setattr(context, "_ways", lambda: map(way, range(len(devices))))
+    monkeypatch.setattr(context, "_open", fake_open)
+    chosen = context.open_context()
+    assert chosen.info["GL_RENDERER"] == taken
+    assert not chosen.released
+    assert [each.info["GL_RENDERER"] for each in opened if each.released] == released
 
 
 # Refusals -------------------------------------------------------------------------------------

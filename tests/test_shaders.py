@@ -74,7 +74,7 @@ def test_the_version_comes_first_and_only_once(name, stage):
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_line_directives_give_each_line_its_place_in_its_file(stage):
-    composed = compose("icm", stage, {"BLANKET": 1, "STEPS": 4})
+    composed = compose("icm", stage, {"BLANKET": 1, "STEPS": 4, "SQUARE": 0})
     seen = set()
     place: tuple[str, int] | None = None
     for line in composed.text.splitlines():

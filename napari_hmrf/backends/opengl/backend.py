@@ -24,6 +24,7 @@ from napari_hmrf.backends.opengl.totals import (
 )
 from napari_hmrf.errors import BackendError
 from napari_hmrf.hierarchy import Level
+from napari_hmrf.priors import line_weights
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32, observation 16,
 # displacement 2 x 8, energy 4; a third more for the coarser levels.
@@ -122,7 +123,7 @@ class OpenGLBackend:
         """Move all sites at once, `sweeps` times."""
         shape = displacement.shape
         defines = {"BLANKET": int(rule.blanket), "STEPS": len(rule.steps)}
-        program = self._program("icm", defines)
+        program = self._program("icm", {**defines, "SQUARE": _square(rule)})
         program.set(
             {
                 "weights": rule.weights.astype(np.float32),
@@ -146,7 +147,7 @@ class OpenGLBackend:
     ) -> float:
         """U_total."""
         shape = displacement.shape
-        program = self._program("energy")
+        program = self._program("energy", {"SQUARE": _square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         totals = self._totals(shape, 1)
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
@@ -223,6 +224,11 @@ class OpenGLBackend:
                 f"{largest} x {largest}; a solve of it would take about {size:.1f} GiB there. "
                 'Downsample it, cut it, or take backend="cpu".'
             )
+
+
+def _square(rule: SiteRule) -> int:
+    """1 for the weights of square pixels, which the shaders know."""
+    return int(np.array_equal(rule.weights, line_weights((1.0, 1.0))))
 
 
 class _Pool:

@@ -83,7 +83,10 @@ def open_context() -> Opened:
             opened.release()
             software = software or way
         if software is not None:
-            return _open(software)
+            try:
+                return _open(software)
+            except Exception as error:  # noqa: BLE001 - as above
+                refused.append((software.name, str(error)))
     except ImportError as error:
         raise BackendError(
             f'moderngl cannot be imported ({error}). Install it again, or take backend="cpu".'

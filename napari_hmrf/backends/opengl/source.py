@@ -66,8 +66,10 @@ KERNELS: Mapping[str, Kernel] = {
         Kernel("project", ("finest",), {"values": 4}),
         Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 2}),
         Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
-        Kernel("icm", _SITE, {"moved": 2, "share": 1}, ("BLANKET", "STEPS"), cliques=True),
-        Kernel("energy", _SITE, {"share": 1}, cliques=True),
+        Kernel(
+            "icm", _SITE, {"moved": 2, "share": 1}, ("BLANKET", "STEPS", "SQUARE"), cliques=True
+        ),
+        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
         Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
     )
