@@ -26,39 +26,32 @@ uniform float steps[STEPS];
 const float FLUSH = 1e-18;
 const float TINY = 1e-30;
 
-#if STEPS > 0
-/// The best of {0, e, -e} for one component: the move, and the energy it changes (<= 0).
-/// `way` is q - d and `off` is y - d.
-vec2 best_move(float e, float curvature, float way, float penalty, float off)
-{
-    float now = penalty * abs(off);
-    float up = curvature * e * (e - 2.0 * way) + (penalty * abs(off - e) - now);
-    float down = curvature * e * (e + 2.0 * way) + (penalty * abs(off + e) - now);
-    float change = min(min(up, down), 0.0);
-    float move = up <= down ? e : -e;
-    return vec2(change < 0.0 ? move : 0.0, change);
-}
-#endif
-
 /// The displacement of least local energy among those the site may choose from.
-vec2 best(vec2 d, vec2 curvature, vec2 way, vec4 seen)
+vec2 best(vec2 d, vec2 curvature, vec2 slope, vec4 seen)
 {
 #if STEPS > 0
     vec2 off = seen.xy - d;
+    vec2 now = seen.zw * abs(off);
+    // The energy is convex: it falls in at most one of the two directions, and only that is tried.
+    vec2 direction = mix(vec2(1.0), vec2(-1.0), lessThan(2.0 * slope + seen.zw * sign(off), vec2(0.0)));
+    vec2 twice = 2.0 * direction * slope;
+    off *= direction;
     vec2 move = vec2(0.0);
     float least = 0.0;
     for (int k = 0; k < STEPS; ++k) {
-        vec2 row = best_move(steps[k], curvature.x, way.x, seen.z, off.x);
-        vec2 col = best_move(steps[k], curvature.y, way.y, seen.w, off.y);
-        float change = row.y + col.y;
-        move = change < least ? vec2(row.x, col.x) : move;
-        least = min(change, least);
+        float e = steps[k];
+        vec2 change = min(e * (curvature * e - twice) + (seen.zw * abs(off - e) - now), 0.0);
+        vec2 taken = mix(vec2(0.0), vec2(e), lessThan(change, vec2(0.0)));
+        float both = change.x + change.y;
+        move = both < least ? taken : move;
+        least = min(both, least);
     }
-    return d + move;
+    return d + direction * move;
 #else
-    vec2 reach = seen.zw / (2.0 * max(curvature, vec2(TINY)));
-    vec2 off = (d + way) - seen.xy;
-    return seen.xy + (off - min(max(off, -reach), reach));
+    vec2 share = 1.0 / max(curvature, vec2(TINY));
+    vec2 reach = 0.5 * share * seen.zw;
+    vec2 distance = (d + share * slope) - seen.xy;
+    return seen.xy + (distance - min(max(distance, -reach), reach));
 #endif
 }
 
@@ -102,8 +95,6 @@ void kernel(ivec2 site)
     add_ends(evidence, site, d, ANTIDIAGONAL, weights[3], diagonal, true);
 #endif
 
-    vec2 way = relaxation * (evidence.slope / max(evidence.curvature, vec2(TINY)));
-    vec2 chosen = best(d, evidence.curvature / relaxation, way, seen);
-    // Asked this way round, what is not a number stays so and is found out.
+    vec2 chosen = best(d, evidence.curvature / relaxation, evidence.slope, seen);
     moved = mix(chosen, vec2(0.0), lessThanEqual(abs(chosen), vec2(FLUSH)));
 }

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from opengl_here import on_compute_thread, require_opengl
 
-from napari_hmrf import Problem, SeilerPrior
+from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.backends import SiteRule
 from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.opengl import OpenGLBackend
+from napari_hmrf.backends.opengl.programs import find_bands
 from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.priors import line_weights
 
@@ -171,15 +172,17 @@ def test_each_sites_share_of_the_energy_is_that_of_the_equations(stage, shape, r
         backend = OpenGLBackend(lambda: None, stage)
         try:
             around = [backend.upload(given.displacement).texture]
-            around += backend._ratios(backend.upload(given.stiffness))
+            stiffness = backend.upload(given.stiffness)
+            around += backend._ratios(stiffness)
+            bands = backend._bands(stiffness)
             around += [backend.upload(given.observation).texture]
             icm = backend._program("icm", {"BLANKET": 0, "STEPS": 0, **square})
             icm.set({**weights, **moving})
             energy = backend._program("energy", square)
             energy.set(weights)
             moved, first, second = (backend._pool.take(shape, k) for k in (2, 1, 1))
-            backend._run(icm, around, [moved, first], shape)
-            backend._run(energy, around, [second], shape)
+            backend._run(icm, around, [moved, first], shape, bands=bands)
+            backend._run(energy, around, [second], shape, bands=bands)
             backend._pace.wait()
             return [
                 np.frombuffer(texture.read(), np.float32).reshape(shape)
@@ -192,6 +195,25 @@ def test_each_sites_share_of_the_energy_is_that_of_the_equations(stage, shape, r
     expected = prior.site_energy(given.problem, given.displacement * given.problem.unit)
     np.testing.assert_allclose(of_energy, expected, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(of_sweep, of_energy, rtol=1e-6)
+
+
+def test_bands_hold_all_tissue_and_little_else():
+    tissue = np.zeros((37, 20), bool)
+    tissue[3, 5], tissue[15, 9], tissue[36, 0] = True, True, True
+    assert find_bands(tissue)[:, 0].tolist() == [[5, 10], [0, 0], [0, 1]]
+
+
+def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
+    # Only bands with tissue are drawn: whatever a texture held before must not be counted.
+    rows, cols = np.mgrid[:70, :50]
+    disc = np.hypot(rows - 35, cols - 25) < 20
+    full = Problem(np.ones((70, 50, 2)), np.ones((70, 50, 2)) * disc[..., None], np.ones((70, 50)))
+    body = Problem(full.y, full.c, np.where(disc, 2.0, 0))
+    expected = solve(body, backend="cpu")
+    for problem in (full, body, full, body):
+        found = solve(problem, backend=f"opengl:{stage}")
+    assert (found.displacement[~disc] == 0).all()
+    np.testing.assert_allclose(found.energy, expected.energy, rtol=0.02, atol=1e-3)
 
 
 @pytest.mark.parametrize("kept", [True, False], ids=["kept", "blocks"])

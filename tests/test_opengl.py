@@ -395,7 +395,7 @@ def test_a_shader_that_does_not_compile_is_shown_with_its_lines(stage, monkeypat
     [
         ("cliques", "ratio.y * s + u", "ratio.y * s - u"),
         ("cliques", "steep.y * first + steep.x * second", "steep.x * first + steep.y * second"),
-        ("icm", "2.0 * max(curvature", "1.0 * max(curvature"),
+        ("icm", "0.5 * share", "1.0 * share"),
         ("ratios", "exists ? m * inverse", "true ? m * inverse"),
         ("ratios", "in_image(site, size) ? inverse : 0.0", "inverse"),
         ("common", "VERTICAL = ivec2(0, 1)", "VERTICAL = ivec2(1, 0)"),

@@ -8,11 +8,11 @@ import pytest
 
 from napari_hmrf import BackendError
 from napari_hmrf.backends.opengl import source
-from napari_hmrf.backends.opengl.source import KERNELS, STAGES, compose, triangle
+from napari_hmrf.backends.opengl.source import KERNELS, STAGES, compose, vertices
 from napari_hmrf.resources import resource_folder
 
 FILES = sorted(resource_folder("shaders").glob("*.glsl"))
-SHARED = {"common", "cliques", "stage_fragment", "stage_compute", "triangle"}
+SHARED = {"common", "cliques", "stage_fragment", "stage_compute", "triangle", "bands"}
 
 
 def defines(name: str) -> dict[str, int]:
@@ -105,8 +105,10 @@ def test_a_compilers_message_gets_the_files_name(log):
 
 
 def test_the_vertex_shader_needs_nothing():
-    assert "#version 330" in triangle().text
-    assert "uniform" not in triangle().text
+    for kernel in KERNELS.values():
+        text = vertices(kernel).text
+        assert "#version 330" in text
+        assert ("uniform sampler2D bands" in text) == kernel.tissue_only
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, Fl
 from napari_hmrf.backends.opengl.context import is_software_renderer
 from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.backends.opengl.programs import Program
+from napari_hmrf.backends.opengl.programs import Bands, Program, find_bands
 from napari_hmrf.backends.opengl.source import STAGES, Stage
 from napari_hmrf.backends.opengl.totals import (
     BLOCK,
@@ -40,6 +40,8 @@ class GLField:
     texture: Any
     #: Of stiffness: the ratios of each site's cliques, computed when first needed.
     ratios: list[Any] = field(default_factory=list)
+    #: Of stiffness: where there is tissue, found when first needed.
+    bands: Bands | None = None
 
 
 class OpenGLBackend:
@@ -87,11 +89,9 @@ class OpenGLBackend:
 
     def download(self, field: GLField) -> FloatArray:
         """Return the values, (H, W, C); a device that has stopped computing is found out."""
-        self._wait()
-        values = np.frombuffer(field.texture.read(), np.float32)
-        self._device.check("reading an image")
+        values = self._read(field)
         self._device.canary(self._stage)
-        return values.reshape(*field.shape, field.components).copy()
+        return values.copy()
 
     def zeros(self, level: Level) -> GLField:
         """Return a displacement of zero."""
@@ -122,8 +122,12 @@ class OpenGLBackend:
     ) -> tuple[GLField, EnergyArray]:
         """Move all sites at once, `sweeps` times."""
         shape = displacement.shape
-        defines = {"BLANKET": int(rule.blanket), "STEPS": len(rule.steps)}
-        program = self._program("icm", {**defines, "SQUARE": _square(rule)})
+        defines = {
+            "BLANKET": int(rule.blanket),
+            "SQUARE": _is_square(rule),
+            "STEPS": len(rule.steps),
+        }
+        program = self._program("icm", defines)
         program.set(
             {
                 "weights": rule.weights.astype(np.float32),
@@ -132,10 +136,11 @@ class OpenGLBackend:
             }
         )
         around = [*self._ratios(stiffness), observation.texture]
+        bands = self._bands(stiffness)
         source, target = displacement.texture, self._pool.take(shape, 2)
         totals = self._totals(shape, sweeps)
         for _ in range(sweeps):
-            self._run(program, [source, *around], [target, totals.share()], shape)
+            self._run(program, [source, *around], [target, totals.share()], shape, bands=bands)
             totals.add()
             source, target = target, source
         energies = totals.read()
@@ -147,11 +152,11 @@ class OpenGLBackend:
     ) -> float:
         """U_total."""
         shape = displacement.shape
-        program = self._program("energy", {"SQUARE": _square(rule)})
+        program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         totals = self._totals(shape, 1)
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
-        self._run(program, inputs, [totals.share()], shape)
+        self._run(program, inputs, [totals.share()], shape, bands=self._bands(stiffness))
         totals.add()
         return float(totals.read()[0])
 
@@ -169,6 +174,12 @@ class OpenGLBackend:
         self._targets.clear()
         self._pool = _Pool(self._device.texture)
 
+    def _read(self, field: GLField) -> FloatArray:
+        self._wait()
+        values = np.frombuffer(field.texture.read(), np.float32)
+        self._device.check("reading an image")
+        return values.reshape(*field.shape, field.components)
+
     def _program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
         return self._device.program(name, self._stage, defines)
 
@@ -179,11 +190,12 @@ class OpenGLBackend:
         outputs: Sequence[Any],
         grid: tuple[int, ...],
         first_row: int = 0,
+        bands: Bands | None = None,
     ) -> None:
         """Run a kernel over a grid, in as many strips as its size asks for."""
         target = self._target(outputs) if self._stage == "fragment" else None
         for rows in self._pace.strips(grid):
-            program.run(inputs, outputs, target, grid, first_row, rows)
+            program.run(inputs, outputs, target, grid, first_row, rows, bands)
 
     def _target(self, outputs: Sequence[Any]) -> Any:
         """Make the framebuffer that draws into these textures, or return it."""
@@ -199,6 +211,15 @@ class OpenGLBackend:
             stiffness.ratios += [self._pool.take(shape, 4), self._pool.take(shape, 4)]
             self._run(self._program("ratios"), [stiffness.texture], stiffness.ratios, shape)
         return stiffness.ratios
+
+    def _bands(self, stiffness: GLField) -> Bands | None:
+        """Return where a level has tissue, for the stage that makes use of it."""
+        if self._stage == "fragment" and stiffness.bands is None:
+            spans = find_bands(self._read(stiffness)[..., 0] > 0)
+            texture = self._pool.take(spans.shape[:2], 2, use="bands")
+            texture.write(spans.tobytes())
+            stiffness.bands = Bands(texture, len(spans))
+        return stiffness.bands
 
     def _field(self, shape: tuple[int, ...], components: int) -> GLField:
         return GLField(shape, components, self._pool.take(shape, components))
@@ -226,8 +247,8 @@ class OpenGLBackend:
             )
 
 
-def _square(rule: SiteRule) -> int:
-    """1 for the weights of square pixels, which the shaders know."""
+def _is_square(rule: SiteRule) -> int:
+    """1 if the weights of the lines are those of square pixels, which the kernels know."""
     return int(np.array_equal(rule.weights, line_weights((1.0, 1.0))))
 
 
@@ -236,18 +257,25 @@ class _Pool:
 
     def __init__(self, make: Callable[[tuple[int, ...], int], Any]) -> None:
         self._make = make
-        self._spare: dict[tuple[tuple[int, ...], int], list[Any]] = {}
+        self._spare: dict[tuple[tuple[int, ...], int, str], list[Any]] = {}
         self.all: list[Any] = []
 
-    def take(self, shape: tuple[int, ...], components: int) -> Any:
-        """Return a texture of unknown content."""
-        spare = self._spare.get((shape, components))
+    def take(self, shape: tuple[int, ...], components: int, use: str = "sites") -> Any:
+        """Return a texture; of ``sites`` it holds 0 where the level has no tissue.
+
+        Kernels that run on tissue only rely on that, so that what holds anything else must not
+        come back as sites.
+        """
+        spare = self._spare.get((shape, components, use))
         if spare:
             return spare.pop()
         made = self._make(shape, components)
+        made.write(np.zeros((*shape, components), np.float32).tobytes())
         self.all.append(made)
         return made
 
-    def give(self, shape: tuple[int, ...], components: int, texture: Any) -> None:
-        """Take a texture back for others to use."""
-        self._spare.setdefault((shape, components), []).append(texture)
+    def give(
+        self, shape: tuple[int, ...], components: int, texture: Any, use: str = "sites"
+    ) -> None:
+        """Take a texture back for others of the same use."""
+        self._spare.setdefault((shape, components, use), []).append(texture)

@@ -48,6 +48,9 @@ class Kernel:
         Names that must be given a value to compile it.
     cliques : bool
         Whether it needs ``cliques.glsl``.
+    tissue_only : bool
+        Whether its outputs are 0 wherever there is no tissue, so that the fragment stage, given
+        the bands of rows that hold tissue, need not run it elsewhere.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Kernel:
     outputs: Mapping[str, int]
     defines: tuple[str, ...] = ()
     cliques: bool = False
+    tissue_only: bool = False
 
 
 _SITE = ("displacement", "straight", "diagonal", "observation")
@@ -67,9 +71,14 @@ KERNELS: Mapping[str, Kernel] = {
         Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 2}),
         Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
         Kernel(
-            "icm", _SITE, {"moved": 2, "share": 1}, ("BLANKET", "STEPS", "SQUARE"), cliques=True
+            "icm",
+            _SITE,
+            {"moved": 2, "share": 1},
+            ("BLANKET", "SQUARE", "STEPS"),
+            cliques=True,
+            tissue_only=True,
         ),
-        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True),
+        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True, tissue_only=True),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
         Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
     )
@@ -153,9 +162,10 @@ def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None
     return _joined(_VERSIONS[stage], head, files)
 
 
-def triangle() -> Source:
-    """The vertex shader of the fragment stage."""
-    return _joined(_VERSIONS["vertex"], [], ["triangle"])
+def vertices(kernel: Kernel) -> Source:
+    """The vertex shader that a kernel's fragment shader is drawn with."""
+    name = "bands" if kernel.tissue_only else "triangle"
+    return _joined(_VERSIONS["vertex"], [], [name])
 
 
 def _outputs(kernel: Kernel, stage: Stage) -> list[str]:

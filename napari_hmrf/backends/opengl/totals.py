@@ -30,12 +30,14 @@ Run = Callable[[Program, list[Any], list[Any], tuple[int, ...], int], None]
 class Textures(Protocol):
     """Where textures come from and go back to; (H, W) and components."""
 
-    def take(self, shape: tuple[int, ...], components: int) -> Any:
-        """Return a texture of unknown content."""
+    def take(self, shape: tuple[int, ...], components: int, use: str = "sites") -> Any:
+        """Return a texture; of ``sites`` it holds 0 where the level has no tissue."""
         ...
 
-    def give(self, shape: tuple[int, ...], components: int, texture: Any) -> None:
-        """Take a texture back for others to use."""
+    def give(
+        self, shape: tuple[int, ...], components: int, texture: Any, use: str = "sites"
+    ) -> None:
+        """Take a texture back for others of the same use."""
         ...
 
 
@@ -91,7 +93,7 @@ class BlockTotals:
         rows, cols = self._blocks
         self._strips = max(1, min(sweeps, largest // rows))
         self._atlas_shape = (rows * self._strips, cols)
-        self._atlas = textures.take(self._atlas_shape, 1)
+        self._atlas = textures.take(self._atlas_shape, 1, use="atlas")
         self._share = textures.take(shape, 1)
         self._used = 0
         self._energies: list[float] = []
@@ -111,7 +113,7 @@ class BlockTotals:
     def read(self) -> EnergyArray:
         """Add the blocks up in double precision."""
         self._flush()
-        self._textures.give(self._atlas_shape, 1, self._atlas)
+        self._textures.give(self._atlas_shape, 1, self._atlas, use="atlas")
         self._textures.give(self._shape, 1, self._share)
         return np.array(self._energies)
 
