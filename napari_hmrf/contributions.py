@@ -42,7 +42,7 @@ def phantom_layers(found: Phantom) -> list[LayerData]:
     return [
         (
             found.image.copy(),
-            {"name": found.title, "metadata": described(IMAGE)},
+            {"name": found.title.split(maxsplit=1)[0], "metadata": described(IMAGE)},
             "image",
         ),
         (

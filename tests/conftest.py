@@ -1,24 +1,94 @@
-"""What all tests share."""
+"""What tests with a window share."""
 
-import os
-import sys
+from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import Future
+
+import numpy as np
 import pytest
 
-_NO_DISPLAY = sys.platform.startswith("linux") and not (
-    os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-)
-_WINDOWS = {"make_napari_viewer", "make_napari_viewer_proxy"}
-
-if _NO_DISPLAY:
-    # Qt would end the process for want of a display; single widgets do without one.
-    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+from napari_hmrf.backends.thread import compute_thread
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs a window where none can be opened."""
-    if not _NO_DISPLAY:
-        return
-    for item in items:
-        if _WINDOWS & set(getattr(item, "fixturenames", ())):
-            item.add_marker(pytest.mark.skip(reason="napari needs a display (try: make test)"))
+@pytest.fixture
+def widget(make_napari_viewer):
+    """*Deform tissue* in the dock of a viewer, set to be quick; `widget.viewer` is the viewer."""
+    viewer = make_napari_viewer()
+    _, found = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    return quick(found)
+
+
+def quick(widget):
+    """A few sweeps on the CPU, without waiting for a compiler of shaders."""
+    widget.settings.device.value = "cpu"
+    widget.settings.sweeps.value = 3
+    return widget
+
+
+@pytest.fixture
+def busy_thread():
+    """Keep the compute thread busy until released, as a long compilation would."""
+    release = threading.Event()
+    job: Future[bool] = compute_thread.submit(lambda: release.wait(30))
+    yield release
+    release.set()
+    job.result(timeout=30)
+
+
+@pytest.fixture
+def small_sample():
+    """Add a small painted example to a viewer: a block of tissue, held left and pushed right."""
+    from napari_hmrf.annotation import BoundaryRule, Material
+    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
+
+    def add(viewer, shape=(20, 24), **place):
+        image = (np.indices(shape[-2:]).sum(axis=0) % 5 * 50).astype(np.uint8)
+        tissue = np.zeros(shape, np.uint8)
+        tissue[..., 2:-2, 2:-2] = 1
+        boundary = np.zeros(shape, np.uint8)
+        boundary[..., 2:-2, 2] = 1
+        boundary[..., 2:-2, -3] = 2
+        materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
+        rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 3.0)))
+        return (
+            viewer.add_image(
+                np.broadcast_to(image, shape).copy(), name="MR", metadata=described(IMAGE), **place
+            ),
+            viewer.add_labels(
+                tissue, name="Tissue", metadata=described(TISSUE, materials, "kPa"), **place
+            ),
+            viewer.add_labels(
+                boundary, name="Boundary", metadata=described(BOUNDARY, rules), **place
+            ),
+        )
+
+    return add
+
+
+@pytest.fixture
+def run(qtbot):
+    """Press Deform and wait for the end; what `finished` said."""
+
+    def deform(widget, timeout=60_000):
+        said = []
+        widget.finished.connect(said.append)
+        widget.deform()
+        qtbot.waitUntil(lambda: bool(said), timeout=timeout)
+        widget.finished.disconnect(said.append)
+        return said[0]
+
+    return deform
+
+
+@pytest.fixture
+def wait_for(qtbot):
+    """Let the window live until something is so; how long that took, in seconds."""
+
+    def wait(condition, timeout=5000):
+        started = time.perf_counter()
+        qtbot.waitUntil(condition, timeout=timeout)
+        return time.perf_counter() - started
+
+    return wait

@@ -15,8 +15,8 @@ from napari_hmrf.layers.view import View, full_resolution
 
 FloatArray = npt.NDArray[np.float32]
 
-#: Arrows of a preview, roughly.
-PREVIEW_ARROWS = 300
+#: Arrows of a preview that fit beside each other across the image.
+PREVIEW_ACROSS = 40
 
 
 def arrow_observations(
@@ -112,5 +112,16 @@ def preview_arrows(
     # An arrow shows what is believed: components without confidence are not drawn.
     steps = np.where(c > 0, y, 0)[..., :] / np.array(frame.spacing, dtype=np.float32)
     starts = np.argwhere(steps.any(axis=-1))
-    starts = starts[:: max(1, len(starts) // PREVIEW_ARROWS)]
+    starts = starts[_spread(starts, max(1, max(labels.shape) // PREVIEW_ACROSS))]
     return frame, np.stack([starts, steps[tuple(starts.T)]], axis=1).astype(np.float32)
+
+
+def _spread(pixels: npt.NDArray[np.intp], step: int) -> list[int]:
+    """Which pixels to keep so that no two are nearer than `step` rows and columns."""
+    free = np.ones(pixels.max(axis=0) + 1 if len(pixels) else (0, 0), dtype=bool)
+    kept = []
+    for number, (row, col) in enumerate(pixels):
+        if free[row, col]:
+            kept.append(number)
+            free[max(0, row - step + 1) : row + step, max(0, col - step + 1) : col + step] = False
+    return kept

@@ -172,7 +172,7 @@ class _Maker:
             "opacity": 0.6,
             "contrast_limits": (0.0, float(length.max()) or 1.0),
         }
-        what = f"displacement ({self._frame.unit})"
+        what = f"magnitude ({self._frame.unit})"
         return self._picture("magnitude", length, what, look, rgb=False)
 
     def grid(self) -> LayerData:
@@ -180,14 +180,14 @@ class _Maker:
         every = max(1, round(max(self._solution.tissue.shape) / LINES))
         segments = deformation_grid(*self._field, every=every, tissue=self._solution.tissue)
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": 0.6}
-        return self._vectors("grid", segments, "deformation grid", look)
+        return self._vectors("grid", segments, "grid", look)
 
     def arrows(self) -> LayerData:
         """Where the tissue goes."""
         found = arrows(*self._field, tissue=self._solution.tissue, about=ARROWS)
         step = max(1.0, math.sqrt(self._solution.tissue.sum() / ARROWS))
-        look = {"vector_style": "arrow", "edge_color": "yellow", "edge_width": step / 6}
-        return self._vectors("arrows", found, "displacement arrows", look)
+        look = {"vector_style": "arrow", "edge_color": "yellow", "edge_width": step / 10}
+        return self._vectors("arrows", found, "arrows", look)
 
     @cached_property
     def _inverse(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:

@@ -90,7 +90,7 @@ def slice_shown(
         extents = layer_extents(layer)
         for axis in others:
             index[axis] = round(float(pixel[axis]))
-            if extents is not None and not 0 <= index[axis] < extents[axis]:
+            if extents and not 0 <= index[axis] < extents[axis]:
                 raise ProblemError(
                     describe(layer),
                     f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
@@ -99,10 +99,10 @@ def slice_shown(
     return (rows, cols), tuple(index)
 
 
-def layer_extents(layer: Any) -> tuple[int, ...] | None:
-    """Pixels of an image-like layer along its axes; None for vectors."""
+def layer_extents(layer: Any) -> tuple[int, ...]:
+    """Pixels of an image-like layer along its axes; nothing for vectors."""
     if layer.__class__.__name__ == "Vectors":
-        return None
+        return ()
     return tuple(full_resolution(layer).shape[: layer.ndim])
 
 

@@ -13,9 +13,9 @@ from napari_hmrf.annotation import Action, BoundaryRule
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 
 _ACTIONS: dict[Action, str] = {
-    "fixed": "stays fixed",
-    "move": "moves by (row, col)",
-    "expand": "expands outward by",
+    "fixed": "fixed",
+    "move": "moves by",
+    "expand": "expands by",
 }
 _NAME, _DOES, _FIRST, _SECOND, _SURE_ROW, _SURE_COL = range(1, 7)
 
@@ -28,16 +28,14 @@ class BoundaryTable(LabelTable):
             [
                 ("", "Label and colour; click a row to paint with it"),
                 ("Boundary", "Any name"),
-                ("What it does", ""),
-                ("by", ""),
+                ("Action", "Fixed: stays where it is.\nMoves by: (row, col).\nExpands by: outward"),
                 ("", ""),
-                ("sure", "Confidence in the row component: 0 unknown, 1 certain"),
-                ("", "Confidence in the column component: 0 unknown, 1 certain"),
+                ("", ""),
+                ("sure\nrow", "Confidence in the row component: 0 unknown, 1 certain"),
+                ("sure\ncol", "Confidence in the column component: 0 unknown, 1 certain"),
             ],
             stretch=_NAME,
         )
-        self.horizontalHeaderItem(_SURE_ROW).setText("c row")
-        self.horizontalHeaderItem(_SURE_COL).setText("c col")
         self.unit = "px"
 
     @property
@@ -49,13 +47,13 @@ class BoundaryTable(LabelTable):
     def unit(self, unit: str) -> None:
         self._unit = unit
         header = self.horizontalHeaderItem(_FIRST)
-        header.setText(unit)
+        header.setText(f"row\n{unit}")
         header.setToolTip(
             f"Rows downward, in {unit}; or, for what expands, outward along the normal (negative: "
             "inward)"
         )
         header = self.horizontalHeaderItem(_SECOND)
-        header.setText(unit)
+        header.setText(f"col\n{unit}")
         header.setToolTip(f"Columns to the right, in {unit}")
 
     def _default(self, label: int) -> BoundaryRule:

@@ -5,33 +5,35 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from magicgui.widgets import Container
-from napari.layers import Image
 from napari.utils.notifications import show_error
 from psygnal import Signal
 from qtpy.QtCore import QTimer
 
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import Cancelled, HmrfError, ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, read_layers
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, role_of
-from napari_hmrf.layers.outputs import Kind, Outputs
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.metadata import METADATA, role_of
+from napari_hmrf.layers.outputs import Outputs
 from napari_hmrf.solution import Solution
-from napari_hmrf.widgets.face import Face
+from napari_hmrf.widgets.chooser import Chooser
 from napari_hmrf.widgets.job import Job
-from napari_hmrf.widgets.new_layers import layers_to_paint_on
+from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.preview import BoundaryPreview
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.words import report, unit_symbol
 
 #: How often a running job is asked how it is getting on, in milliseconds.
 _POLL = 30
+_WELCOME = "Choose an image and make layers to paint on, or open a sample (File > Open Sample)."
+_READY = "Press Deform."
+_PAINT = (
+    "Paint tissues in 'Tissue' and what holds or moves in 'Boundary' (click a table row to choose "
+    "the label), then press Deform."
+)
 _log = logging.getLogger("napari_hmrf")
 
 
-class DeformTissue(Container):
+class DeformTissue(Chooser):
     """Paint tissue and boundary beside an image, and see how the tissue moves.
 
     Everything the user can do a script can do too: choose layers (`image`, `tissue`, `boundary`,
@@ -51,15 +53,13 @@ class DeformTissue(Container):
     finished = Signal(object)
 
     def __init__(self, napari_viewer: Any) -> None:
-        super().__init__(labels=False)
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
-        self._closed = False
-        self._job: Job | None = None
+        super().__init__(napari_viewer)
+        self._life = Life(self.native, self._on_closed)
+        self._docked = False
         self._request: Request | None = None
         self._bar: Any = None
+        self._status = self._undrawn = ""
         self._solution: Solution | None = None
-        self._face = Face(self, self._layers, self._view)
         self._results = ResultLayers(self._viewer)
         self._preview = BoundaryPreview(self._viewer)
         self._poll = QTimer(self.native)
@@ -71,85 +71,15 @@ class DeformTissue(Container):
         self._drawing.timeout.connect(self._draw_preview)
         self._connect()
         self.reset_choices()
-        self._choose_by_role(self._layers())
-        self._set_idle("Choose an image, or open a sample (File > Open Sample).")
-
-    # What is chosen
-
-    @property
-    def image(self) -> Any:
-        """The image to deform, or None to see the motion alone."""
-        return self._face.image.value
-
-    @image.setter
-    def image(self, layer: Any) -> None:
-        self._face.image.choose(layer)
-
-    @property
-    def tissue(self) -> Any:
-        """The Labels layer of tissues, or an image of stiffness."""
-        return self._face.tissue.choice.value
-
-    @tissue.setter
-    def tissue(self, layer: Any) -> None:
-        self._face.tissue.choice.choose(layer)
-
-    @property
-    def boundary(self) -> Any:
-        """The Labels layer of boundaries, or observed displacements as Vectors."""
-        return self._face.boundary.choice.value
-
-    @boundary.setter
-    def boundary(self, layer: Any) -> None:
-        self._face.boundary.choice.choose(layer)
-
-    @property
-    def confidence(self) -> Any:
-        """With Vectors as boundary: an image of confidence, or None for 1 everywhere."""
-        return self._face.boundary.confidence.value
-
-    @confidence.setter
-    def confidence(self, layer: Any) -> None:
-        self._face.boundary.confidence.choose(layer)
-
-    @property
-    def materials(self) -> tuple[Material, ...]:
-        """How stiff each tissue label is."""
-        return self._face.tissue.materials
-
-    @materials.setter
-    def materials(self, materials: tuple[Material, ...]) -> None:
-        self._face.tissue.table.rows = materials
-
-    @property
-    def rules(self) -> tuple[BoundaryRule, ...]:
-        """What each boundary label does."""
-        return self._face.boundary.rules
-
-    @rules.setter
-    def rules(self, rules: tuple[BoundaryRule, ...]) -> None:
-        self._face.boundary.table.rows = rules
-
-    @property
-    def outputs(self) -> tuple[Kind, ...]:
-        """The layers a result makes."""
-        return self._face.outputs
-
-    @outputs.setter
-    def outputs(self, kinds: tuple[Kind, ...]) -> None:
-        self._face.outputs = kinds
-
-    @property
-    def settings(self) -> Any:
-        """How to solve: a `SolverSettings`."""
-        return self._face.settings
+        self.choose_by_role(list(self._viewer.layers))
+        self._set_idle(_READY if self.tissue and self.boundary else _WELCOME)
 
     # What there is to see
 
     @property
     def idle(self) -> bool:
         """Whether nothing is being computed for this widget."""
-        return self._job is None
+        return self._life.job is None
 
     @property
     def status(self) -> str:
@@ -166,30 +96,20 @@ class DeformTissue(Container):
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer to paint on, on the pixels of the image."""
         try:
-            if self.image is None:
-                raise ProblemError("image", "is missing. Choose one to paint on.")
-            tissue, boundary = layers_to_paint_on(self.image, self._view())
+            self.add_layers()
         except ProblemError as error:
             self._refuse(str(error))
-            return
-        self._viewer.add_layer(tissue)
-        self._viewer.add_layer(boundary)
-        self.tissue, self.boundary = tissue, boundary
-        self._viewer.layers.selection = {tissue}
-        tissue.selected_label, tissue.mode = 2, "paint"
-        self._say(
-            "Paint tissues in 'Tissue' and what holds or moves in 'Boundary' (click a table row "
-            "to choose the label), then press Deform."
-        )
+        else:
+            self._say(_PAINT)
 
     def deform(self) -> None:
         """Start; the layers are copied now, and the result appears when `finished` is emitted."""
-        if not self.idle or self._closed:
+        if not self.idle or self._away:
             return
         for painted in (self._face.tissue.painted, self._face.boundary.painted):
             painted.look()
         try:
-            request = self._current_request()
+            request = self.request()
             inputs = read_layers(request)
             job = Job(
                 inputs,
@@ -202,23 +122,22 @@ class DeformTissue(Container):
             self._refuse(str(error))
             self.finished.emit(None)
             return
-        self._request, self._job = request, job
+        self._request, self._life.job = request, job
         self._bar = self._face.start()
         self._poll.start()
 
     def cancel(self, why: str = "Cancelled; nothing was changed.") -> None:
         """Stop; nothing is changed, and the widget is idle at once, whatever the thread does."""
-        if self._job is None:
+        if self._life.job is None:
             return
-        self._job.cancel()
+        self._life.job.cancel()
         self._set_idle(why)
         self.finished.emit(None)
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
-        if not self._closed:
-            for choice in self._face.choices:
-                choice.refresh()
+        if not self._away:
+            super().reset_choices()
 
     # Behind the face
 
@@ -226,51 +145,46 @@ class DeformTissue(Container):
         face, events = self._face, self._viewer.layers.events
         face.make.changed.connect(self.make_layers)
         face.deform.changed.connect(self.deform)
-        face.cancel.changed.connect(lambda: self.cancel())
+        face.cancel.changed.connect(self._on_cancel)
         face.image.changed.connect(self._on_image)
         face.boundary.edited.connect(self._on_boundary)
+        self.native_parent_changed.connect(self._on_parent)
         events.inserted.connect(self._on_inserted)
         events.removed.connect(self._on_removed)
         events.renamed.connect(self.reset_choices)
         self._viewer.dims.events.current_step.connect(self._on_boundary)
         self._viewer.dims.events.order.connect(self._on_boundary)
-        self.native.destroyed.connect(lambda *_: self._on_destroyed())
 
-    def _layers(self) -> list[Any]:
-        return list(self._viewer.layers)
+    def _on_cancel(self) -> None:
+        self.cancel()
 
-    def _view(self) -> View:
-        return View.of(self._viewer.dims)
+    @property
+    def _away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+        return self._life.over or (self._docked and self.native.parent() is None)
 
-    def _current_request(self) -> Request:
-        if self.tissue is None:
-            raise ProblemError(
-                "tissue", "no layer is chosen. Choose one, or press 'Make layers to paint on'."
-            )
-        if self.boundary is None:
-            raise ProblemError(
-                "boundary", "no layer is chosen. Choose one, or press 'Make layers to paint on'."
-            )
-        return Request(
-            tissue=self.tissue,
-            boundary=self.boundary,
-            image=self.image,
-            materials=self.materials,
-            rules=self.rules,
-            confidence=self.confidence if self._face.boundary.confidence.visible else None,
-            view=self._view(),
-        )
+    def _on_parent(self, *_: Any) -> None:
+        """Napari closes a dock by taking the widget out of it."""
+        if self._life.over:
+            return
+        if self.native.parent() is not None:
+            self._docked = True
+            self.reset_choices()
+        elif self._docked:
+            self.cancel()
 
     def _on_poll(self) -> None:
-        job = self._job
-        if job is None or self._closed:
+        job = self._life.job
+        if job is None or self._away:
             self._poll.stop()
             return
         if not job.done:
-            self._face.progress(self._bar, job.monitor)
+            monitor = job.monitor
+            self._face.progress(self._bar, monitor.fraction)
+            self._say(f"{monitor.message[0].upper()}{monitor.message[1:]} ...")
             return
         try:
-            outputs = job.result()
+            self._show(job, job.result())
         except Cancelled:
             self._set_idle("Cancelled; nothing was changed.")
             self.finished.emit(None)
@@ -281,8 +195,6 @@ class DeformTissue(Container):
             _log.exception("the deformation failed")
             self._refuse(f"The deformation failed: {type(error).__name__}: {error}")
             self.finished.emit(None)
-        else:
-            self._show(job, outputs)
 
     def _show(self, job: Job, outputs: Outputs) -> None:
         request = self._request
@@ -299,7 +211,7 @@ class DeformTissue(Container):
 
     def _changed_since(self, job: Job, started: Request) -> bool:
         try:
-            now = self._current_request()
+            now = self.request()
             same_tables = (now.materials, now.rules) == (started.materials, started.rules)
             return not (same_tables and read_layers(started).same_as(job.inputs))
         except HmrfError:
@@ -307,7 +219,7 @@ class DeformTissue(Container):
 
     def _set_idle(self, status: str) -> None:
         self._poll.stop()
-        self._job = self._request = None
+        self._life.job = self._request = None
         self._face.stop(self._bar)
         self._bar = None
         self._say(status)
@@ -325,7 +237,7 @@ class DeformTissue(Container):
         self._on_boundary()
 
     def _on_boundary(self, *_: Any) -> None:
-        if not self._closed:
+        if not self._away:
             self._drawing.start()
 
     def _draw_preview(self) -> None:
@@ -341,43 +253,30 @@ class DeformTissue(Container):
             else:
                 self._preview.remove()
         except ProblemError as error:
+            self._undrawn = str(error)
             if self.idle:
-                self._say(str(error))
+                self._say(self._undrawn)
+        else:
+            if self._undrawn and self._undrawn == self.status:
+                self._say("")
+            self._undrawn = ""
 
     def _on_inserted(self, event: Any) -> None:
-        if not self._closed:
+        if not self._away:
             self.reset_choices()
-            self._choose_by_role([event.value])
-
-    def _choose_by_role(self, layers: list[Any]) -> None:
-        """Choose a sample's layers as they come, and the first image there is."""
-        for layer in layers:
-            role = role_of(layer)
-            if role == TISSUE:
-                self.tissue = layer
-            elif role == BOUNDARY:
-                self.boundary = layer
-            elif role == IMAGE:
-                self.image = layer
-        if self.image is None:
-            images = [layer for layer in self._layers() if isinstance(layer, Image)]
-            plain = [layer for layer in images if layer is not self.tissue]
-            if plain:
-                self.image = plain[0]
+            self.choose_by_role([event.value])
+            if role_of(event.value) and self.idle and self.tissue and self.boundary:
+                self._say(_READY)
 
     def _on_removed(self, event: Any) -> None:
-        if self._closed:
+        if self._away:
             return
         if self._request is not None and event.value in self._request.layers:
             self.cancel(f"Cancelled: '{event.value.name}' was removed.")
         self.reset_choices()
 
-    def _on_destroyed(self) -> None:
-        """The dock or the viewer was closed: stop, and touch nothing of Qt's any more."""
-        self._closed = True
-        if self._job is not None:
-            self._job.cancel()
-            self._job = None
+    def _on_closed(self) -> None:
+        """The dock or the viewer is gone: listen to nothing any more."""
         events = self._viewer.layers.events
         events.inserted.disconnect(self._on_inserted)
         events.removed.disconnect(self._on_removed)

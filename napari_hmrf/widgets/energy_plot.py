@@ -25,8 +25,7 @@ def energy_canvas(text: str = "#dddddd") -> Any:
 
     figure = Figure(figsize=(3.2, 1.7), layout="constrained")
     figure.patch.set_alpha(0)
-    axes = figure.add_subplot()
-    axes.patch.set_alpha(0)
+    figure.add_subplot()
     canvas = FigureCanvasQTAgg(figure)
     canvas.setStyleSheet("background: transparent")
     canvas.setFixedHeight(_HEIGHT)
@@ -39,6 +38,7 @@ def draw_energy(canvas: Any, solution: Solution) -> None:
     """Draw a solution's energies, with a line where each level begins."""
     axes = canvas.figure.axes[0]
     axes.clear()
+    axes.patch.set_alpha(0)
     colour = canvas.text_colour
     sweeps = np.arange(1, len(solution.energy) + 1)
     positive = solution.energy > 0

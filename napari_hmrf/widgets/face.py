@@ -7,13 +7,12 @@ from typing import Any
 from magicgui.widgets import CheckBox, Container, Label, ProgressBar, PushButton
 from napari.layers import Image
 from napari.utils import progress as napari_progress
-from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtWidgets import QFrame, QLabel, QScrollArea, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.outputs import Kind
-from napari_hmrf.optimizers import Monitor
 from napari_hmrf.solution import Solution
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.sections import BoundarySection, Layers, Shown, TissueSection
@@ -26,6 +25,10 @@ _OUTPUTS: dict[Kind, tuple[str, str, bool]] = {
     "magnitude": ("magnitude", "How far the tissue goes, in the image's unit of length", False),
     "labels": ("deformed labels", "The tissue labels, moved with the tissue", False),
 }
+
+
+#: Of the dock, in pixels: enough for the widest table.
+_WIDTH = 395
 
 
 class Face:
@@ -61,7 +64,7 @@ class Face:
         self.deform = PushButton(text="Deform", tooltip="Compute how the tissue moves")
         self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
         self._progress = ProgressBar(min=0, max=1000, visible=False)
-        self._status = Label()
+        self._status = QLabel()
         self._canvas: Any = None
         self._assemble(outer)
 
@@ -91,11 +94,10 @@ class Face:
         self._progress.visible = True
         return napari_progress(total=1000, desc="Deform tissue")
 
-    def progress(self, bar: Any, monitor: Monitor) -> None:
+    def progress(self, bar: Any, fraction: float) -> None:
         """Show how far the work is."""
-        done = round(1000 * monitor.fraction)
+        done = round(1000 * fraction)
         self._progress.value = done
-        self.say(f"{monitor.message[0].upper()}{monitor.message[1:]} ...")
         if bar is not None and done > bar.n:
             bar.update(done - bar.n)
 
@@ -108,7 +110,7 @@ class Face:
 
     def say(self, status: str) -> None:
         """Show a sentence at the bottom."""
-        self._status.value = status
+        self._status.setText(status)
 
     def draw_energy(self, solution: Solution, viewer: Any) -> None:
         """Show the energies of a solution."""
@@ -120,6 +122,7 @@ class Face:
             self._energy.addWidget(self._canvas)
             self._energy.expand(animate=False)
         draw_energy(self._canvas, solution)
+        self._reveal.start()
 
     def release(self) -> None:
         """Stop listening to layers."""
@@ -144,21 +147,30 @@ class Face:
         layout = body.native.layout()
         for part in (advanced, self._energy):
             layout.addWidget(part)
+        layout.setSpacing(4)
         layout.addStretch()
         scroll = QScrollArea()
+        # The plot has its place only once Qt has laid it out.
+        self._reveal = QTimer(scroll)
+        self._reveal.setSingleShot(True)
+        self._reveal.setInterval(50)
+        self._reveal.timeout.connect(lambda: scroll.ensureWidgetVisible(self._canvas, 0, 0))
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setWidget(body.native)
-        scroll.setMinimumWidth(330)
+        scroll.setMinimumWidth(_WIDTH)
         scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         buttons = Container(widgets=[self.deform, self.cancel], layout="horizontal", labels=False)
-        self._footer = Container(widgets=[buttons, self._progress, self._status], labels=False)
+        self._footer = Container(widgets=[buttons, self._progress], labels=False)
         outer.native.layout().addWidget(self._footer.native)
-        words = self._status.native
-        words.setWordWrap(True)
-        words.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        outer.native.layout().addWidget(self._status)
+        self._status.setWordWrap(True)
+        self._status.setContentsMargins(6, 0, 6, 4)
+        self._status.setMinimumHeight(4 * self._status.fontMetrics().lineSpacing())
+        self._status.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self._status.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.make.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         for container in (outer, body, first, self.tissue, self.boundary, self._footer, *rows):
             container.margins = (2, 2, 2, 2)

@@ -7,10 +7,17 @@ from typing import Any
 
 from qtpy.QtCore import Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
-from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
+from qtpy.QtWidgets import (
+    QAbstractItemView,
+    QHeaderView,
+    QSizePolicy,
+    QTableWidget,
+    QTableWidgetItem,
+)
 
 #: Rows that are seen without scrolling.
-_ROWS_SHOWN = 4
+_ROWS_SHOWN = 5
+_ROW_HEIGHT = 26
 
 
 class LabelTable(QTableWidget):
@@ -32,13 +39,16 @@ class LabelTable(QTableWidget):
             item.setToolTip(tooltip)
             self.setHorizontalHeaderItem(column, item)
         self.verticalHeader().hide()
+        self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
+        self.setWordWrap(False)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         header = self.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(stretch, QHeaderView.ResizeMode.Stretch)
-        header.setMinimumSectionSize(24)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
+        header.setMinimumSectionSize(30)
         self._rows: list[Any] = []
         self._colours: Mapping[int, Sequence[float]] = {}
         self._filling = False
@@ -154,10 +164,14 @@ class LabelTable(QTableWidget):
 
     def _fit(self) -> None:
         """As high as a few rows: the dock is shared."""
-        height = self.verticalHeader().defaultSectionSize()
         shown = min(max(2, len(self._rows)), _ROWS_SHOWN)
         header = self.horizontalHeader().sizeHint().height()
-        self.setFixedHeight(header + shown * height + 2 * self.frameWidth() + 2)
+        self.setFixedHeight(header + shown * _ROW_HEIGHT + 2 * self.frameWidth() + 2)
+        scroll = Qt.ScrollBarPolicy
+        more = len(self._rows) > _ROWS_SHOWN
+        self.setVerticalScrollBarPolicy(
+            scroll.ScrollBarAsNeeded if more else scroll.ScrollBarAlwaysOff
+        )
 
     def _on_item(self, item: Any) -> None:
         if self._filling or item.column() == 0:

@@ -32,6 +32,10 @@ class LayerChoice(ComboBox):
             return [(title(layer), layer) for layer in layers() if accept(layer)]
 
         super().__init__(choices=choices, nullable=True, **options)
+        # A long name must not widen the dock.
+        box = self.native
+        box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        box.setMinimumContentsLength(8)
 
     def refresh(self) -> None:
         """Look again at what layers there are; a choice that is gone becomes none."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from qtpy.QtWidgets import QMenu, QToolButton
+from qtpy.QtWidgets import QMenu, QPushButton
 
 from napari_hmrf.annotation import PRESETS, Material, Preset
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
@@ -80,12 +80,10 @@ class MaterialTable(LabelTable):
         return replace(material, stiffness=stiffness)
 
 
-def preset_button(table: MaterialTable) -> QToolButton:
+def preset_button(table: MaterialTable) -> QPushButton:
     """A menu of published stiffnesses, each with its source."""
-    button = QToolButton()
-    button.setText("Presets")
+    button = QPushButton("Presets")
     button.setToolTip("Published stiffnesses, with their source; replaces the table")
-    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     menu = QMenu(button)
     menu.setToolTipsVisible(True)
     for preset in PRESETS:

@@ -39,7 +39,7 @@ def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
         If the slice that is shown is none of the image's.
     """
     frame = Frame.of(image, view)
-    shape = layer_extents(image) or ()
+    shape = layer_extents(image)
     place = {name: getattr(image, name) for name in _PLACE}
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))

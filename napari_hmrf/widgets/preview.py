@@ -11,7 +11,7 @@ from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.observations import preview_arrows
 from napari_hmrf.layers.outputs import LayerData
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.view import View, layer_extents
 from napari_hmrf.widgets.results import same_selection, update_layer
 
 NAME = "boundary preview"
@@ -48,12 +48,13 @@ class BoundaryPreview:
         layer = self.layer
         if layer is None and not len(arrows):
             return
+        pixels = [layer_extents(boundary)[axis] for axis in frame.plane]
         attributes = {
             **frame.placement(),
             "name": NAME,
             "vector_style": "arrow",
             "edge_color": "magenta",
-            "edge_width": max(0.5, max(_extent(arrows), 60) / 120),
+            "edge_width": max(pixels) / 400,
             "opacity": 1.0,
             "metadata": {METADATA: {"kind": "preview", "slice": frame.slice_name}},
         }
@@ -80,8 +81,3 @@ class BoundaryPreview:
         if self.layer is not None:
             self._viewer.layers.remove(self._layer)
         self._layer = self._shown = None
-
-
-def _extent(arrows: Any) -> float:
-    """Longer side, in pixels, of the box around the arrows' starts."""
-    return float(np.ptp(arrows[:, 0], axis=0).max()) if len(arrows) else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, Label, SpinBox
+from qtpy.QtWidgets import QSizePolicy
 
 from napari_hmrf.backends import BACKEND_NAMES
 from napari_hmrf.optimizers import ICM
@@ -23,8 +24,8 @@ _READINGS = {
 _DEVICES = {
     "auto": "automatic",
     "opengl": "OpenGL",
-    "opengl:fragment": "OpenGL, fragment shaders",
-    "opengl:compute": "OpenGL, compute shaders",
+    "opengl:fragment": "OpenGL, fragment",
+    "opengl:compute": "OpenGL, compute",
     "cpu": "CPU",
 }
 
@@ -98,7 +99,10 @@ class SolverSettings(Container):
                 device,
             ]
         )
-        self.sentence.native.setWordWrap(True)
+        words = self.sentence.native
+        words.setWordWrap(True)
+        words.setMinimumHeight(4 * words.fontMetrics().lineSpacing())
+        words.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.reading.changed.connect(self._on_reading)
 
     @property

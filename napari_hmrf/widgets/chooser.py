@@ -1,0 +1,168 @@
+"""What a deformation is made from, as the user chose it or a script set it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from magicgui.widgets import Container
+from napari.layers import Image
+
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.inputs import Request
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.outputs import Kind
+from napari_hmrf.layers.view import View
+from napari_hmrf.widgets.face import Face
+from napari_hmrf.widgets.new_layers import layers_to_paint_on
+from napari_hmrf.widgets.settings import SolverSettings
+
+
+class Chooser(Container):
+    """Choices of layers, tables, settings and outputs; what is done with them comes on top.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+    """
+
+    def __init__(self, napari_viewer: Any) -> None:
+        super().__init__(labels=False)
+        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
+        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
+        self._face = Face(self, self._layers, self._view)
+
+    @property
+    def image(self) -> Any:
+        """The image to deform, or None to see the motion alone."""
+        return self._face.image.value
+
+    @image.setter
+    def image(self, layer: Any) -> None:
+        self._face.image.choose(layer)
+
+    @property
+    def tissue(self) -> Any:
+        """The Labels layer of tissues, or an image of stiffness."""
+        return self._face.tissue.choice.value
+
+    @tissue.setter
+    def tissue(self, layer: Any) -> None:
+        self._face.tissue.choice.choose(layer)
+
+    @property
+    def boundary(self) -> Any:
+        """The Labels layer of boundaries, or observed displacements as Vectors."""
+        return self._face.boundary.choice.value
+
+    @boundary.setter
+    def boundary(self, layer: Any) -> None:
+        self._face.boundary.choice.choose(layer)
+
+    @property
+    def confidence(self) -> Any:
+        """With Vectors as boundary: an image of confidence, or None for 1 everywhere."""
+        return self._face.boundary.confidence.value
+
+    @confidence.setter
+    def confidence(self, layer: Any) -> None:
+        self._face.boundary.confidence.choose(layer)
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """How stiff each tissue label is."""
+        return self._face.tissue.materials
+
+    @materials.setter
+    def materials(self, materials: tuple[Material, ...]) -> None:
+        self._face.tissue.table.rows = materials
+
+    @property
+    def rules(self) -> tuple[BoundaryRule, ...]:
+        """What each boundary label does."""
+        return self._face.boundary.rules
+
+    @rules.setter
+    def rules(self, rules: tuple[BoundaryRule, ...]) -> None:
+        self._face.boundary.table.rows = rules
+
+    @property
+    def outputs(self) -> tuple[Kind, ...]:
+        """The layers a result makes."""
+        return self._face.outputs
+
+    @outputs.setter
+    def outputs(self, kinds: tuple[Kind, ...]) -> None:
+        self._face.outputs = kinds
+
+    @property
+    def settings(self) -> SolverSettings:
+        """How to solve."""
+        return self._face.settings
+
+    def add_layers(self) -> None:
+        """Add a tissue and a boundary layer on the pixels of the image, and choose them.
+
+        Raises
+        ------
+        ProblemError
+            If no image is chosen, or it is not where the viewer looks.
+        """
+        if self.image is None:
+            raise ProblemError("image", "is missing. Choose one to paint on.")
+        tissue, boundary = layers_to_paint_on(self.image, self._view())
+        self._viewer.add_layer(tissue)
+        self._viewer.add_layer(boundary)
+        self.tissue, self.boundary = tissue, boundary
+        self._viewer.layers.selection = {tissue}
+        tissue.selected_label, tissue.mode = 2, "paint"
+
+    def reset_choices(self, *_: Any) -> None:
+        """Look again at which layers there are."""
+        for choice in self._face.choices:
+            choice.refresh()
+
+    def request(self) -> Request:
+        """All that is chosen, with the slice that is shown.
+
+        Raises
+        ------
+        ProblemError
+            If a layer is missing.
+        """
+        for what, layer in (("tissue", self.tissue), ("boundary", self.boundary)):
+            if layer is None:
+                raise ProblemError(
+                    what, "no layer is chosen. Choose one, or press 'Make layers to paint on'."
+                )
+        return Request(
+            tissue=self.tissue,
+            boundary=self.boundary,
+            image=self.image,
+            materials=self.materials,
+            rules=self.rules,
+            confidence=self.confidence if self._face.boundary.confidence.visible else None,
+            view=self._view(),
+        )
+
+    def _layers(self) -> list[Any]:
+        return list(self._viewer.layers)
+
+    def _view(self) -> View:
+        return View.of(self._viewer.dims)
+
+    def choose_by_role(self, layers: list[Any]) -> None:
+        """Choose a sample's layers as they come, and the first image there is."""
+        for layer in layers:
+            role = role_of(layer)
+            if role == TISSUE:
+                self.tissue = layer
+            elif role == BOUNDARY:
+                self.boundary = layer
+            elif role == IMAGE:
+                self.image = layer
+        if self.image is None:
+            images = [layer for layer in self._layers() if isinstance(layer, Image)]
+            plain = [layer for layer in images if layer is not self.tissue]
+            if plain:
+                self.image = plain[0]

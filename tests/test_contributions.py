@@ -1,0 +1,160 @@
+"""What napari finds in the manifest works when napari calls it."""
+
+import json
+
+import numpy as np
+import pytest
+from napari.layers import Image, Labels, Layer
+from npe2 import PluginManifest
+
+from napari_hmrf import Problem, solve
+from napari_hmrf.contributions import (
+    open_solution,
+    sample_bar,
+    sample_expansion,
+    sample_mass_effect,
+    save_solution,
+)
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.inputs import Request, read_layers
+from napari_hmrf.layers.metadata import METADATA, rows_of
+from napari_hmrf.layers.outputs import result_layers
+from napari_hmrf.optimizers import ICM
+from napari_hmrf.phantoms import sample
+
+
+@pytest.fixture(scope="module")
+def solution():
+    y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
+    c[:, 0] = c[:, -1] = 1
+    y[:, -1] = (0, 2)
+    problem = Problem(y, c, np.ones((8, 9)), (1.0, 0.5))
+    return solve(problem, optimizer=ICM(20), backend="cpu")
+
+
+@pytest.fixture
+def arrows(solution):
+    """Arrows on slice 3 of a turned stack."""
+    stack = Image(
+        np.zeros((5, 8, 9)),
+        scale=(2.0, 1.0, 0.5),
+        translate=(1, 2, 3),
+        units=("mm",) * 3,
+        axis_labels=("z", "y", "x"),
+        rotate=[[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        name="T1",
+    )
+    frame = Frame.of(stack)
+    frame = Frame(**{**frame.__dict__, "index": (3, 0, 0)})
+    return Layer.create(*result_layers(solution, frame).layers["arrows"])
+
+
+def test_the_manifest_is_valid_and_every_command_is_there():
+    manifest = PluginManifest.from_distribution("napari-hmrf")
+    for command in manifest.contributions.commands:
+        assert callable(
+            command.get_callable()
+            if hasattr(command, "get_callable")
+            else _imported(command.python_name)
+        ), command.id
+        assert not command.title.startswith("napari"), command.title
+
+
+def _imported(python_name):
+    import importlib
+
+    module, _, name = str(python_name).partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+@pytest.mark.parametrize(
+    ("opened", "name"),
+    [(sample_expansion, "expansion"), (sample_mass_effect, "mass-effect"), (sample_bar, "bar")],
+)
+def test_a_sample_makes_the_very_problem_of_its_phantom(opened, name):
+    image, tissue, boundary = (Layer.create(*data) for data in opened())
+    assert isinstance(image, Image)
+    assert isinstance(tissue, Labels)
+    request = Request(
+        tissue, boundary, image, rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
+    )
+    problem = read_layers(request).problem
+    expected = sample(name).problem
+    for field in ("y", "c", "m"):
+        np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
+
+
+def test_samples_can_be_painted_on_and_their_tables_saved_as_text():
+    for data, attributes, _ in sample_bar():
+        assert data.flags.writeable
+        json.dumps(attributes["metadata"])
+
+
+def test_arrows_are_saved_whole_and_come_back_in_their_place(arrows, solution, tmp_path):
+    path = tmp_path / "kept.npz"
+    data, attributes, _ = arrows.as_layer_data_tuple()
+    assert save_solution(str(path), data, attributes) == [str(path)]
+    reader = open_solution(str(path))
+    ((found, kwargs, kind),) = reader(str(path))
+    again = Layer.create(found, kwargs, kind)
+    assert again.name == "kept"
+    np.testing.assert_array_equal(again.data, arrows.data)
+    assert again.units == arrows.units
+    assert again.axis_labels == arrows.axis_labels
+    np.testing.assert_allclose(
+        again.data_to_world(again.data[5, 0]), arrows.data_to_world(arrows.data[5, 0])
+    )
+    kept = again.metadata[METADATA]["solution"]
+    np.testing.assert_array_equal(kept.displacement, solution.displacement)
+    np.testing.assert_array_equal(kept.energy, solution.energy)
+
+
+def test_a_solution_that_came_from_no_layer_lies_at_the_origin(solution, tmp_path):
+    path = str(solution.save(tmp_path / "script.npz"))
+    ((data, kwargs, kind),) = open_solution(path)(path)
+    layer = Layer.create(data, kwargs, kind)
+    np.testing.assert_array_equal(layer.scale, (1.0, 0.5))
+
+
+def test_arrows_of_others_are_not_saved_as_a_solution(tmp_path):
+    with pytest.raises(ValueError, match="'flow' is not a result"):
+        save_solution(
+            str(tmp_path / "x.npz"), np.zeros((1, 2, 2)), {"name": "flow", "metadata": {}}
+        )
+    assert not list(tmp_path.iterdir())
+
+
+def test_archives_of_others_are_left_to_other_readers(tmp_path, solution):
+    foreign = tmp_path / "foreign.npz"
+    np.savez(foreign, a=np.zeros(3))
+    ours = str(solution.save(tmp_path / "ours.npz"))
+    assert open_solution(str(foreign)) is None
+    assert open_solution([ours, str(foreign)]) is None
+    assert open_solution(str(tmp_path / "missing.npz")) is None
+    assert len(open_solution([ours, ours])([ours, ours])) == 2
+
+
+def test_a_file_whose_frame_is_nonsense_is_refused_by_name(solution, tmp_path):
+    from dataclasses import replace
+
+    path = str(replace(solution, frame={"plane": "up"}).save(tmp_path / "odd.npz"))
+    with pytest.raises(FileFormatError, match=r"odd\.npz"):
+        open_solution(path)(path)
+
+
+def test_napari_saves_and_opens_the_result(make_napari_viewer, arrows, tmp_path):
+    viewer = make_napari_viewer()
+    viewer.add_layer(arrows)
+    path = str(tmp_path / "by napari.npz")
+    assert viewer.layers.save(path, plugin="napari-hmrf") == [path]
+    (layer,) = viewer.open(path, plugin="napari-hmrf")
+    np.testing.assert_array_equal(layer.data, arrows.data)
+
+
+def test_the_widget_is_in_the_menus():
+    manifest = PluginManifest.from_distribution("napari-hmrf")
+    assert [item.command for item in manifest.contributions.menus["napari/layers/transform"]] == [
+        "napari-hmrf.deform"
+    ]
+    assert manifest.contributions.widgets[0].display_name == "Deform tissue"

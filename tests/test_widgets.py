@@ -1,0 +1,581 @@
+"""What the user does with *Deform tissue*, and what then happens."""
+
+import time
+
+import numpy as np
+import pytest
+from conftest import quick
+from napari.layers import Image, Labels, Vectors
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.widgets.deform import DeformTissue
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def state(viewer):
+    """Everything an error must leave as it was."""
+    return [(layer.name, id(layer), np.array(layer.data).tobytes()) for layer in viewer.layers]
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+def by_name(widget, name):
+    return viewer_of(widget).layers[name]
+
+
+# The main path
+
+
+@pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
+def test_opening_a_sample_leaves_one_button_to_press(widget, run, name):
+    viewer = viewer_of(widget)
+    viewer.open_sample("napari-hmrf", name)
+    assert widget.status == "Press Deform."
+    assert [material.stiffness for material in widget.materials if material.label] != []
+    widget.settings.sweeps.value = 1
+    outputs = run(widget)
+    assert outputs is not None
+    added = set(names(viewer)) - {"Tissue", "Boundary", "boundary preview"}
+    assert any(layer.endswith("arrows") for layer in added)
+    assert any(layer.endswith("deformed") for layer in added)
+    assert "sweeps in" in widget.status
+
+
+def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, small_sample):
+    viewer = make_napari_viewer()
+    image, tissue, boundary = small_sample(viewer)
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    assert (widget.image, widget.tissue, widget.boundary) == (image, tissue, boundary)
+    assert widget.rules[1].vector == (0.0, 3.0)
+    assert widget.status == "Press Deform."
+
+
+def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.settings.sweeps.value = 200
+    outputs = run(widget)
+    moved = outputs.solution.displacement
+    assert moved[10, -3, 1] == pytest.approx(3, abs=0.05)
+    assert 0.5 < moved[10, 12, 1] < 2.5
+    arrows = by_name(widget, "MR arrows").data
+    assert (arrows[:, 1, 1] > -0.05).all()
+    tissue_before = (by_name(widget, "Tissue").data == 1)[10].nonzero()[0]
+    picture = by_name(widget, "MR deformed").data[10]
+    assert picture[tissue_before.max() + 2] != 0 or picture[tissue_before.max() + 3] != 0
+
+
+def test_all_outputs_can_be_had(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
+    run(widget)
+    assert names(viewer_of(widget))[-5:] == [
+        "MR deformed",
+        "MR magnitude (pixel)",
+        "Tissue deformed",
+        "MR grid",
+        "MR arrows",
+    ]
+    with pytest.raises(ValueError, match="no outputs"):
+        widget.outputs = ("hologram",)
+
+
+def test_running_again_updates_the_layers_in_place(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
+    run(widget)
+    before = state(viewer_of(widget))
+    arrows = by_name(widget, "MR arrows")
+    arrows.edge_color = "red"
+    arrows.name = "mine"
+    longest = arrows.data[:, 1].max()
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
+    run(widget)
+    after = state(viewer_of(widget))
+    assert [identity for _, identity, _ in after] == [identity for _, identity, _ in before]
+    assert arrows.data[:, 1].max() > 1.5 * longest
+    assert arrows.name == "mine"
+    np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
+    assert by_name(widget, "MR magnitude (pixel)").contrast_limits[1] > 4
+
+
+def test_a_deleted_result_is_made_again(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    run(widget)
+    viewer.layers.remove("MR arrows")
+    run(widget)
+    assert "MR arrows" in names(viewer)
+    assert names(viewer).count("MR deformed") == 1
+
+
+def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    viewer.layers.selection.active = tissue
+    run(widget)
+    assert viewer.layers.selection.active is tissue
+
+
+def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.image = None
+    run(widget)
+    assert "Tissue arrows" in names(viewer_of(widget))
+
+
+# Tables
+
+
+def test_new_labels_appear_when_they_are_painted(widget, small_sample, wait_for):
+    _, tissue, boundary = small_sample(viewer_of(widget))
+    assert [material.label for material in widget.materials] == [0, 1]
+    tissue.brush_size = 3
+    tissue.paint((8, 8), 5)
+    wait_for(lambda: 5 in [material.label for material in widget.materials])
+    boundary.paint((8, 8), 4)
+    wait_for(lambda: 4 in [rule.label for rule in widget.rules])
+    assert widget.rules[-1].action == "fixed"
+
+
+def test_a_label_painted_just_before_the_button_is_pressed_counts(widget, small_sample, run):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    tissue.paint((8, 8), 5)
+    assert run(widget) is not None
+
+
+def test_tables_stay_with_their_layer(widget, small_sample):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    other = viewer.add_labels(np.full((20, 24), 3, np.uint8), name="other")
+    widget.materials = (Material(0, "air", 0.0), Material(1, "gel", 33.0))
+    widget.tissue = other
+    assert [material.label for material in widget.materials] == [3]
+    widget.tissue = tissue
+    assert widget.materials[1].stiffness == 33.0
+    assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == 33.0
+
+
+def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._face.tissue.table
+    table.item(1, 2).setText("12,5")
+    assert widget.materials[1].stiffness == 12.5
+    for nonsense in ("stiff", "-3", "nan", "inf", ""):
+        table.item(1, 2).setText(nonsense)
+        assert widget.materials[1].stiffness == 12.5
+        assert table.item(1, 2).text() == "12.5"
+    table.item(1, 1).setText("jelly")
+    assert widget.materials[1].name == "jelly"
+
+
+def test_boundary_cells_follow_the_action(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._face.boundary.table
+    assert [table.item(1, column).text() for column in (3, 4)] == ["0", "3"]
+    table.cellWidget(1, 2).setCurrentIndex(2)
+    assert widget.rules[1].action == "expand"
+    table.item(1, 3).setText("-2")
+    assert widget.rules[1].amount == -2.0
+    table.item(1, 5).setText("0.5")
+    table.item(1, 6).setText("2")  # out of range: put back
+    assert widget.rules[1].confidence == (0.5, 1.0)
+    table.item(1, 1).setText("rim")
+    assert widget.rules[1].name == "rim"
+
+
+def test_clicking_a_row_paints_with_it_and_choosing_a_label_finds_its_row(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    table = widget._face.tissue.table
+    table.setCurrentCell(0, 1)
+    assert tissue.selected_label == 0
+    tissue.selected_label = 1
+    assert table.currentRow() == 1
+    assert table.add() == 2
+    assert tissue.selected_label == 2
+
+
+def test_rows_wear_the_colour_of_their_label(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    image = widget._face.tissue.table.item(1, 0).icon().pixmap(14, 14).toImage()
+    shown = image.pixelColor(5, 5).getRgbF()[:3]
+    np.testing.assert_allclose(shown, tissue.get_color(1)[:3], atol=0.01)
+
+
+@pytest.mark.parametrize("preset", PRESETS, ids=lambda preset: preset.name.partition(":")[0])
+def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sample, preset):
+    small_sample(viewer_of(widget))
+    widget.materials = (*widget.materials, Material(9, "odd", 1e6))
+    widget._face.tissue.table.apply_preset(preset)
+    by_label = {material.label: material for material in widget.materials}
+    assert by_label[0].stiffness == 0  # void stays void
+    assert by_label[1] == preset.materials[0]
+    assert by_label[9].stiffness == preset.materials[0].stiffness  # units are never mixed
+    assert preset.unit in widget._face.tissue.table.horizontalHeaderItem(2).text()
+
+
+def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
+    viewer = viewer_of(widget)
+    viewer.add_image(
+        np.random.default_rng(0).random((30, 40)), name="T1", scale=(0.5, 2), units=("mm", "mm")
+    )
+    widget.make_layers()
+    tissue, boundary = widget.tissue, widget.boundary
+    assert (tissue.data.shape, boundary.data.shape) == ((30, 40), (30, 40))
+    np.testing.assert_array_equal(tissue.scale, (0.5, 2))
+    assert tissue.units == viewer.layers["T1"].units
+    assert viewer.layers.selection.active is tissue
+    assert tissue.mode == "paint"
+    assert widget.materials[0] == Material(0, "unpainted", 20.0)
+    assert [rule.action for rule in widget.rules] == ["fixed", "expand"]
+    boundary.data[:, :2] = 1
+    boundary.data[10:20, 20:25] = 2
+    boundary.refresh()
+    assert run(widget) is not None
+    assert "mm" in widget._face.boundary.table.horizontalHeaderItem(3).text()
+
+
+def test_without_an_image_there_is_nothing_to_paint_on(widget):
+    assert not widget._face.make.enabled
+    widget.make_layers()
+    assert "missing" in widget.status
+    assert names(viewer_of(widget)) == []
+
+
+def test_the_preview_follows_the_table(widget, small_sample, wait_for):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    wait_for(lambda: "boundary preview" in names(viewer))
+    preview = viewer.layers["boundary preview"]
+    np.testing.assert_array_equal(preview.data[0, 1], (0, 3))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(2.0, 0.0)))
+    wait_for(lambda: bool((preview.data[:, 1] == (2, 0)).all()))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "fixed"))
+    wait_for(lambda: len(preview.data) == 0)
+    widget._face.boundary.preview.value = False
+    wait_for(lambda: "boundary preview" not in names(viewer))
+
+
+def test_a_boundary_that_cannot_be_drawn_is_explained_while_painting(
+    widget, small_sample, wait_for
+):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "expand", amount=1.0))
+    wait_for(lambda: "open line" in widget.status)
+
+
+# Choices
+
+
+def test_layers_that_go_are_no_longer_chosen(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.add_image(np.zeros((20, 24)), name="another")
+    viewer.layers.remove("MR")
+    assert widget.image is None
+    viewer.layers.remove("Tissue")
+    assert widget.tissue is None
+    viewer.layers.clear()
+    assert (widget.image, widget.boundary, widget.confidence) == (None, None, None)
+
+
+def test_what_cannot_be_chosen_is_refused(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    with pytest.raises(ValueError, match="cannot be chosen as boundary"):
+        widget.boundary = viewer.add_points([(1, 1)])
+
+
+def test_images_and_arrows_can_take_the_place_of_paint(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    m = viewer.add_image(np.ones((20, 24)), name="stiffness")
+    arrows = np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float)
+    y = viewer.add_vectors(arrows, name="observed")
+    c = viewer.add_image(np.full((20, 24), 0.5), name="sure")
+    widget.tissue, widget.boundary, widget.confidence = m, y, c
+    outputs = run(widget)
+    assert outputs.solution.displacement[5, 20, 1] == pytest.approx(2, abs=0.01)
+
+
+def test_settings_become_prior_and_optimizer(widget):
+    settings = widget.settings
+    settings.reading.value = "blanket"
+    settings.method.value = "closed form"
+    settings.tolerance.value = 1e-3
+    settings.penalty.value = 500
+    settings.sweeps.value = 12
+    assert settings.prior.conditional == "blanket"
+    assert settings.prior.penalty == 500
+    assert settings.optimizer.steps is None
+    assert settings.optimizer.tolerance == 1e-3
+    assert settings.optimizer.iterations == 12
+    assert settings.backend == "cpu"
+    assert "Stiff-soft borders lock" in settings.sentence.value
+
+
+def test_untouched_settings_are_the_papers(make_napari_viewer):
+    from napari_hmrf import ICM, SeilerPrior
+
+    widget = DeformTissue(make_napari_viewer())
+    assert widget.settings.prior == SeilerPrior()
+    assert widget.settings.optimizer == ICM()
+    assert widget.settings.backend == "auto"
+    widget.native.deleteLater()
+
+
+# Place
+
+
+def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample, run):
+    place = {
+        "scale": (0.5, 2.0),
+        "translate": (3.0, 4.0),
+        "rotate": 20.0,
+        "units": ("mm", "mm"),
+        "axis_labels": ("row", "col"),
+    }
+    image, _, _ = small_sample(viewer_of(widget), **place)
+    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
+    outputs = run(widget)
+    assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
+    for layer in list(viewer_of(widget).layers)[-5:]:
+        assert layer.units == image.units
+        assert layer.axis_labels == image.axis_labels
+        np.testing.assert_allclose(layer.data_to_world((4, 5)), image.data_to_world((4, 5)))
+    arrows = by_name(widget, "MR arrows").data
+    assert arrows[:, 1, 1].max() < 3.1 / 2.0 + 0.1  # 3 mm are 1.5 pixels
+
+
+def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer, (5, 20, 24), scale=(4.0, 1.0, 1.0), axis_labels=("z", "y", "x"))
+    viewer.dims.set_current_step(0, 3)
+    run(widget)
+    assert "Slice z = 3" in widget.status
+    arrows = viewer.layers["MR arrows (z = 3)"]
+    assert (arrows.data[:, 0, 0] == 3).all()
+    deformed = viewer.layers["MR deformed (z = 3)"]
+    assert deformed.data.shape == (1, 20, 24)
+    assert deformed.data_to_world((0, 0, 0)) == (12, 0, 0)
+    viewer.dims.set_current_step(0, 1)
+    run(widget)
+    assert "MR arrows (z = 1)" in names(viewer)
+    assert "MR arrows (z = 3)" in names(viewer)
+
+
+def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
+    widget.image = viewer.add_image(colours, name="photo", rgb=True)
+    run(widget)
+    moved = viewer.layers["photo deformed"]
+    assert moved.rgb
+    assert moved.data.shape == (20, 24, 3)
+
+
+# Words
+
+
+def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, run):
+    _, _, boundary = small_sample(viewer_of(widget))
+    boundary.data[0, :5] = 1
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings.sweeps.value = 60
+    outputs = run(widget)
+    assert "5 boundary pixels outside tissue were ignored." in widget.status
+    assert outputs.folds > 0
+    assert f"folds over itself at {outputs.folds} pixel" in widget.status
+
+
+def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thread, wait_for):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    widget.deform()
+    assert not widget.idle
+    tissue.data[5:9, 5:9] = 0
+    tissue.refresh()
+    busy_thread.set()
+    wait_for(lambda: widget.idle, 60_000)
+    assert "Inputs changed since start" in widget.status
+    assert viewer.layers["MR arrows"].metadata[METADATA]["inputs_changed"]
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda v: v.layers.remove("Tissue"), "tissue: no layer is chosen"),
+        (lambda v: v.layers.remove("Boundary"), "boundary: no layer is chosen"),
+        (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
+        (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
+        (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
+        (lambda v: setattr(v.layers["Tissue"], "data", np.ones((7, 7), int)), "7 x 7"),
+        (lambda v: setattr(v.layers["MR"], "data", np.zeros((9, 9))), "9 x 9"),
+    ],
+    ids=["no tissue", "no boundary", "unpainted", "all void", "elsewhere", "size", "image size"],
+)
+def test_bad_input_is_one_error_and_changes_nothing(widget, small_sample, run, spoil, said):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    run(widget)
+    spoil(viewer)
+    before = state(viewer)
+    assert run(widget) is None
+    assert said in widget.status
+    assert widget.idle
+    assert state(viewer) == before
+
+
+def test_a_failure_while_computing_is_told_and_changes_nothing(
+    widget, small_sample, run, monkeypatch
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    before = state(viewer)
+
+    def fail(*_, **__):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr("napari_hmrf.widgets.job.run_here", fail)
+    assert run(widget) is None
+    assert "MemoryError: no room" in widget.status
+    assert [entry for entry in state(viewer) if entry[0] != "boundary preview"] == before
+
+
+# Cancel, removal, closing
+
+
+def test_cancel_is_immediate_even_when_the_thread_is_not(
+    widget, small_sample, busy_thread, wait_for
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    QApplication.processEvents()
+    before = state(viewer)
+    widget.deform()
+    assert not widget.idle
+    assert not widget._face.deform.enabled
+    assert widget._face.cancel.enabled
+    started = time.perf_counter()
+    widget.cancel()
+    assert time.perf_counter() - started < 0.2
+    assert widget.idle
+    assert widget._face.deform.enabled
+    assert not widget._face.cancel.enabled
+    assert "Cancelled" in widget.status
+    busy_thread.set()
+    QApplication.processEvents()
+    assert state(viewer) == before
+
+
+def test_cancel_stops_a_long_solve_within_a_moment(widget, small_sample, run, wait_for):
+    from napari_hmrf.backends.thread import compute_thread
+
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    run(widget)
+    before = state(viewer)
+    widget.settings.sweeps.value = 100_000
+    widget.deform()
+    wait_for(lambda: "sweep" in widget.status)
+    widget.cancel()
+    # And the thread is free again soon.
+    started = time.perf_counter()
+    compute_thread.submit(lambda: None).result(timeout=5)
+    assert time.perf_counter() - started < 1
+    assert state(viewer) == before
+
+
+def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_thread, wait_for):
+    small_sample(viewer_of(widget))
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+    widget.deform()
+    busy_thread.set()
+    wait_for(lambda: widget.idle, 60_000)
+    assert len(said) == 1
+
+
+def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.deform()
+    viewer.layers.remove("Tissue")
+    assert widget.idle
+    assert "'Tissue' was removed" in widget.status
+    busy_thread.set()
+    QApplication.processEvents()
+    assert not any("arrows" in name for name in names(viewer))
+
+
+def test_closing_the_viewer_while_working_is_quick_and_quiet(
+    make_napari_viewer, small_sample, busy_thread
+):
+    viewer = make_napari_viewer()
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    quick(widget)
+    small_sample(viewer)
+    widget.deform()
+    started = time.perf_counter()
+    viewer.close()
+    assert time.perf_counter() - started < 2
+    QApplication.processEvents()
+    busy_thread.set()
+    for _ in range(10):
+        QApplication.processEvents()
+        time.sleep(0.02)
+
+
+def test_closing_the_dock_while_working_leaves_the_viewer_alone(
+    make_napari_viewer, small_sample, busy_thread
+):
+    viewer = make_napari_viewer()
+    dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    quick(widget)
+    small_sample(viewer)
+    widget.deform()
+    viewer.window.remove_dock_widget(dock)
+    del dock, widget
+    for _ in range(10):
+        QApplication.processEvents()
+        time.sleep(0.01)
+    busy_thread.set()
+    viewer.add_image(np.zeros((20, 24)))  # events that nothing dead may answer
+    viewer.layers["Tissue"].paint((3, 3), 2)
+    for _ in range(20):
+        QApplication.processEvents()
+        time.sleep(0.02)
+    assert not any("arrows" in name for name in names(viewer))
+
+
+def test_two_widgets_queue_and_both_finish(make_napari_viewer, small_sample, wait_for):
+    viewers = [make_napari_viewer(), make_napari_viewer()]
+    widgets = []
+    for viewer in viewers:
+        _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+        small_sample(viewer)
+        widgets.append(quick(widget))
+    for widget in widgets:
+        widget.deform()
+    wait_for(lambda: all(widget.idle for widget in widgets), 60_000)
+    for viewer in viewers:
+        assert "MR arrows" in names(viewer)
+
+
+def test_the_kinds_of_result_layers(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
+    run(widget)
+    kinds = [type(layer) for layer in list(viewer_of(widget).layers)[-5:]]
+    assert kinds == [Image, Image, Labels, Vectors, Vectors]
