@@ -13,10 +13,21 @@ from napari_hmrf.backends.thread import compute_thread
 
 
 @pytest.fixture
-def widget(make_napari_viewer):
-    """*Deform tissue* in the dock of a viewer, set to be quick; `widget.viewer` is the viewer."""
-    viewer = make_napari_viewer()
-    _, found = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+def widget(qtbot):
+    """*Deform tissue* beside a viewer without a window, set to be quick."""
+    from napari.components import ViewerModel
+
+    from napari_hmrf.widgets.deform import DeformTissue
+
+    found = DeformTissue(ViewerModel())
+    qtbot.addWidget(found.native)
+    return quick(found)
+
+
+@pytest.fixture
+def docked(make_napari_viewer):
+    """*Deform tissue* in the dock of a real viewer, set to be quick."""
+    _, found = make_napari_viewer().window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
     return quick(found)
 
 

@@ -34,18 +34,18 @@ def by_name(widget, name):
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_opening_a_sample_leaves_one_button_to_press(widget, run, name):
-    viewer = viewer_of(widget)
+def test_opening_a_sample_leaves_one_button_to_press(docked, run, name):
+    viewer = viewer_of(docked)
     viewer.open_sample("napari-hmrf", name)
-    assert widget.status == "Press Deform."
-    assert [material.stiffness for material in widget.materials if material.label] != []
-    widget.settings.sweeps.value = 1
-    outputs = run(widget)
+    assert docked.status == "Press Deform."
+    assert [material.stiffness for material in docked.materials if material.label] != []
+    docked.settings.sweeps.value = 1
+    outputs = run(docked)
     assert outputs is not None
     added = set(names(viewer)) - {"Tissue", "Boundary", "boundary preview"}
     assert any(layer.endswith("arrows") for layer in added)
     assert any(layer.endswith("deformed") for layer in added)
-    assert "sweeps in" in widget.status
+    assert "sweeps in" in docked.status
 
 
 def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, small_sample):
@@ -86,23 +86,23 @@ def test_all_outputs_can_be_had(widget, small_sample, run):
         widget.outputs = ("hologram",)
 
 
-def test_running_again_updates_the_layers_in_place(widget, small_sample, run):
-    small_sample(viewer_of(widget))
-    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
-    run(widget)
-    before = state(viewer_of(widget))
-    arrows = by_name(widget, "MR arrows")
+def test_running_again_updates_the_layers_in_place(docked, small_sample, run):
+    small_sample(viewer_of(docked))
+    docked.outputs = ("image", "arrows", "grid", "magnitude", "labels")
+    run(docked)
+    before = state(viewer_of(docked))
+    arrows = by_name(docked, "MR arrows")
     arrows.edge_color = "red"
     arrows.name = "mine"
     longest = arrows.data[:, 1].max()
-    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
-    run(widget)
-    after = state(viewer_of(widget))
+    docked.rules = (docked.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
+    run(docked)
+    after = state(viewer_of(docked))
     assert [identity for _, identity, _ in after] == [identity for _, identity, _ in before]
     assert arrows.data[:, 1].max() > 1.5 * longest
     assert arrows.name == "mine"
     np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
-    assert by_name(widget, "MR magnitude (pixel)").contrast_limits[1] > 4
+    assert by_name(docked, "MR magnitude (pixel)").contrast_limits[1] > 4
 
 
 def test_a_deleted_result_is_made_again(widget, small_sample, run):
@@ -115,11 +115,11 @@ def test_a_deleted_result_is_made_again(widget, small_sample, run):
     assert names(viewer).count("MR deformed") == 1
 
 
-def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
-    viewer = viewer_of(widget)
+def test_painting_goes_on_with_the_same_brush(docked, small_sample, run):
+    viewer = viewer_of(docked)
     _, tissue, _ = small_sample(viewer)
     viewer.layers.selection.active = tissue
-    run(widget)
+    run(docked)
     assert viewer.layers.selection.active is tissue
 
 
@@ -220,25 +220,25 @@ def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sampl
     assert preset.unit in widget._face.tissue.table.horizontalHeaderItem(2).text()
 
 
-def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
-    viewer = viewer_of(widget)
+def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(docked, run):
+    viewer = viewer_of(docked)
     viewer.add_image(
         np.random.default_rng(0).random((30, 40)), name="T1", scale=(0.5, 2), units=("mm", "mm")
     )
-    widget.make_layers()
-    tissue, boundary = widget.tissue, widget.boundary
+    docked.make_layers()
+    tissue, boundary = docked.tissue, docked.boundary
     assert (tissue.data.shape, boundary.data.shape) == ((30, 40), (30, 40))
     np.testing.assert_array_equal(tissue.scale, (0.5, 2))
     assert tissue.units == viewer.layers["T1"].units
     assert viewer.layers.selection.active is tissue
     assert tissue.mode == "paint"
-    assert widget.materials[0] == Material(0, "unpainted", 20.0)
-    assert [rule.action for rule in widget.rules] == ["fixed", "expand"]
+    assert docked.materials[0] == Material(0, "unpainted", 20.0)
+    assert [rule.action for rule in docked.rules] == ["fixed", "expand"]
     boundary.data[:, :2] = 1
     boundary.data[10:20, 20:25] = 2
     boundary.refresh()
-    assert run(widget) is not None
-    assert "mm" in widget._face.boundary.table.horizontalHeaderItem(3).text()
+    assert run(docked) is not None
+    assert "mm" in docked._face.boundary.table.horizontalHeaderItem(3).text()
 
 
 def test_without_an_image_there_is_nothing_to_paint_on(widget):
@@ -437,9 +437,9 @@ def test_bad_input_is_one_error_and_changes_nothing(widget, small_sample, run, s
 
 
 def test_a_failure_while_computing_is_told_and_changes_nothing(
-    widget, small_sample, run, monkeypatch
+    docked, small_sample, run, monkeypatch
 ):
-    viewer = viewer_of(widget)
+    viewer = viewer_of(docked)
     small_sample(viewer)
     before = state(viewer)
 
@@ -447,8 +447,8 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
         raise MemoryError("no room")
 
     monkeypatch.setattr("napari_hmrf.widgets.job.run_here", fail)
-    assert run(widget) is None
-    assert "MemoryError: no room" in widget.status
+    assert run(docked) is None
+    assert "MemoryError: no room" in docked.status
     assert [entry for entry in state(viewer) if entry[0] != "boundary preview"] == before
 
 
@@ -478,17 +478,17 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     assert state(viewer) == before
 
 
-def test_cancel_stops_a_long_solve_within_a_moment(widget, small_sample, run, wait_for):
+def test_cancel_stops_a_long_solve_within_a_moment(docked, small_sample, run, wait_for):
     from napari_hmrf.backends.thread import compute_thread
 
-    viewer = viewer_of(widget)
+    viewer = viewer_of(docked)
     small_sample(viewer)
-    run(widget)
+    run(docked)
     before = state(viewer)
-    widget.settings.sweeps.value = 100_000
-    widget.deform()
-    wait_for(lambda: "sweep" in widget.status)
-    widget.cancel()
+    docked.settings.sweeps.value = 100_000
+    docked.deform()
+    wait_for(lambda: "sweep" in docked.status)
+    docked.cancel()
     # And the thread is free again soon.
     started = time.perf_counter()
     compute_thread.submit(lambda: None).result(timeout=5)
