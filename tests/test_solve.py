@@ -1,5 +1,6 @@
 """One way in, off the caller's thread, that can be watched and stopped at any time."""
 
+import json
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -106,6 +107,7 @@ def test_a_solution_says_what_was_run():
     assert set(run.inputs) == {"y", "c", "m"}
     assert all(len(digest) == 64 for digest in run.inputs.values())
     assert "numpy" in run.versions
+    assert json.loads(json.dumps(run.parameters)) == run.parameters
 
 
 def test_an_unknown_backend_is_refused_with_the_known_ones():

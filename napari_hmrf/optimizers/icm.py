@@ -58,7 +58,8 @@ class ICM:
     @property
     def parameters(self) -> dict[str, Any]:
         """The parameters, by name."""
-        return {"optimizer": "ICM", **asdict(self)}
+        steps = None if self.steps is None else list(self.steps)
+        return {"name": "ICM", **asdict(self), "steps": steps}
 
     def rehearsal(self) -> ICM:
         """Return one sweep on each level, with the same kernels."""

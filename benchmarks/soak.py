@@ -1,0 +1,201 @@
+"""Hundreds of solves, many cancelled at random moments, beside a viewer that keeps redrawing.
+
+    python benchmarks/soak.py [--solves 500] [--cancels 100] [--size 96]
+
+Needs a display (on Linux without one: ``sh scripts/headless.sh python benchmarks/soak.py``). Every
+solve goes through the dock widget, as a user's would, in turn on the shaders and on the compiled
+loops. Prints what was found and exits with 1 if memory grew by more than 5 MiB after the tenth
+solve, a result was wrong, a thread was left over, the viewer's picture changed, or closing the
+viewer during a solve took 2 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import random
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import psutil
+
+from napari_hmrf import BackendError, phantom, solve
+from napari_hmrf.backends import compute_thread
+
+
+@dataclass
+class Findings:
+    """What a soak found."""
+
+    finished: int = 0
+    cancelled: int = 0
+    wrong: int = 0
+    megabytes: list[float] = field(default_factory=list)
+    cancel_seconds: list[float] = field(default_factory=list)
+    picture_changed: bool = False
+    threads_left: list[str] = field(default_factory=list)
+    close_seconds: float = 0.0
+
+    @property
+    def growth(self) -> float:
+        """Memory after the last solve less that after the tenth, in MiB."""
+        return self.megabytes[-1] - self.megabytes[min(9, len(self.megabytes) - 1)]
+
+    @property
+    def sound(self) -> bool:
+        """Whether all is as it should be."""
+        return (
+            self.growth <= 5
+            and not self.wrong
+            and not self.threads_left
+            and not self.picture_changed
+            and self.close_seconds < 2
+        )
+
+
+def soak(
+    solves: int = 500, cancels: int = 100, size: int = 96, seed: int = 0, viewer: Any = None
+) -> Findings:
+    """Run the soak in a viewer, which it closes during a last solve.
+
+    Parameters
+    ----------
+    solves : int
+        How many deformations are started and left to finish.
+    cancels : int
+        How many more are cancelled at a random moment.
+    size : int
+        Side of the phantom, in pixels.
+    seed : int
+        Of the random moments.
+    viewer : napari.Viewer, optional
+        An empty one that is shown; by default one is made.
+    """
+    import napari
+    from qtpy.QtWidgets import QApplication
+
+    from napari_hmrf.contributions import phantom_layers
+    from napari_hmrf.widgets.deform import DeformTissue
+
+    backends = _available(size)
+    before = {thread.name for thread in threading.enumerate()}
+    dice = random.Random(seed)
+    found = Findings()
+    viewer = napari.Viewer(show=True) if viewer is None else viewer
+    for data in phantom_layers(phantom("expansion", size)):
+        viewer._add_layer_from_data(*data)
+    widget = DeformTissue(viewer)
+    viewer.window.add_dock_widget(widget, name="Deform tissue")
+    expected = {name: _deform(widget, name).displacement for name in backends}
+    camera = viewer.scene.camera if hasattr(viewer, "scene") else viewer.camera
+    zoom = camera.zoom
+    picture = viewer.screenshot(canvas_only=True, flash=False)
+    usual = _seconds(lambda: _deform(widget, backends[-1]))
+    plan = [True] * solves + [False] * cancels
+    dice.shuffle(plan)
+    process = psutil.Process()
+    names = list(backends)
+    for number, finish in enumerate(plan):
+        name = names[number % len(names)]
+        camera.zoom = zoom * (1.001 if number % 2 else 1)  # the canvas draws itself again
+        if finish:
+            solution = _deform(widget, name)
+            found.finished += 1
+            found.wrong += not np.array_equal(solution.displacement, expected[name])
+        else:
+            _start(widget, name)
+            _pump(dice.uniform(0, usual))
+            asked = time.perf_counter()
+            widget.cancel()
+            compute_thread.submit(lambda: None).result()  # not before the thread has let go
+            found.cancel_seconds.append(time.perf_counter() - asked)
+            found.cancelled += 1
+        QApplication.processEvents()
+        if finish:
+            gc.collect()
+            found.megabytes.append(process.memory_info().rss / 2**20)
+    camera.zoom = zoom
+    _deform(widget, names[-1])
+    found.picture_changed = not np.array_equal(
+        picture, viewer.screenshot(canvas_only=True, flash=False)
+    )
+    _start(widget, names[0])
+    found.close_seconds = _seconds(lambda: (viewer.close(), QApplication.processEvents()))
+    compute_thread.stop()
+    after = {thread.name for thread in threading.enumerate()}
+    found.threads_left = sorted(name for name in after - before if "hmrf" in name)
+    return found
+
+
+def _available(size: int) -> list[str]:
+    names = []
+    for name in ("opengl", "cpu"):
+        try:
+            solve(phantom("expansion", size).problem, backend=name)
+        except BackendError as error:
+            print(f"without {name}: {error}", file=sys.stderr)
+            continue
+        names.append(name)
+    return names
+
+
+def _start(widget: Any, backend: str) -> None:
+    widget.settings.device.value = backend
+    widget.deform()
+
+
+def _deform(widget: Any, backend: str) -> Any:
+    _start(widget, backend)
+    deadline = time.perf_counter() + 120
+    while not widget.idle:
+        _pump(0.005)
+        if time.perf_counter() > deadline:
+            raise TimeoutError("a deformation did not end within two minutes")
+    return widget.solution
+
+
+def _pump(seconds: float) -> None:
+    from qtpy.QtWidgets import QApplication
+
+    until = time.perf_counter() + seconds
+    while True:
+        QApplication.processEvents()
+        if time.perf_counter() >= until:
+            return
+        time.sleep(0.001)
+
+
+def _seconds(work: Any) -> float:
+    started = time.perf_counter()
+    work()
+    return time.perf_counter() - started
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the soak and print what it found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--solves", type=int, default=500)
+    parser.add_argument("--cancels", type=int, default=100)
+    parser.add_argument("--size", type=int, default=96)
+    options = parser.parse_args(arguments)
+    found = soak(options.solves, options.cancels, options.size)
+    tenth = found.megabytes[min(9, len(found.megabytes) - 1)]
+    print(f"finished {found.finished}, cancelled {found.cancelled}, wrong results {found.wrong}")
+    print(f"memory after the tenth {tenth:.1f} MiB, after the last {found.megabytes[-1]:.1f} MiB")
+    if found.cancel_seconds:
+        print(
+            f"longest until a cancelled solve had ended {1000 * max(found.cancel_seconds):.0f} ms"
+        )
+    print(f"viewer's picture changed: {found.picture_changed}; threads left: {found.threads_left}")
+    print(f"closing the viewer during a solve took {found.close_seconds:.2f} s")
+    print("sound" if found.sound else "NOT SOUND")
+    return 0 if found.sound else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,13 @@
+"""A short soak; ``benchmarks/soak.py`` runs the long one."""
+
+from soak import soak
+
+
+def test_many_solves_and_cancels_leave_nothing_behind(make_napari_viewer):
+    found = soak(solves=12, cancels=8, size=48, viewer=make_napari_viewer(show=True))
+    assert (found.finished, found.cancelled) == (12, 8)
+    assert found.wrong == 0
+    assert found.threads_left == []
+    assert not found.picture_changed
+    assert found.close_seconds < 2
+    assert max(found.cancel_seconds) < 0.2
