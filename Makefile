@@ -6,7 +6,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 HEADLESS := sh scripts/headless.sh
 
-.PHONY: help setup demo test format lint types benchmarks screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows demo test format lint types benchmarks screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -24,10 +24,13 @@ help:
 setup:
 	@$(PYTHON) scripts/setup.py
 
+setup-for-windows:
+	@$(PYTHON) scripts/setup.py --for-windows
+
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
-test: setup
+test: setup-for-windows
 	@$(HEADLESS) $(RUN) -m pytest
 
 format: setup
@@ -44,7 +47,7 @@ types: setup
 benchmarks: setup
 	@$(RUN) benchmarks/run.py
 
-screenshots: setup
+screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py
 
 sample-data: setup

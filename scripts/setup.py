@@ -6,6 +6,7 @@ this checkout and all that its tests use. Only Python itself is needed to run th
 
     python3 scripts/setup.py            # with the versions of constraints.txt
     python3 scripts/setup.py --newest   # with the newest there are, which are then written there
+    python3 scripts/setup.py --for-windows   # fails where Qt's libraries are still missing
 """
 
 import ctypes
@@ -54,6 +55,7 @@ SYSTEM = (
     ("Xvfb", "xvfb"),
     ("xauth", "xauth"),
 )
+VIRTUAL_DISPLAY = {"Xvfb", "xauth"}
 
 
 def say(text):
@@ -74,12 +76,17 @@ def is_there(need):
     return True
 
 
-def missing_packages():
-    """Packages of Debian's that would bring what this machine lacks."""
-    packages = [package for need, package in SYSTEM if not is_there(need)]
+def missing():
+    """What this machine lacks, and the packages of Debian's that would bring it."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    lacks = [
+        (need, package)
+        for need, package in SYSTEM
+        if not (display and need in VIRTUAL_DISPLAY) and not is_there(need)
+    ]
     if not can_make_environments():
-        packages.append(f"python{VERSION}-venv")
-    return packages
+        lacks.append(("ensurepip", f"python{VERSION}-venv"))
+    return dict(lacks)
 
 
 def can_make_environments():
@@ -103,39 +110,41 @@ def quiet(command):
 
 
 def provide_system():
-    """Install the libraries that are missing, or say how to; the rest can go on without them."""
-    if platform.system() != "Linux":
-        return
-    packages = missing_packages()
-    if not packages:
-        return
-    if not shutil.which("apt-get"):
-        needs = [need for need, _ in SYSTEM if not is_there(need)]
-        say(f"Missing on this system, for OpenGL and Qt: {', '.join(needs)}.")
-        say("Install them with its package manager. Going on without them.")
-        return
-    by_hand = "sudo apt-get update && sudo apt-get install -y " + " ".join(packages)
+    """Install what is missing of the system, or say how to; what is still missing then."""
+    lacks = missing() if platform.system() == "Linux" else {}
+    if not lacks:
+        return {}
+    packages = " ".join(lacks.values())
+    by_hand = f"sudo apt-get update && sudo apt-get install -y {packages}"
     root = become_root()
-    if root is None:
+    if not shutil.which("apt-get"):
+        say(f"Missing on this system, for OpenGL and Qt: {', '.join(lacks)}.")
+        say(f"Its package manager has them; Debian's names are {packages}.")
+    elif root is None:
         say("Missing system packages. Please type this, and then the same make command again:")
         say(f"    {by_hand}")
-        say("Going on without them as far as possible.")
-        return
-    say(f"Installing system packages: {' '.join(packages)}")
-    apt = [*root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q", "-y"]
-    apt += ["-o", "DPkg::Lock::Timeout=120", "-o", "Dpkg::Use-Pty=0"]
-    # Its output is shown only if it fails; an update that fails in part may still be enough.
-    for step in (["update"], ["install", "--no-install-recommends", *packages]):
-        done = subprocess.run(
-            apt + step,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        if done.returncode:
-            say(done.stdout)
-            say(f"`apt-get {step[0]}` failed (above). Should this stay so, type: {by_hand}")
+    else:
+        say(f"Installing system packages: {packages}")
+        apt_get(root, ["update"], by_hand)
+        apt_get(root, ["install", "--no-install-recommends", *lacks.values()], by_hand)
+        return missing()
+    return lacks
+
+
+def apt_get(root, arguments, by_hand):
+    """Run apt-get as root; its output is shown only if it fails, and the next step is tried."""
+    command = [*root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q", "-y"]
+    command += ["-o", "DPkg::Lock::Timeout=120", "-o", "Dpkg::Use-Pty=0", *arguments]
+    done = subprocess.run(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    if done.returncode:
+        say(done.stdout)
+        say(f"`apt-get {arguments[0]}` failed (above). Should this stay so, type: {by_hand}")
 
 
 def python_of_venv():
@@ -163,8 +172,8 @@ def provide_environment(newest):
     if not newest and made_from == key and venv_works():
         return
     if not can_make_environments():
-        say("This Python cannot make virtual environments. On Debian and Ubuntu, type:")
-        say(f"    sudo apt-get update && sudo apt-get install -y python{VERSION}-venv")
+        say("This Python cannot make virtual environments; nothing goes on without one.")
+        say(f"Debian and Ubuntu have that in the package python{VERSION}-venv.")
         sys.exit(1)
     say(f"Setting up {VENV.name} (once; some minutes, about 1.5 GB) ...")
     if newest or not venv_works():
@@ -203,12 +212,15 @@ def main():
         say("Python {}.{} or later is needed; this is {}.".format(*OLDEST, VERSION))
         say("If there is another one, name it: make test PYTHON=python3.12")
         sys.exit(1)
-    provide_system()
+    lacks = provide_system()
     try:
         provide_environment(newest="--newest" in sys.argv[1:])
     except subprocess.CalledProcessError as error:
         say(f"Setting up failed: {' '.join(str(part) for part in error.cmd)}")
         say("What was wrong is above; the next make tries again.")
+        sys.exit(1)
+    if "--for-windows" in sys.argv[1:] and not VIRTUAL_DISPLAY.issuperset(lacks):
+        say("Without what is missing (above), Qt cannot open a window.")
         sys.exit(1)
 
 
