@@ -36,6 +36,7 @@ def _sample(name: str) -> list[LayerData]:
 
 def phantom_layers(found: Phantom) -> list[LayerData]:
     """An image and its two painted layers, with the tables that the widget opens with."""
+    from napari_hmrf.layers.colours import boundary_colours
     from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
 
     # The stored arrays are read-only; layers are there to be painted on.
@@ -56,7 +57,12 @@ def phantom_layers(found: Phantom) -> list[LayerData]:
         ),
         (
             found.boundary_labels.copy(),
-            {"name": "Boundary", "opacity": 0.8, "metadata": described(BOUNDARY, found.boundary)},
+            {
+                "name": "Boundary",
+                "opacity": 0.9,
+                "colormap": boundary_colours(),
+                "metadata": described(BOUNDARY, found.boundary),
+            },
             "labels",
         ),
     ]

@@ -6,7 +6,8 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.outputs import ARROWS, KINDS, METADATA, Pictures, result_layers
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.outputs import ARROWS, KINDS, Pictures, result_layers
 from napari_hmrf.layers.view import View
 from napari_hmrf.optimizers.base import LevelRun
 from napari_hmrf.solution import Provenance, Solution
@@ -55,10 +56,10 @@ def test_every_layer_can_be_had_and_is_named_after_its_source():
     layers = layers_of(result_layers(solution(), pictures=pictures, kinds=KINDS))
     assert {kind: layer.name for kind, layer in layers.items()} == {
         "image": "MR deformed",
-        "magnitude": "MR displacement (pixel)",
+        "magnitude": "MR magnitude (px)",
         "labels": "Tissue deformed",
-        "grid": "MR deformation grid",
-        "arrows": "MR displacement arrows",
+        "grid": "MR grid",
+        "arrows": "MR arrows",
     }
     assert layers["labels"].data[12, 20] == 1
     assert layers["magnitude"].data.max() == pytest.approx(2.0)

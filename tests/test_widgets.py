@@ -5,9 +5,11 @@ import time
 import numpy as np
 import pytest
 from conftest import quick
+from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf import ICM, SeilerPrior
 from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.widgets.deform import DeformTissue
@@ -77,7 +79,7 @@ def test_all_outputs_can_be_had(widget, small_sample, run):
     run(widget)
     assert names(viewer_of(widget))[-5:] == [
         "MR deformed",
-        "MR magnitude (pixel)",
+        "MR magnitude (px)",
         "Tissue deformed",
         "MR grid",
         "MR arrows",
@@ -102,7 +104,7 @@ def test_running_again_updates_the_layers_in_place(docked, small_sample, run):
     assert arrows.data[:, 1].max() > 1.5 * longest
     assert arrows.name == "mine"
     np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
-    assert by_name(docked, "MR magnitude (pixel)").contrast_limits[1] > 4
+    assert by_name(docked, "MR magnitude (px)").contrast_limits[1] > 4
 
 
 def test_a_deleted_result_is_made_again(widget, small_sample, run):
@@ -320,14 +322,12 @@ def test_settings_become_prior_and_optimizer(widget):
     assert "Stiff-soft borders lock" in settings.sentence.value
 
 
-def test_untouched_settings_are_the_papers(make_napari_viewer):
-    from napari_hmrf import ICM, SeilerPrior
-
-    widget = DeformTissue(make_napari_viewer())
+def test_untouched_settings_are_the_papers(qtbot):
+    widget = DeformTissue(ViewerModel())
+    qtbot.addWidget(widget.native)
     assert widget.settings.prior == SeilerPrior()
     assert widget.settings.optimizer == ICM()
     assert widget.settings.backend == "auto"
-    widget.native.deleteLater()
 
 
 # Place

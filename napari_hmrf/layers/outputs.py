@@ -14,6 +14,7 @@ import numpy.typing as npt
 from napari_hmrf.deformation import arrows, count_folds, deformation_grid, magnitude
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import inverse_map, resample
 
@@ -172,7 +173,7 @@ class _Maker:
             "opacity": 0.6,
             "contrast_limits": (0.0, float(length.max()) or 1.0),
         }
-        what = f"magnitude ({self._frame.unit})"
+        what = f"magnitude ({unit_symbol(self._frame.unit)})"
         return self._picture("magnitude", length, what, look, rgb=False)
 
     def grid(self) -> LayerData:

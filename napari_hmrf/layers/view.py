@@ -117,3 +117,16 @@ def unit_factor(unit: str, to: str) -> float:
         return float(registry.Quantity(1, unit).to(to).magnitude)
     except pint.errors.PintError:
         return float("nan")
+
+
+def unit_symbol(unit: str) -> str:
+    """A unit of length as tables show it: "px", "mm"."""
+    if unit == "pixel":
+        return "px"
+    import pint
+
+    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
+    try:
+        return f"{registry.Unit(unit):~}" or unit
+    except (pint.errors.PintError, ValueError):
+        return unit

@@ -31,8 +31,8 @@ class BoundaryTable(LabelTable):
                 ("Action", "Fixed: stays where it is.\nMoves by: (row, col).\nExpands by: outward"),
                 ("", ""),
                 ("", ""),
-                ("sure\nrow", "Confidence in the row component: 0 unknown, 1 certain"),
-                ("sure\ncol", "Confidence in the column component: 0 unknown, 1 certain"),
+                ("conf.\nrow", "Confidence in the row component: 0 unknown, 1 certain"),
+                ("conf.\ncol", "Confidence in the column component: 0 unknown, 1 certain"),
             ],
             stretch=_NAME,
         )

@@ -14,13 +14,14 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import METADATA, role_of
 from napari_hmrf.layers.outputs import Outputs
+from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.solution import Solution
 from napari_hmrf.widgets.chooser import Chooser
 from napari_hmrf.widgets.job import Job
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.preview import BoundaryPreview
 from napari_hmrf.widgets.results import ResultLayers
-from napari_hmrf.widgets.words import report, unit_symbol
+from napari_hmrf.widgets.words import report
 
 #: How often a running job is asked how it is getting on, in milliseconds.
 _POLL = 30

@@ -9,6 +9,7 @@ import numpy as np
 from napari.layers import Labels
 
 from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
+from napari_hmrf.layers.colours import boundary_colours
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.view import View, layer_extents
@@ -59,8 +60,12 @@ def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
         **place,
     )
     boundary = Labels(
-        np.zeros(shape, np.uint8), name="Boundary", metadata=described(BOUNDARY, rules), **place
+        np.zeros(shape, np.uint8),
+        name="Boundary",
+        colormap=boundary_colours(),
+        metadata=described(BOUNDARY, rules),
+        **place,
     )
     for layer in (tissue, boundary):
-        layer.brush_size = max(3, round(max(shape[axis] for axis in frame.plane) / 60))
+        layer.brush_size = max(3, round(max(shape[axis] for axis in frame.plane) / 40))
     return tissue, boundary

@@ -8,6 +8,7 @@ import numpy as np
 from napari.layers import Layer
 
 from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.layers.colours import PREVIEW
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.observations import preview_arrows
 from napari_hmrf.layers.outputs import LayerData
@@ -53,7 +54,7 @@ class BoundaryPreview:
             **frame.placement(),
             "name": NAME,
             "vector_style": "arrow",
-            "edge_color": "magenta",
+            "edge_color": PREVIEW,
             "edge_width": max(pixels) / 400,
             "opacity": 1.0,
             "metadata": {METADATA: {"kind": "preview", "slice": frame.slice_name}},

@@ -42,7 +42,7 @@ class SolverSettings(Container):
             value=prior.conditional,
             tooltip="Which cliques count when a site chooses its displacement",
         )
-        sentence = Label(name="sentence", label="", value=_READINGS[prior.conditional])
+        sentence = Label(name="sentence", label=" ", value=_READINGS[prior.conditional])
         sweeps = SpinBox(
             name="sweeps",
             label="sweeps per level",

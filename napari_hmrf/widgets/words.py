@@ -6,19 +6,6 @@ from napari_hmrf.layers.inputs import Inputs
 from napari_hmrf.layers.outputs import Outputs
 
 
-def unit_symbol(unit: str) -> str:
-    """A unit of length as tables show it: "px", "mm"."""
-    if unit == "pixel":
-        return "px"
-    import pint
-
-    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
-    try:
-        return f"{registry.Unit(unit):~}" or unit
-    except (pint.errors.PintError, ValueError):
-        return unit
-
-
 def report(outputs: Outputs, inputs: Inputs, changed: bool = False) -> str:
     """One paragraph: what ran, how long, how well, and what to beware of.
 

@@ -1,0 +1,17 @@
+"""Colours that set boundaries apart from tissues and from what they do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+#: Of the arrows that show what a boundary will do.
+PREVIEW = "magenta"
+#: Of boundary labels 1, 2, ...; napari's own would repeat the colours of the tissues.
+_BOUNDARY = ("#ff9f1c", "#ff4fd8", "#7ee081", "#ff5a5f", "#f4f482", "#a78bfa")
+
+
+def boundary_colours() -> Any:
+    """The colormap of a Labels layer of boundaries."""
+    from napari.utils.colormaps import CyclicLabelColormap
+
+    return CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
