@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from opengl_here import on_compute_thread, require_opengl
 
-from napari_hmrf import Problem, SeilerPrior, solve
+from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.backends import SiteRule
 from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.opengl import OpenGLBackend
@@ -214,6 +214,31 @@ def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
         found = solve(problem, backend=f"opengl:{stage}")
     assert (found.displacement[~disc] == 0).all()
     np.testing.assert_allclose(found.energy, expected.energy, rtol=0.02, atol=1e-3)
+
+
+def test_one_backend_keeps_two_bodies_on_one_grid_apart(stage):
+    soft, torn = np.ones((24, 24)), np.ones((24, 24))
+    torn[:, 14:] = 0
+    torn[12, 12:14] = 5
+    held = np.zeros((24, 24, 2))
+    held[[0, -1]] = 1
+    pull = np.random.default_rng(0).normal(size=held.shape)
+    schedule = ICM(iterations=12, steps=None)
+
+    def job(*stiffnesses):
+        backend = OpenGLBackend(lambda: None, stage)
+        try:
+            for m in stiffnesses:
+                problem = Problem(pull, held, m)
+                outcome = schedule.run(problem, SeilerPrior(), backend, lambda _: None)
+            return outcome
+        finally:
+            backend.close()
+
+    alone = on_compute_thread(lambda: job(torn))
+    second = on_compute_thread(lambda: job(soft, torn))
+    np.testing.assert_array_equal(second.displacement, alone.displacement)
+    np.testing.assert_array_equal(second.energy, alone.energy)
 
 
 @pytest.mark.parametrize("kept", [True, False], ids=["kept", "blocks"])

@@ -77,6 +77,7 @@ class OpenGLBackend:
         self._pool = _Pool(self._device.texture)
         self._keeps_shares = software
         self._targets: dict[tuple[int, ...], Any] = {}
+        self._drawn: dict[tuple[int, ...], Bands | None] = {}
 
     def upload(self, values: FloatArray) -> GLField:
         """Copy values of shape (H, W, C) into a texture."""
@@ -154,9 +155,10 @@ class OpenGLBackend:
         shape = displacement.shape
         program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
-        totals = self._totals(shape, 1)
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
-        self._run(program, inputs, [totals.share()], shape, bands=self._bands(stiffness))
+        bands = self._bands(stiffness)
+        totals = self._totals(shape, 1)
+        self._run(program, inputs, [totals.share()], shape, bands=bands)
         totals.add()
         return float(totals.read()[0])
 
@@ -172,6 +174,7 @@ class OpenGLBackend:
         """Free every texture; the context and the compiled kernels stay for the next solve."""
         self._device.free((*self._targets.values(), *self._pool.all))
         self._targets.clear()
+        self._drawn.clear()
         self._pool = _Pool(self._device.texture)
 
     def _read(self, field: GLField) -> FloatArray:
@@ -219,6 +222,10 @@ class OpenGLBackend:
             texture = self._pool.take(spans.shape[:2], 2, use="bands")
             texture.write(spans.tobytes())
             stiffness.bands = Bands(texture, len(spans))
+        if self._drawn.get(stiffness.shape) is not stiffness.bands:
+            # Other tissue on the same grid: what it left must not show up in this one's void.
+            self._drawn[stiffness.shape] = stiffness.bands
+            self._pool.blank(stiffness.shape)
         return stiffness.bands
 
     def _field(self, shape: tuple[int, ...], components: int) -> GLField:
@@ -279,3 +286,10 @@ class _Pool:
     ) -> None:
         """Take a texture back for others of the same use."""
         self._spare.setdefault((shape, components, use), []).append(texture)
+
+    def blank(self, shape: tuple[int, ...]) -> None:
+        """Fill the waiting ``sites`` of a level with 0."""
+        for (size, components, use), waiting in self._spare.items():
+            if size == shape and use == "sites":
+                for texture in waiting:
+                    texture.write(np.zeros((*size, components), np.float32).tobytes())
