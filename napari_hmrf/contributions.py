@@ -1,4 +1,4 @@
-"""What napari asks of this package: samples, the widget, and files of results."""
+"""What napari asks of this package beside the widget: samples, and files of results."""
 
 from __future__ import annotations
 
@@ -128,10 +128,3 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "so there is no solution to save. Save the layer of displacement arrows that it made."
         )
     return [str(solution.save(path))]
-
-
-def deform_tissue(napari_viewer: Any) -> DeformTissue:
-    """Make the dock widget."""
-    from napari_hmrf.widgets.deform import DeformTissue
-
-    return DeformTissue(napari_viewer)
