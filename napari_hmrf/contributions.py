@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from napari_hmrf.phantoms import Phantom
-    from napari_hmrf.widgets.deform import DeformTissue
 
 LayerData = tuple[Any, dict[str, Any], str]
 PathOrPaths = str | list[str]
