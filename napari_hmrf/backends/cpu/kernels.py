@@ -256,8 +256,8 @@ def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
             d, a0 / relaxation, a1 / relaxation, b0, b1, observation, steps, i, j
         )
     return (
-        new0 if abs(new0) > _FLUSH else float32(0),
-        new1 if abs(new1) > _FLUSH else float32(0),
+        float32(0) if abs(new0) <= _FLUSH else new0,
+        float32(0) if abs(new1) <= _FLUSH else new1,
     )
 
 
