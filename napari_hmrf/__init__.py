@@ -24,12 +24,11 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
-from napari_hmrf.files import is_solution_file, load_solution, save_solution
 from napari_hmrf.optimizers import ICM, Monitor
 from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
 from napari_hmrf.priors import SeilerPrior
 from napari_hmrf.problem import Problem
-from napari_hmrf.solution import Provenance, Solution
+from napari_hmrf.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solve import solve
 from napari_hmrf.warp import inverse_map, resample, warp
 
@@ -56,13 +55,11 @@ __all__ = [
     "inverse_map",
     "is_solution_file",
     "jacobian_determinant",
-    "load_solution",
     "magnitude",
     "phantom",
     "reference_displacement",
     "resample",
     "sample",
-    "save_solution",
     "solve",
     "warp",
 ]

@@ -69,7 +69,7 @@ def phantom_layers(found: Phantom) -> list[LayerData]:
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
     """Offer to read a saved result; None for any other file."""
-    from napari_hmrf.files import is_solution_file
+    from napari_hmrf.solution import is_solution_file
 
     paths = [path] if isinstance(path, str) else path
     return _read if paths and all(is_solution_file(each) for each in paths) else None

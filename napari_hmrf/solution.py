@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf import archive
 from napari_hmrf.optimizers.base import LevelRun
 
 
@@ -92,14 +93,102 @@ class Solution:
         return float(self.energy[-1])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Save to one .npz file; see `napari_hmrf.files.save_solution`."""
-        from napari_hmrf.files import save_solution
+        """Save to one .npz file, whole or not at all.
 
-        return save_solution(self, path)
+        Parameters
+        ----------
+        path : str or path-like
+            Taken as it is; ".npz" is added only if the name has no suffix. A file of that name is
+            replaced in the moment the new one is complete.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+
+        Raises
+        ------
+        OSError
+            If the folder is missing or the file cannot be written; the message names the file.
+        TypeError, ValueError
+            If frame or parameters hold something that is not of a JSON type, or parts disagree.
+        """
+        header = {
+            "spacing": [float(size) for size in self.spacing],
+            "levels": [asdict(run) for run in self.levels],
+            "provenance": asdict(self.provenance),
+            "frame": self.frame,
+        }
+        arrays = {name: getattr(self, name) for name in SOLUTION_FORMAT.arrays}
+        return archive.write(path, SOLUTION_FORMAT, header, arrays)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
-        """Read back what `save` wrote; see `napari_hmrf.files.load_solution`."""
-        from napari_hmrf.files import load_solution
+        """Read back what `save` wrote, in this or an earlier version.
 
-        return load_solution(path)
+        Returns
+        -------
+        Solution
+            Exactly what was saved (sequences in parameters and frame come back as lists).
+
+        Raises
+        ------
+        FileFormatError
+            If it is anything else, or damaged.
+        OSError
+            If it cannot be opened.
+        """
+        return archive.read(path, SOLUTION_FORMAT)
+
+
+def is_solution_file(path: str | os.PathLike[str]) -> bool:
+    """Tell, by reading little of it, whether a file says that it is a saved solution."""
+    return archive.claims_to_be(path, SOLUTION_FORMAT)
+
+
+def _parse(header: archive.Header, arrays: archive.Arrays) -> Solution:
+    levels = tuple(
+        LevelRun(
+            int(run["number"]), tuple(int(size) for size in run["shape"]), int(run["iterations"])
+        )
+        for run in header["levels"]
+    )
+    spacing = tuple(float(size) for size in header["spacing"])
+    displacement, energy, tissue = (arrays[name] for name in SOLUTION_FORMAT.arrays)
+    if displacement.shape != (*tissue.shape, tissue.ndim) or displacement.size == 0:
+        raise archive.Invalid(
+            f"its displacement {displacement.shape} and tissue {tissue.shape} disagree"
+        )
+    if len(spacing) != tissue.ndim or not all(0 < size < float("inf") for size in spacing):
+        raise archive.Invalid(f"its pixel spacing is {spacing}")
+    if not np.isfinite(displacement).all():
+        raise archive.Invalid("its displacement holds values that are not numbers")
+    if len(energy) != sum(run.iterations for run in levels):
+        raise archive.Invalid("its energies and iterations disagree")
+    frame = header["frame"]
+    if frame is not None and not isinstance(frame, dict):
+        raise archive.Invalid("its frame is not a table")
+    given, known = header["provenance"], {field.name for field in fields(Provenance)}
+    return Solution(
+        displacement=displacement.astype(np.float32, copy=False),
+        energy=energy.astype(np.float64, copy=False),
+        levels=levels,
+        tissue=tissue,
+        spacing=spacing,
+        provenance=Provenance(**{field: given[field] for field in known & given.keys()}),
+        frame=frame,
+    )
+
+
+#: The file that `Solution.save` writes.
+SOLUTION_FORMAT: archive.Format[Solution] = archive.Format(
+    name="napari-hmrf solution",
+    schema=1,
+    what="napari-hmrf result",
+    arrays={
+        "displacement": (np.dtype("<f4"), 3),
+        "energy": (np.dtype("<f8"), 1),
+        "tissue": (np.dtype("?"), 2),
+    },
+    parse=_parse,
+)

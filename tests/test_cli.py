@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import napari_hmrf
-from napari_hmrf import cli, selftest, solve
+from napari_hmrf import Solution, cli, selftest, solve
 from napari_hmrf.demo import demonstrate
 from napari_hmrf.errors import BackendError
-from napari_hmrf.files import load_solution
 
 
 @pytest.fixture(autouse=True)
@@ -60,7 +59,7 @@ def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys
         with Image.open(tmp_path / "out" / name) as picture:
             assert min(picture.size) > 300
             assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, "an empty page"
-    solution = load_solution(tmp_path / "out" / "solution.npz")
+    solution = Solution.load(tmp_path / "out" / "solution.npz")
     assert solution.displacement.shape == (16, 48, 2)
     pull = solution.displacement[8, :, 1]
     assert pull[0] < pull[24] < pull[-1], "the bar is pulled to the right"

@@ -16,11 +16,9 @@ from napari_hmrf import (
     FileFormatError,
     Provenance,
     Solution,
-    files,
+    archive,
     is_solution_file,
-    load_solution,
     phantom,
-    save_solution,
     solve,
 )
 from napari_hmrf.optimizers.base import LevelRun
@@ -106,7 +104,7 @@ def with_header(path, target, **changes):
 def refusal(path):
     """The one sentence with which a file is refused."""
     with pytest.raises(FileFormatError) as caught:
-        load_solution(path)
+        Solution.load(path)
     message = str(caught.value)
     start = f"{path.name}: not a valid napari-hmrf result: "
     assert message.startswith(start)
@@ -117,13 +115,13 @@ def refusal(path):
 
 
 def test_what_was_saved_comes_back_exactly(solution, path):
-    assert_same(load_solution(path), solution)
+    assert_same(Solution.load(path), solution)
     assert_same(Solution.load(str(path)), solution)
 
 
 def test_a_real_solution_comes_back(tmp_path):
     solution = solve(phantom("mass-effect", 32).problem, backend="cpu")
-    back = load_solution(solution.save(tmp_path / "solution.npz"))
+    back = Solution.load(solution.save(tmp_path / "solution.npz"))
     assert_same(back, solution)
     assert back.iterations == solution.iterations
     assert back.mean_energy == solution.mean_energy
@@ -131,7 +129,7 @@ def test_a_real_solution_comes_back(tmp_path):
 
 def test_a_field_of_zeros_is_a_field_however_well_it_packs(tmp_path):
     still = dataclasses.replace(made_up((600, 600)), displacement=np.zeros((600, 600, 2), "f4"))
-    assert not load_solution(still.save(tmp_path / "still.npz")).displacement.any()
+    assert not Solution.load(still.save(tmp_path / "still.npz")).displacement.any()
 
 
 def test_numpy_alone_can_read_it(solution, path):
@@ -157,13 +155,13 @@ def test_numpy_alone_can_read_it(solution, path):
 def test_a_file_has_the_name_that_was_given(solution, tmp_path, given, written):
     assert solution.save(tmp_path / given) == tmp_path / written
     assert os.listdir(tmp_path) == [written]
-    assert_same(load_solution(tmp_path / written), solution)
+    assert_same(Solution.load(tmp_path / written), solution)
 
 
 def test_saving_again_replaces_the_file(solution, path):
     other = made_up((5, 5))
     other.save(path)
-    assert_same(load_solution(path), other)
+    assert_same(Solution.load(path), other)
     assert os.listdir(path.parent) == [path.name]
 
 
@@ -174,7 +172,7 @@ def test_a_link_is_followed_not_replaced(solution, path):
     other = made_up((5, 5))
     other.save(link)
     assert link.is_symlink()
-    assert_same(load_solution(path), other)
+    assert_same(Solution.load(path), other)
 
 
 def disk_full(*_):
@@ -183,20 +181,20 @@ def disk_full(*_):
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
-    monkeypatch.setattr(files.os, step, disk_full)
+    monkeypatch.setattr(archive.os, step, disk_full)
     with pytest.raises(OSError, match=r"cannot save the result: No space left.*result\.npz"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
-    assert_same(load_solution(path), solution)
+    assert_same(Solution.load(path), solution)
     assert os.listdir(path.parent) == [path.name]
 
 
 def test_a_disk_that_does_not_keep_what_it_was_given_is_found_out(solution, path, monkeypatch):
-    monkeypatch.setattr(files.Path, "read_bytes", lambda _: b"")
+    monkeypatch.setattr(archive.Path, "read_bytes", lambda _: b"")
     with pytest.raises(OSError, match=r"'result\.npz'.*did not keep"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
-    assert_same(load_solution(path), solution)
+    assert_same(Solution.load(path), solution)
     assert os.listdir(path.parent) == [path.name]
 
 
@@ -215,15 +213,15 @@ def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
             raise PermissionError(errno.EACCES, "Permission denied")
         rename(*names)
 
-    monkeypatch.setattr(files.os, "replace", held)
-    monkeypatch.setattr(files.time, "sleep", lambda _: None)
+    monkeypatch.setattr(archive.os, "replace", held)
+    monkeypatch.setattr(archive.time, "sleep", lambda _: None)
     other = made_up((5, 5))
     other.save(path)
-    assert_same(load_solution(path), other)
-    monkeypatch.setattr(files.os, "replace", always_held)
+    assert_same(Solution.load(path), other)
+    monkeypatch.setattr(archive.os, "replace", always_held)
     with pytest.raises(PermissionError, match=r"cannot save the result: held.*result\.npz"):
         solution.save(path)
-    assert_same(load_solution(path), other)
+    assert_same(Solution.load(path), other)
 
 
 def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
@@ -259,7 +257,7 @@ def test_a_solution_that_could_not_be_read_back_is_not_written(path, solution):
         bad.save(path)
     with pytest.raises(TypeError, match="JSON"):
         made_up(frame={"layer": object()}).save(path)
-    assert_same(load_solution(path), solution)
+    assert_same(Solution.load(path), solution)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
@@ -278,7 +276,7 @@ def test_a_flipped_bit_is_found_wherever_it_is(solution, path):
         damaged[at] ^= 0x10
         path.write_bytes(damaged)
         try:
-            back = load_solution(path)
+            back = Solution.load(path)
         except FileFormatError:
             found += 1
         else:  # a bit that means nothing, such as in a date
@@ -298,9 +296,9 @@ def test_an_archive_whose_table_points_nowhere_is_refused(path):
 
 
 def test_a_disk_that_cannot_be_read_is_not_the_files_fault(path, monkeypatch):
-    monkeypatch.setattr(files.zipfile, "ZipFile", disk_full)
+    monkeypatch.setattr(archive.zipfile, "ZipFile", disk_full)
     with pytest.raises(OSError, match="No space"):
-        load_solution(path)
+        Solution.load(path)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"row,col\n1,2\n", b"\x93NUMPY", os.urandom(999)])
@@ -326,7 +324,7 @@ def test_a_lone_array_or_foreign_archive_is_another_kind_of_file(tmp_path):
 
 def test_a_missing_file_is_missing_not_invalid(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.npz"):
-        load_solution(tmp_path / "none.npz")
+        Solution.load(tmp_path / "none.npz")
     assert not is_solution_file(tmp_path / "none.npz")
     assert refusal(tmp_path) == "it is a folder"
     assert not is_solution_file(tmp_path)
@@ -365,7 +363,7 @@ def test_a_zip_bomb_costs_no_memory(path, tmp_path):
                 member.write(bytes(100 * rows * 8))
     assert bomb.stat().st_size < 2e6
     tracemalloc.start()
-    assert "more than a solution may hold" in refusal(bomb)
+    assert "more than such a file may hold" in refusal(bomb)
     assert tracemalloc.get_traced_memory()[1] < 5e6
     tracemalloc.stop()
 
@@ -388,8 +386,8 @@ def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, membe
     [
         ({"energy": None}, "lacks 'energy.npy'"),
         ({"header": None}, "another kind of file"),
-        ({"extra": npy(np.ones(3))}, "holds 'extra.npy', which no solution does"),
-        ({"../../evil": npy(np.ones(3))}, "no solution does"),
+        ({"extra": npy(np.ones(3))}, "holds 'extra.npy', which no napari-hmrf result does"),
+        ({"../../evil": npy(np.ones(3))}, "no napari-hmrf result does"),
         ({"displacement": npy(np.zeros((7, 11, 2)))}, "displacement is float64"),
         ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement is >f4"),
         ({"displacement": npy(np.zeros((7, 11), "f4"))}, r"of shape \(7, 11\)"),
@@ -441,8 +439,8 @@ def test_the_same_member_twice_is_refused(path, tmp_path):
 def test_what_a_later_version_adds_to_the_provenance_is_passed_over(solution, path, tmp_path):
     provenance = {**header_of(path)["provenance"], "mood": "sunny"}
     newer = with_header(path, tmp_path / "newer.npz", provenance=provenance)
-    assert_same(load_solution(newer), solution)
+    assert_same(Solution.load(newer), solution)
 
 
 def test_a_saved_solution_is_recognised_by_its_content_not_its_name(solution, tmp_path):
-    assert is_solution_file(save_solution(solution, tmp_path / "anything.dat"))
+    assert is_solution_file(solution.save(tmp_path / "anything.dat"))
