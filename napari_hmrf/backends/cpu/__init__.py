@@ -66,16 +66,17 @@ class CpuBackend:
         # Numba is imported, and its kernels loaded, only by a solve that uses them.
         import numba
 
-        from napari_hmrf.backends.cpu import kernels
+        from napari_hmrf.backends.cpu import kernels, transfer
 
         self._kernels = kernels
+        self._transfer = transfer
         self._checkpoint = checkpoint
         threads = numba.get_num_threads()
         self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
 
     def upload(self, values: FloatArray) -> CpuField:
         """Pad values of shape (H, W, C) by void."""
-        field = CpuField(self._kernels.padded(values.shape[-1], values.shape[:-1]))
+        field = CpuField(self._transfer.padded(values.shape[-1], values.shape[:-1]))
         field.inside[...] = np.moveaxis(values, -1, 0)
         return field
 
@@ -85,12 +86,12 @@ class CpuBackend:
 
     def zeros(self, level: Level) -> CpuField:
         """Return a displacement of zero."""
-        return CpuField(self._kernels.padded(2, level.shape))
+        return CpuField(self._transfer.padded(2, level.shape))
 
     def project(self, finest: CpuField, level: Level) -> CpuField:
         """Project by nearest neighbour from level 0."""
         planes = range(len(finest.planes))
-        field = CpuField(self._kernels.padded(len(planes), level.shape))
+        field = CpuField(self._transfer.padded(len(planes), level.shape))
         field.inside[...] = finest.inside[np.ix_(planes, *nearest_pixels(level, finest.shape))]
         return field
 
@@ -98,8 +99,8 @@ class CpuBackend:
         self, coarse: CpuField, coarse_stiffness: CpuField, stiffness: CpuField
     ) -> CpuField:
         """Project displacement one level down, linearly."""
-        field = CpuField(self._kernels.padded(2, stiffness.shape))
-        self._kernels.prolong(
+        field = CpuField(self._transfer.padded(2, stiffness.shape))
+        self._transfer.prolong(
             coarse.planes, coarse_stiffness.planes, field.planes, stiffness.planes
         )
         return field

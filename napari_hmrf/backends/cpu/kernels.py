@@ -8,7 +8,8 @@ never from an assembled stencil: float32 cancellation would cost whole pixels in
 The loops over a row vectorise because they branch nowhere, count from zero (an index that might be
 negative would be wrapped around, Python's way) and live inside the parallel loop (where the
 compiler knows that the arrays do not overlap). Check that when you change them: the generated code
-must be full of ``<16 x float>`` or ``<8 x float>``.
+must be full of ``<16 x float>`` or ``<8 x float>``. All of them are in this file, because numba's
+cache notices when this file changes, not when one that it imports does.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return"
@@ -17,11 +18,7 @@ from __future__ import annotations
 from typing import Any
 
 import numba
-import numpy as np
 from numba import float32, prange
-
-#: Width of the ring of void around every array.
-PAD = 2
 
 # Below this a displacement is rounded to 0: arithmetic on denormal numbers is many times slower.
 _FLUSH = float32(1e-18)
@@ -354,39 +351,3 @@ def sweep_blanket(
             source, target, stiffness, observation, spans, weights, steps, relaxation, share,
             row_totals[sweep],
         )  # fmt: skip
-
-
-@_parallel
-def prolong(coarse, coarse_stiffness, target, stiffness):
-    """Displacement one level down: linear, void without weight, the border repeated."""
-    height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD
-    coarse_height, coarse_width = coarse.shape[1] - 2 * PAD, coarse.shape[2] - 2 * PAD
-    for i in prange(height):
-        near_i = min(i // 2, coarse_height - 1)
-        far_i = min(max(near_i + (1 if i % 2 else -1), 0), coarse_height - 1)
-        for j in range(width):
-            if stiffness[0, i + PAD, j + PAD] <= float32(0):
-                continue
-            near_j = min(j // 2, coarse_width - 1)
-            far_j = min(max(near_j + (1 if j % 2 else -1), 0), coarse_width - 1)
-            total = float32(0)
-            sum0 = float32(0)
-            sum1 = float32(0)
-            for k in range(4):
-                a = (near_i if k < 2 else far_i) + PAD
-                b = (near_j if k % 2 == 0 else far_j) + PAD
-                weight = (float32(0.75) if k < 2 else float32(0.25)) * (
-                    float32(0.75) if k % 2 == 0 else float32(0.25)
-                )
-                if coarse_stiffness[0, a, b] > float32(0):
-                    total += weight
-                    sum0 += weight * coarse[0, a, b]
-                    sum1 += weight * coarse[1, a, b]
-            if total > float32(0):
-                target[0, i + PAD, j + PAD] = sum0 / total
-                target[1, i + PAD, j + PAD] = sum1 / total
-
-
-def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Zeros for `components` planes of a grid, with the ring of void around them."""
-    return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
