@@ -106,7 +106,7 @@ def solve_literally(
     gamma = candidates(optimizer.steps)
     finest_m = np.asarray(problem.m / problem.m.max())
     finest_y = problem.y / _f(problem.unit)
-    finest_p = _f(prior.penalty) * problem.c
+    finest_p = _f(prior.penalty_for(problem)) * problem.c
     coarse = coarse_m = None
     for level in reversed(levels(problem.shape)):
         at = np.ix_(*nearest_pixels(level, problem.shape))

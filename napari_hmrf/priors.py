@@ -14,18 +14,23 @@ A clique exists where its three sites lie in the image and in tissue.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.problem import Problem
 
 Float64Array = npt.NDArray[np.float64]
 Conditional = Literal["centred", "blanket"]
+
+# K in uniform tissue: one pixel of deviation then weighs as much as 200 pixels from the neighbours.
+_UNIFORM_PENALTY = 1e4
+# Beyond this float32 energies overflow.
+_LARGEST_PENALTY = 1e30
 
 #: Step from the middle of a clique to its end u; the end s lies on the other side (figure 2).
 LINES: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
@@ -72,10 +77,10 @@ class SeilerPrior:
 
     Parameters
     ----------
-    penalty : float
+    penalty : float, optional
         K of eq. 19: the energy, per pixel of deviation from `y`, of a site of complete confidence.
-        The default holds boundaries in place for stiffness ratios up to about 100 between
-        neighbouring tissues.
+        By default 10^4 in uniform tissue, and as much more as the energy is steeper at the
+        observed site that has the steepest, so that boundaries hold whatever they lie between.
     conditional : {"centred", "blanket"}
         Which cliques count when a site chooses its displacement (line 8 of the algorithm):
         ``"centred"``, those whose middle it is; ``"blanket"``, all that contain it, which is the
@@ -86,13 +91,16 @@ class SeilerPrior:
         any stiffness).
     """
 
-    penalty: float = 1e4
+    penalty: float | None = None
     conditional: Conditional = "centred"
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.penalty) and self.penalty > 0):
-            raise ValueError(f"penalty must be a positive number, not {self.penalty!r}")
+        if self.penalty is not None and not 0 < self.penalty <= _LARGEST_PENALTY:
+            raise ValueError(
+                f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
+                f"{self.penalty!r}"
+            )
         if self.conditional not in get_args(Conditional):
             raise ValueError(
                 f'conditional must be "centred" or "blanket", not {self.conditional!r}'
@@ -101,11 +109,32 @@ class SeilerPrior:
             raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
 
     @property
+    def kernels(self) -> str:
+        """Which kernels it takes: those of its reading."""
+        return self.conditional
+
+    @property
     def relaxation(self) -> float:
         """The damping in force."""
         if self.damping is not None:
             return self.damping
         return 1.0 if self.conditional == "centred" else 0.6
+
+    def penalty_for(self, problem: Problem) -> float:
+        """K for a problem: the one given, or one that holds its boundaries."""
+        if self.penalty is not None:
+            return self.penalty
+        weights = line_weights(problem.spacing)
+        steepest = max(
+            _steepest_observed(problem, nearest_pixels(level, problem.shape), weights)
+            for level in levels(problem.shape)
+        )
+        uniform = 8.0 * float(weights.sum(axis=0).max())
+        return min(_UNIFORM_PENALTY * max(1.0, steepest / uniform), _LARGEST_PENALTY)
+
+    def resolved(self, problem: Problem) -> SeilerPrior:
+        """Return this prior with the penalty in force for a problem."""
+        return replace(self, penalty=self.penalty_for(problem))
 
     def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
@@ -124,9 +153,8 @@ class SeilerPrior:
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         y = problem.y / np.float64(problem.unit)
         weights = line_weights(problem.spacing)
-        energy: Float64Array = (self.penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(
-            axis=-1
-        )
+        penalty = self.penalty_for(problem)
+        energy: Float64Array = (penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(axis=-1)
         energy[~problem.tissue] = 0.0
         for line, (s, t, u) in _cliques(problem.shape):
             ratio_s, ratio_u, exists = _ratios(problem.m, s, t, u)
@@ -167,6 +195,24 @@ class SeilerPrior:
                 slope[u] += weight * (first + ratio_s * second)
         way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
         return SiteParabola(curvature, (d + way) * problem.unit)
+
+
+def _steepest_observed(
+    problem: Problem, pixels: tuple[list[int], ...], weights: Float64Array
+) -> float:
+    """The largest curvature of an observed site's centred energy on the level of these pixels."""
+    at = np.ix_(*pixels)
+    m = np.pad(problem.m[at].astype(np.float64), 1)
+    i, j = np.nonzero((problem.c[at] > 0).any(axis=-1) & (problem.m[at] > 0))
+    curvature = np.zeros((len(i), 2))
+    here = m[i + 1, j + 1]
+    for (row, col), weight in zip(LINES, weights, strict=True):
+        s, u = m[i + 1 - row, j + 1 - col], m[i + 1 + row, j + 1 + col]
+        exists = (s > 0) & (u > 0)
+        ratios = [np.divide(here, end, out=np.zeros_like(here), where=exists) for end in (s, u)]
+        steep = (1 + ratios[0]) ** 2 + (1 + ratios[1]) ** 2
+        curvature += np.where(exists, steep, 0.0)[:, None] * weight
+    return float(curvature.max(initial=0.0))
 
 
 _Slices = tuple[slice, ...]

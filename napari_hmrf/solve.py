@@ -116,7 +116,7 @@ def run_here(
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
-    prior = prior or SeilerPrior()
+    prior = (prior or SeilerPrior()).resolved(problem)
     optimizer = optimizer or ICM()
 
     def checkpoint() -> None:
@@ -144,10 +144,10 @@ def run_here(
     finally:
         device.close()
     done = time.perf_counter()
-    if not np.isfinite(outcome.displacement).all():
+    if not (np.isfinite(outcome.displacement).all() and np.isfinite(outcome.energy).all()):
         raise BackendError(
-            f"{renderer} returned displacements that are not numbers, so the result was dropped. "
-            'Try backend="cpu".'
+            f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
+            'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
         )
     displacement = outcome.displacement * np.float32(problem.unit)
     displacement[~problem.tissue] = 0
@@ -189,7 +189,7 @@ class _Either:
 def _prepare(device: Backend[Any], prior: SeilerPrior, optimizer: Optimizer) -> None:
     """Compile what a schedule needs by running it on the smallest problem, once per process."""
     rehearsal = optimizer.rehearsal()
-    key = (device.name, device.renderer, repr(prior), repr(rehearsal))
+    key = (device.name, device.renderer, prior.kernels, repr(rehearsal))
     if key in _prepared:
         return
     grid = (3, 3)

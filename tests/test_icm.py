@@ -230,6 +230,20 @@ def test_blanket_without_damping_diverges():
     assert finest[-1] > 1e3 * finest[0]
 
 
+@pytest.mark.parametrize("ratio", [1.0, 40.0, 1000.0])
+@pytest.mark.parametrize("optimizer", [ICM(), ICM(steps=None)])
+def test_a_thin_plate_goes_where_it_is_pushed_however_stiff_it_is(ratio, optimizer):
+    shape = (64, 64)
+    m = np.ones(shape)
+    m[:, 32] = ratio
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    c[20:44, 32] = 1
+    y[20:44, 32, 1] = 8
+    found = solve(Problem(y, c, m), optimizer=optimizer, backend="cpu").displacement
+    np.testing.assert_allclose(found[20:44, 32, 1], 8, atol=0.002)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     height=st.integers(1, 33),

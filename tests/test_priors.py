@@ -28,8 +28,8 @@ def test_example_1_of_the_paper_has_no_energy_in_its_first_term():
     # m_t / m_u = 2 and the strain doubles from s-t to t-u; V's second term is (1 * -2 + 1)^2 = 1,
     # the contradiction of eq. 7 that the documentation explains.
     problem, d = three_in_a_row((1, 0), (2, 0), (4, 0), (20, 20, 10))
-    observed = SeilerPrior().penalty * np.abs(d).sum()
-    energy = SeilerPrior().site_energy(problem, d).sum() - observed
+    observed = 5.0 * np.abs(d).sum()
+    energy = SeilerPrior(penalty=5.0).site_energy(problem, d).sum() - observed
     assert energy == pytest.approx(0 + 1)
 
 
@@ -118,7 +118,7 @@ def test_void_belongs_to_no_clique():
     m[3, 3] = 0
     energy = SeilerPrior().site_energy(Problem(problem.y, problem.c, m), d)
     wild = d.copy()
-    wild[3, 3] = 1e6
+    wild[3, 3] = 1e6  # whatever is there
     np.testing.assert_array_equal(
         SeilerPrior().site_energy(Problem(problem.y, problem.c, m), wild), energy
     )
@@ -157,3 +157,21 @@ def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
 def test_a_prior_that_makes_no_sense_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         SeilerPrior(**wrong)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)])
+def test_the_penalty_grows_with_what_pulls_at_a_boundary(spacing):
+    shape = (16, 16)
+    c = np.zeros((*shape, 2))
+    c[8, 8] = 1
+    y = np.zeros((*shape, 2))
+    uniform = SeilerPrior().resolved(Problem(y, c, np.ones(shape), spacing))
+    assert uniform.penalty == pytest.approx(1e4)
+    m = np.ones(shape)
+    m[8, 8] = 50
+    stiff = SeilerPrior().resolved(Problem(y, c, m, spacing))
+    assert stiff.penalty > 100 * uniform.penalty
+    m[8, 8], m[0, 0] = 1, 50  # elsewhere it pulls at nothing that was observed
+    far = SeilerPrior().resolved(Problem(y, c, m, spacing))
+    assert far.penalty == pytest.approx(1e4)
+    assert SeilerPrior(penalty=7).resolved(Problem(y, c, m, spacing)).penalty == 7

@@ -176,7 +176,7 @@ def _stiffness(problem: Problem) -> FloatArray:
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
     y = problem.y / np.float32(problem.unit)
-    p = np.float32(prior.penalty) * problem.c
+    p = np.float32(prior.penalty_for(problem)) * problem.c
     both = np.concatenate([y, p], axis=-1)
     both[~problem.tissue] = 0
     return both

@@ -74,13 +74,14 @@ class SolverSettings(Container):
         penalty = FloatSpinBox(
             name="penalty",
             label="penalty K",
-            min=1e-3,
+            min=0,
             max=1e9,
             step=1000,
-            value=prior.penalty,
+            value=0,
             tooltip="Energy per pixel of deviation from a boundary of confidence 1; the larger, "
-            "the firmer boundaries hold",
+            "the firmer boundaries hold. Automatic: large enough to hold them",
         )
+        penalty.native.setSpecialValueText("automatic")
         device = ComboBox(
             name="device",
             label="device",
@@ -108,7 +109,7 @@ class SolverSettings(Container):
     @property
     def prior(self) -> SeilerPrior:
         """The energy chosen."""
-        return SeilerPrior(penalty=self.penalty.value, conditional=self.reading.value)
+        return SeilerPrior(penalty=self.penalty.value or None, conditional=self.reading.value)
 
     @property
     def optimizer(self) -> ICM:
