@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -96,7 +97,7 @@ class SeilerPrior:
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        if self.penalty is not None and not 0 < self.penalty <= _LARGEST_PENALTY:
+        if self.penalty is not None and not _is_penalty(self.penalty):
             raise ValueError(
                 f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
                 f"{self.penalty!r}"
@@ -195,6 +196,10 @@ class SeilerPrior:
                 slope[u] += weight * (first + ratio_s * second)
         way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
         return SiteParabola(curvature, (d + way) * problem.unit)
+
+
+def _is_penalty(number: object) -> bool:
+    return isinstance(number, Real) and 0 < float(number) <= _LARGEST_PENALTY
 
 
 def _steepest_observed(

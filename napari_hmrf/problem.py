@@ -16,6 +16,7 @@ FloatArray = npt.NDArray[np.float32]
 
 #: The largest ratio between two stiffnesses that single precision is trusted with.
 MAX_STIFFNESS_RATIO = 1e6
+_SMALLEST_PIXEL = 1e-15
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -108,7 +109,10 @@ def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
         raise ProblemError(
             field, "is a masked array, whose mask would be lost. Fill it first (m = 0 is void)."
         )
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError as error:  # rows of different length
+        raise ProblemError(field, f"is not an array of numbers ({error}).") from None
     if array.dtype.kind not in "biuf":
         raise ProblemError(
             field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
@@ -126,11 +130,17 @@ def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
 
 def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     try:
+        if isinstance(spacing, str):
+            raise TypeError
         values = tuple(float(size) for size in spacing)  # type: ignore[attr-defined]
     except (TypeError, ValueError):
         raise ProblemError("spacing", f"is {spacing!r}. Give {ndim} positive numbers.") from None
     if len(values) != ndim or not all(math.isfinite(size) and size > 0 for size in values):
         raise ProblemError("spacing", f"is {values}. Give {ndim} positive, finite pixel sizes.")
+    if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
+        raise ProblemError(
+            "spacing", f"is {values}. Choose a unit of length in which pixels are not so extreme."
+        )
     return values
 
 

@@ -203,7 +203,9 @@ def _announce(renderer: str, reason: str) -> None:
     message = f"{renderer} ({reason})"
     if message not in _announced:
         _announced.add(message)
-        _log.info("solving on %s", message)
+        # A fallback is told even where nobody has set up logging.
+        fallback = reason not in ("asked for", "a GPU is there")
+        _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
 
 
 @cache

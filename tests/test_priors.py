@@ -149,6 +149,8 @@ def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
     [
         {"penalty": 0},
         {"penalty": np.inf},
+        {"penalty": "a"},
+        {"penalty": 1e39},
         {"conditional": "middle"},
         {"damping": 0},
         {"damping": 2},

@@ -119,10 +119,24 @@ def test_a_volume_is_told_to_come_slice_by_slice():
 
 
 @pytest.mark.parametrize(
-    "spacing", [(0, 1), (1,), (1, 1, 1), (np.nan, 1), (-1, 1), (np.inf, 1), "ab", 3, None]
+    "spacing",
+    [
+        (0, 1),
+        (1,),
+        (1, 1, 1),
+        (np.nan, 1),
+        (-1, 1),
+        (np.inf, 1),
+        "ab",
+        "11",
+        3,
+        None,
+        (1e-200, 1),
+        (1e200, 1),
+    ],
 )
 def test_a_pixel_has_a_size(spacing):
-    with pytest.raises(ProblemError, match=r"pixel sizes|positive numbers"):
+    with pytest.raises(ProblemError, match=r"pixel sizes|positive numbers|unit of length"):
         Problem(*good(), spacing=spacing)
 
 
@@ -131,6 +145,12 @@ def test_only_real_numbers_make_an_image(kind):
     y, c, m = good()
     with pytest.raises(ProblemError, match="type"):
         Problem(y, c, m.astype(kind))
+
+
+def test_rows_of_different_length_are_no_image():
+    y, c, _ = good()
+    with pytest.raises(ProblemError, match="not an array of numbers"):
+        Problem(y, c, [[1, 2], [3]])
 
 
 def test_a_mask_is_not_dropped_silently():

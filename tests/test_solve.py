@@ -1,6 +1,7 @@
 """One way in, off the caller's thread, that can be watched and stopped at any time."""
 
 import json
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ import pytest
 from test_icm import frame_problem
 
 from napari_hmrf import ICM, BackendError, Cancelled, solve
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends.thread import ComputeThread, compute_thread
 from napari_hmrf.solve import run_here
 
 
@@ -131,3 +132,43 @@ def test_the_compute_thread_ends_and_starts_again():
     names = [thread.name for thread in threading.enumerate()]
     assert "napari-hmrf compute" not in names
     solve(frame_problem((6, 6)), backend="cpu")
+
+
+def test_there_is_never_more_than_one_compute_thread():
+    release, began = threading.Event(), threading.Event()
+    threads = []
+
+    def long_job():
+        began.set()
+        release.wait(10)
+        threads.append(threading.current_thread())
+
+    thread = ComputeThread()
+    first = thread.submit(long_job)
+    began.wait(10)
+    assert not thread.stop(timeout=0.05)
+    second = thread.submit(lambda: threads.append(threading.current_thread()))
+    release.set()
+    first.result(10), second.result(10)
+    assert threads[0] is threads[1]
+    assert thread.stop()
+
+
+def test_one_release_that_fails_does_not_keep_the_others():
+    released = []
+    thread = ComputeThread()
+    thread.at_end(lambda: released.append(1))
+    thread.at_end(lambda: 1 / 0)
+    thread.submit(lambda: None).result(10)
+    assert thread.stop()
+    assert released == [1]
+
+
+def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
+    monkeypatch.setattr(sys.modules["napari_hmrf.solve"], "_announced", set())
+    monkeypatch.setattr("napari_hmrf.backends.opengl.is_software_renderer", lambda _: True)
+    for _ in range(2):
+        solve(frame_problem((6, 6)), backend="auto")
+    told = [record for record in caplog.records if "solving on" in record.message]
+    assert len(told) == 1
+    assert "compiled loops" in told[0].message

@@ -9,6 +9,7 @@ up for it.
 from __future__ import annotations
 
 import atexit
+import logging
 import queue
 import threading
 from collections.abc import Callable
@@ -16,11 +17,12 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+_log = logging.getLogger("napari_hmrf")
 _Job = tuple[Callable[[], Any], "Future[Any]"]
 
 
 class ComputeThread:
-    """A worker thread with a queue in and futures out."""
+    """A worker thread with a queue in and futures out; never two at once."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -37,7 +39,7 @@ class ComputeThread:
                     target=self._run, name="napari-hmrf compute", daemon=True
                 )
                 self._thread.start()
-        self._jobs.put((job, future))
+            self._jobs.put((job, future))
         return future
 
     def is_current(self) -> bool:
@@ -54,20 +56,24 @@ class ComputeThread:
         Returns
         -------
         bool
-            Whether it ended in time. The next job starts a new thread.
+            Whether it ended in time; if not, it ends when its job does. A job submitted meanwhile
+            keeps it going; one submitted afterwards starts a new thread.
         """
         with self._lock:
-            thread, self._thread = self._thread, None
+            thread = self._thread
             if thread is None:
                 return True
-            jobs, self._jobs = self._jobs, queue.SimpleQueue()
-        jobs.put(None)
+            self._jobs.put(None)
         thread.join(timeout)
         return not thread.is_alive()
 
     def _run(self) -> None:
-        jobs = self._jobs
-        while (item := jobs.get()) is not None:
+        while True:
+            item = self._jobs.get()
+            if item is None:
+                if self._ended():
+                    return
+                continue
             job, future = item
             if future.set_running_or_notify_cancel():
                 try:
@@ -76,8 +82,19 @@ class ComputeThread:
                     future.set_exception(error)
             # Nothing of a job outlives it here: its arrays would stay until the next one.
             del item, job, future
-        while self._at_end:
-            self._at_end.pop()()
+
+    def _ended(self) -> bool:
+        """Release everything and make way for another thread, unless there is more to do."""
+        with self._lock:
+            if not self._jobs.empty():
+                return False
+            while self._at_end:
+                try:
+                    self._at_end.pop()()
+                except Exception:  # noqa: BLE001 - the others are released all the same
+                    _log.exception("releasing a device failed")
+            self._thread = None
+            return True
 
 
 #: The process's compute thread.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ class ICM:
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
-        if self.iterations != int(self.iterations) or self.iterations < 1:
+        if not _is_whole(self.iterations) or self.iterations < 1:
             raise ValueError(
                 f"iterations must be a whole number of at least 1, not {self.iterations!r}"
             )
@@ -126,6 +127,10 @@ class ICM:
             return False
         change = abs(energies[-1] - energies[-1 - BLOCK])
         return change <= self.tolerance * abs(energies[-1])
+
+
+def _is_whole(number: object) -> bool:
+    return isinstance(number, Real) and float(number).is_integer()
 
 
 @dataclass(frozen=True, eq=False)
