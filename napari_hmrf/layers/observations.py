@@ -10,8 +10,8 @@ import numpy.typing as npt
 from napari_hmrf.annotation import BoundaryRule, boundary_images
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.reading import naming
-from napari_hmrf.layers.view import View, full_resolution
+from napari_hmrf.layers.reading import copy_slice, naming
+from napari_hmrf.layers.view import View
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -81,7 +81,10 @@ def arrow_observations(
 
 
 def preview_arrows(
-    layer: Any, rules: tuple[BoundaryRule, ...], view: View | None
+    layer: Any,
+    rules: tuple[BoundaryRule, ...],
+    view: View | None,
+    reference: Frame | None = None,
 ) -> tuple[Frame, FloatArray]:
     """Arrows that show what painted rules will do, few enough to see the paint.
 
@@ -90,6 +93,8 @@ def preview_arrows(
     layer : napari.layers.Labels
     rules : tuple of BoundaryRule
     view : View, optional
+    reference : Frame, optional
+        The slice of the image, in whose unit of length the rules are; by default the layer's own.
 
     Returns
     -------
@@ -104,13 +109,14 @@ def preview_arrows(
         As `boundary_images`, naming the layer.
     """
     frame = Frame.of(layer, view)
-    labels = frame.take(full_resolution(layer))
+    labels = copy_slice(layer, frame)
+    spacing = (reference or frame).spacing
     known = {rule.label for rule in rules}
     with naming(y=layer, c=layer):
         painted = np.where(np.isin(labels, list(known)), labels, 0)
-        y, c = boundary_images(painted, rules, frame.spacing)
+        y, c = boundary_images(painted, rules, spacing)
     # An arrow shows what is believed: components without confidence are not drawn.
-    steps = np.where(c > 0, y, 0)[..., :] / np.array(frame.spacing, dtype=np.float32)
+    steps = np.where(c > 0, y, 0) / np.array(spacing, dtype=np.float32)
     starts = np.argwhere(steps.any(axis=-1))
     starts = starts[_spread(starts, max(1, max(labels.shape) // PREVIEW_ACROSS))]
     return frame, np.stack([starts, steps[tuple(starts.T)]], axis=1).astype(np.float32)

@@ -38,11 +38,24 @@ def take_slice(
             f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but {describe(reference)} "
             f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
         )
+    return copy_slice(layer, own)
+
+
+def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
+    """Copy a slice of a layer, wherever it is read from.
+
+    Raises
+    ------
+    ProblemError
+        If it could not be read.
+    """
     try:
         return own.take(full_resolution(layer))
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
+    except Exception as error:
+        # A lazy layer runs the code of whoever reads it, which may raise anything.
+        reason = str(error).rstrip(".") or type(error).__name__
         raise ProblemError(
-            describe(layer), f"could not be read: {error}. Check the file it comes from."
+            describe(layer), f"could not be read: {reason}. Check the file it comes from."
         ) from error
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from magicgui.widgets import Container
-from napari.layers import Image
+from napari.layers import Image, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.inputs import Request
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.face import Face
@@ -31,6 +31,9 @@ class Chooser(Container):
         # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
         self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
         self._face = Face(self, self._layers, self._view)
+        #: Whether somebody chose an image, or no image: from then on that is nobody else's to do.
+        self._image_chosen = False
+        self._face.image.changed.connect(self._on_image_chosen)
 
     @property
     def image(self) -> Any:
@@ -39,6 +42,7 @@ class Chooser(Container):
 
     @image.setter
     def image(self, layer: Any) -> None:
+        self._image_chosen = True
         self._face.image.choose(layer)
 
     @property
@@ -141,7 +145,7 @@ class Chooser(Container):
             image=self.image,
             materials=self.materials,
             rules=self.rules,
-            confidence=self.confidence if self._face.boundary.confidence.visible else None,
+            confidence=self.confidence if isinstance(self.boundary, Vectors) else None,
             view=self._view(),
         )
 
@@ -152,7 +156,7 @@ class Chooser(Container):
         return View.of(self._viewer.dims)
 
     def choose_by_role(self, layers: list[Any]) -> None:
-        """Choose a sample's layers as they come, and the first image there is."""
+        """Choose a sample's layers as they come, and the first image if none ever was chosen."""
         for layer in layers:
             role = role_of(layer)
             if role == TISSUE:
@@ -161,8 +165,12 @@ class Chooser(Container):
                 self.boundary = layer
             elif role == IMAGE:
                 self.image = layer
-        if self.image is None:
-            images = [layer for layer in self._layers() if isinstance(layer, Image)]
-            plain = [layer for layer in images if layer is not self.tissue]
+        if not self._image_chosen:
+            images = [layer for layer in layers if isinstance(layer, Image)]
+            # Results are images too.
+            plain = [layer for layer in images if not known_of(layer) and layer is not self.tissue]
             if plain:
                 self.image = plain[0]
+
+    def _on_image_chosen(self, _: Any) -> None:
+        self._image_chosen = True

@@ -215,7 +215,7 @@ class DeformTissue(Chooser):
             now = self.request()
             same_tables = (now.materials, now.rules) == (started.materials, started.rules)
             return not (same_tables and read_layers(started).same_as(job.inputs))
-        except HmrfError:
+        except Exception:  # noqa: BLE001 - a layer may read anything; the result is there
             return True
 
     def _set_idle(self, status: str) -> None:
@@ -245,15 +245,17 @@ class DeformTissue(Chooser):
         boundary = self._face.boundary
         place = self.image if self.image is not None else self.tissue
         try:
-            if place is not None:
-                unit = Frame.of(place, self._view()).unit
-                boundary.table.unit = unit_symbol(unit)
+            reference = None if place is None else Frame.of(place, self._view())
+            if reference is not None:
+                boundary.table.unit = unit_symbol(reference.unit)
             layer = boundary.painted.layer
             if layer is not None and boundary.preview.value:
-                self._preview.update(layer, self.rules, self._view())
+                self._preview.update(layer, self.rules, self._view(), reference)
             else:
                 self._preview.remove()
-        except ProblemError as error:
+        except Exception as error:  # noqa: BLE001 - Qt calls this: nobody else would tell the user
+            if not isinstance(error, ProblemError):
+                _log.exception("the preview could not be drawn")
             self._undrawn = str(error)
             if self.idle:
                 self._say(self._undrawn)

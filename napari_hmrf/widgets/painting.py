@@ -14,7 +14,8 @@ from qtpy.QtCore import QTimer
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
-from napari_hmrf.layers.view import View, full_resolution
+from napari_hmrf.layers.reading import copy_slice
+from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.label_table import LabelTable
 
 #: How long after the last brush stroke the labels are looked at, in milliseconds.
@@ -125,8 +126,8 @@ class PaintedLabels:
 def labels_in(layer: Any, view: View | None) -> npt.NDArray[Any]:
     """The labels in the slice that is shown; none if it cannot be read."""
     try:
-        picture = Frame.of(layer, view).take(full_resolution(layer))
-    except (ProblemError, OSError):
+        picture = copy_slice(layer, Frame.of(layer, view))
+    except ProblemError:
         return np.zeros(0, dtype=int)
     if picture.dtype.kind == "u" and picture.dtype.itemsize <= 2:
         return np.flatnonzero(np.bincount(picture.ravel()))

@@ -9,6 +9,7 @@ from napari.layers import Layer
 
 from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.layers.colours import PREVIEW
+from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.observations import preview_arrows
 from napari_hmrf.layers.outputs import LayerData
@@ -37,15 +38,27 @@ class BoundaryPreview:
         there = self._layer is not None and self._layer in self._viewer.layers
         return self._layer if there else None
 
-    def update(self, boundary: Any, rules: tuple[BoundaryRule, ...], view: View | None) -> None:
+    def update(
+        self,
+        boundary: Any,
+        rules: tuple[BoundaryRule, ...],
+        view: View | None,
+        reference: Frame | None = None,
+    ) -> None:
         """Draw what the rules say now.
+
+        Parameters
+        ----------
+        boundary : napari.layers.Labels
+        rules, view, reference
+            As in `preview_arrows`.
 
         Raises
         ------
         ProblemError
             If they say nothing that can be drawn; the arrows are then those of before.
         """
-        frame, arrows = preview_arrows(boundary, rules, view)
+        frame, arrows = preview_arrows(boundary, rules, view, reference)
         layer = self.layer
         if layer is None and not len(arrows):
             return

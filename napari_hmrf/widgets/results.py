@@ -25,7 +25,9 @@ class ResultLayers:
 
     def __init__(self, viewer: Any) -> None:
         self._viewer = viewer
-        self._layers: dict[tuple[Kind, str, int], weakref.ref[Any]] = {}
+        # By the source itself, not its id: that is given to another layer when the source is gone.
+        self._layers: weakref.WeakKeyDictionary[Any, dict[tuple[Kind, str], weakref.ref[Any]]]
+        self._layers = weakref.WeakKeyDictionary()
 
     def show(self, outputs: Outputs, source: Any) -> dict[Kind, Any]:
         """Update the layers of the same source and slice; make those that are not there.
@@ -41,22 +43,22 @@ class ResultLayers:
         dict of kind to layer
         """
         shown: dict[Kind, Any] = {}
+        known = self._layers.setdefault(source, {})
         with same_selection(self._viewer):
             for kind, made in outputs.layers.items():
                 where = str(made.attributes["metadata"][METADATA]["slice"])
-                key = (kind, where, id(source))
-                layer = self._existing(key)
+                key = (kind, where)
+                layer = self._existing(known.get(key))
                 if layer is None or not _fits(layer, made):
                     layer = Layer.create(made.data, made.attributes, made.kind)
                     self._viewer.add_layer(layer)
-                    self._layers[key] = weakref.ref(layer)
+                    known[key] = weakref.ref(layer)
                 else:
                     update_layer(layer, made)
                 shown[kind] = layer
         return shown
 
-    def _existing(self, key: tuple[Kind, str, int]) -> Any:
-        reference = self._layers.get(key)
+    def _existing(self, reference: weakref.ref[Any] | None) -> Any:
         layer = None if reference is None else reference()
         return layer if layer is not None and layer in self._viewer.layers else None
 

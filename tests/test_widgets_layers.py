@@ -1,0 +1,212 @@
+"""What the widget makes of the layers around it: the chosen, its own, and those that fail."""
+
+import dask.array as da
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image, Labels
+
+from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.layers.inputs import read_layers
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.outputs import result_layers
+from napari_hmrf.widgets.painting import labels_in
+from napari_hmrf.widgets.results import ResultLayers
+
+
+class Breakable:
+    """An array whose reader breaks, as only it knows how."""
+
+    ndim = 2
+
+    def __init__(self, data):
+        self.data, self.shape, self.dtype = data, data.shape, data.dtype
+        self.broken = False
+
+    def __getitem__(self, key):
+        if self.broken:
+            raise AssertionError("block 7 is corrupt.")
+        return self.data[key]
+
+    def __array__(self, dtype=None, copy=None):
+        return self[:]
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+# Confidence
+
+
+@pytest.mark.parametrize("shown", [False, True], ids=["hidden", "shown"])
+def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, small_sample, shown):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.native.setVisible(shown)
+    widget.boundary = viewer.add_vectors(np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float))
+    widget.confidence = viewer.add_image(np.full((20, 24), 0.5), name="sure")
+    c = read_layers(widget.request()).problem.c
+    assert set(np.unique(c)) == {0.0, 0.5}
+    widget.boundary = viewer.layers["Boundary"]
+    assert widget.request().confidence is None
+
+
+# Which image
+
+
+def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.image = None
+    widget.outputs = ("magnitude", "arrows")
+    for _ in range(2):
+        assert run(widget) is not None
+        assert widget.image is None
+    viewer.add_image(np.zeros((20, 24)), name="another")
+    assert widget.image is None
+
+
+def test_no_image_chosen_in_the_menu_is_a_choice_too(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget._face.image.value = None
+    viewer.add_image(np.zeros((20, 24)), name="another")
+    assert widget.image is None
+
+
+def test_the_first_image_that_comes_is_chosen(widget):
+    viewer = viewer_of(widget)
+    viewer.add_labels(np.ones((20, 24), int))
+    first = viewer.add_image(np.zeros((20, 24)), name="first")
+    viewer.add_image(np.zeros((20, 24)), name="second")
+    assert widget.image is first
+
+
+def test_a_result_of_before_is_not_taken_for_an_image(widget):
+    viewer = viewer_of(widget)
+    viewer.add_image(np.zeros((20, 24)), metadata={METADATA: {"kind": "magnitude"}})
+    assert widget.image is None
+    mine = viewer.add_image(np.zeros((20, 24)))
+    assert widget.image is mine
+
+
+# Preview
+
+
+@pytest.mark.parametrize("unit", ["mm", "um"])
+def test_the_preview_is_as_long_as_the_motion_whatever_the_units(
+    widget, small_sample, run, wait_for, unit
+):
+    """3 mm of motion on pixels of 0.5 x 2 mm, whichever unit the boundary layer counts in."""
+    viewer = viewer_of(widget)
+    small_sample(viewer, scale=(0.5, 2.0), units=("mm", "mm"))
+    factor = {"mm": 1, "um": 1000}[unit]
+    viewer.layers["Boundary"].scale = (0.5 * factor, 2.0 * factor)
+    viewer.layers["Boundary"].units = (unit, unit)
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 3.0)))
+    wait_for(lambda: "boundary preview" in viewer.layers)
+    preview = viewer.layers["boundary preview"]
+    wait_for(lambda: bool((preview.data[:, 1, 0] != 0).all()))
+    np.testing.assert_allclose(preview.data[:, 1], [(2, 1.5)] * len(preview.data))
+    problem = read_layers(widget.request()).problem
+    np.testing.assert_allclose(problem.y[10, -3] / problem.spacing, (2, 1.5))
+
+
+# Layers that cannot be read
+
+
+def broken_labels(widget, small_sample):
+    small_sample(viewer_of(widget))
+    old = viewer_of(widget).layers["Boundary"]
+    data = Breakable(np.array(old.data))
+    lazy = Labels(da.from_array(old.data), name="lazy", metadata=old.metadata)
+    widget.boundary = viewer_of(widget).add_layer(lazy)
+    lazy._data = data  # behind napari's back: it draws from what it has read
+    return data
+
+
+def test_a_layer_that_breaks_while_painting_is_named_and_nothing_is_raised(
+    widget, small_sample, wait_for
+):
+    data = broken_labels(widget, small_sample)
+    data.broken = True
+    assert len(labels_in(widget.boundary, None)) == 0
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 0.0)))
+    wait_for(lambda: "could not be read: block 7 is corrupt. Check" in widget.status)
+    assert "'lazy'" in widget.status
+
+
+def test_a_preview_that_fails_for_any_reason_is_told(widget, small_sample, wait_for, monkeypatch):
+    small_sample(viewer_of(widget))
+
+    def fail(*_, **__):
+        raise ZeroDivisionError("no such arrow")
+
+    monkeypatch.setattr("napari_hmrf.widgets.preview.preview_arrows", fail)
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 0.0)))
+    wait_for(lambda: "no such arrow" in widget.status)
+
+
+def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
+    widget, small_sample, busy_thread, wait_for
+):
+    data = broken_labels(widget, small_sample)
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+    data.broken = True
+    busy_thread.set()
+    wait_for(lambda: bool(said), 60_000)
+    assert said[0] is not None
+    assert "Inputs changed since start" in widget.status
+
+
+def test_whatever_goes_wrong_in_looking_again_means_changed(
+    widget, small_sample, busy_thread, wait_for, monkeypatch
+):
+    small_sample(viewer_of(widget))
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+
+    def fail(*_, **__):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(type(widget), "request", fail)
+    busy_thread.set()
+    wait_for(lambda: bool(said), 60_000)
+    assert said[0] is not None
+    assert "Inputs changed since start" in widget.status
+
+
+def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    outputs = run(widget)
+    assert "changed" not in widget.status
+    for made in outputs.layers.values():
+        assert made.attributes["metadata"][METADATA]["inputs_changed"] is False
+
+
+# Results
+
+
+class Source:
+    """Stands for a layer: small, so that the next one is likely to lie at the same address."""
+
+
+def test_results_of_a_layer_that_is_gone_are_not_overwritten_by_its_successor():
+    from test_layers_outputs import solution
+
+    viewer = ViewerModel()
+    results = ResultLayers(viewer)
+    source = Source()
+    first = results.show(result_layers(solution()), source)["arrows"]
+    again = results.show(result_layers(solution()), source)["arrows"]
+    assert again is first
+    address = id(source)
+    del source
+    others = [Source() for _ in range(10_000)]
+    successor = next((other for other in others if id(other) == address), others[0])
+    assert results.show(result_layers(solution()), successor)["arrows"] is not first
+    assert len([layer for layer in viewer.layers if not isinstance(layer, Image)]) == 2
