@@ -8,6 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
+IntArray = npt.NDArray[np.int_]
+
 
 @dataclass(frozen=True)
 class Level:
@@ -42,7 +47,7 @@ def levels(shape: tuple[int, ...]) -> tuple[Level, ...]:
     return tuple(Level(n, tuple(-(-size // 2**n) for size in shape)) for n in range(coarsest + 1))
 
 
-def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[list[int], ...]:
+def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[IntArray, ...]:
     """For each axis, the pixel of level 0 that lies nearest to the centre of each site of a level.
 
     The centre of site i of level n is at pixel coordinate (i + 1/2) 2^n - 1/2, half-way between two
@@ -51,6 +56,6 @@ def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[list[int], ...
     """
     half = (1 << level.number) >> 1
     return tuple(
-        [min((site << level.number) + half, size - 1) for site in range(sites)]
+        np.minimum((np.arange(sites) << level.number) + half, size - 1)
         for sites, size in zip(level.shape, shape, strict=True)
     )

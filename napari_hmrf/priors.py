@@ -126,10 +126,13 @@ class SeilerPrior:
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
-        steepest = max(
-            _steepest_observed(problem, nearest_pixels(level, problem.shape), weights)
-            for level in levels(problem.shape)
-        )
+        seen = problem.tissue & ((problem.c[..., 0] > 0) | (problem.c[..., 1] > 0))
+        around = []
+        for level in levels(problem.shape):
+            rows, cols = nearest_pixels(level, problem.shape)
+            m = problem.m.take(rows, axis=0).take(cols, axis=1)
+            around.append(_around(m, seen.take(rows, axis=0).take(cols, axis=1)))
+        steepest = _steepest(np.concatenate(around, axis=-1), weights)
         uniform = 8.0 * float(weights.sum(axis=0).max())
         return min(_UNIFORM_PENALTY * max(1.0, steepest / uniform), _LARGEST_PENALTY)
 
@@ -202,21 +205,22 @@ def _is_penalty(number: object) -> bool:
     return isinstance(number, Real) and 0 < float(number) <= _LARGEST_PENALTY
 
 
-def _steepest_observed(
-    problem: Problem, pixels: tuple[list[int], ...], weights: Float64Array
-) -> float:
-    """The largest curvature of an observed site's centred energy on the level of these pixels."""
-    at = np.ix_(*pixels)
-    m = np.pad(problem.m[at].astype(np.float64), 1)
-    i, j = np.nonzero((problem.c[at] > 0).any(axis=-1) & (problem.m[at] > 0))
-    curvature = np.zeros((len(i), 2))
-    here = m[i + 1, j + 1]
+def _around(m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_]) -> Float64Array:
+    """The stiffness at and around sites, (3, 3, number of sites), 0 beyond the border."""
+    i, j = np.nonzero(sites)
+    padded = np.pad(m, 1)
+    return np.array([[padded[i + a, j + b] for b in range(3)] for a in range(3)], np.float64)
+
+
+def _steepest(around: Float64Array, weights: Float64Array) -> float:
+    """The largest curvature of the centred energy, given the stiffness around sites."""
+    here = around[1, 1]
+    curvature = np.zeros((2, around.shape[-1]))
     for (row, col), weight in zip(LINES, weights, strict=True):
-        s, u = m[i + 1 - row, j + 1 - col], m[i + 1 + row, j + 1 + col]
+        s, u = around[1 - row, 1 - col], around[1 + row, 1 + col]
         exists = (s > 0) & (u > 0)
-        ratios = [np.divide(here, end, out=np.zeros_like(here), where=exists) for end in (s, u)]
-        steep = (1 + ratios[0]) ** 2 + (1 + ratios[1]) ** 2
-        curvature += np.where(exists, steep, 0.0)[:, None] * weight
+        steep = (1 + here / np.where(exists, s, 1)) ** 2 + (1 + here / np.where(exists, u, 1)) ** 2
+        curvature += weight[:, None] * (exists * steep)
     return float(curvature.max(initial=0.0))
 
 

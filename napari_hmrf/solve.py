@@ -116,8 +116,10 @@ def run_here(
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
+    begun = time.perf_counter()
     prior = (prior or SeilerPrior()).resolved(problem)
     optimizer = optimizer or ICM()
+    resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
         if cancel.is_set():
@@ -161,7 +163,7 @@ def run_here(
             backend=name,
             renderer=renderer,
             reason=reason,
-            seconds=done - ready,
+            seconds=resolving + done - ready,
             preparation_seconds=ready - started,
             parameters={
                 "prior": {"name": type(prior).__name__, **asdict(prior)},

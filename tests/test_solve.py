@@ -42,7 +42,7 @@ def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
     assert "level 0 (60 x 50), sweep 70" in seen[-1].message
 
 
-@pytest.mark.parametrize("looks", [0, 1, 2, 5, 20, 60])
+@pytest.mark.parametrize("looks", [0, 1, 2, 4, 8, 12])
 def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(looks):
     problem = frame_problem((40, 40))
     expected = solve(problem, backend="cpu").displacement

@@ -17,6 +17,9 @@ from napari_hmrf.problem import Problem
 
 #: Sweeps between two looks at the mean energy, and between two reports of progress.
 BLOCK = 10
+# Sites below which a level is swept in one go, but for this many sweeps at most.
+_SMALL = 10_000
+_MOST = 1000
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,10 @@ class ICM:
                 displacement = backend.prolong(coarse, above.stiffness, images.stiffness)
                 backend.release(coarse, above.stiffness, above.observation)
             above = images
-            tissue = problem.tissue[np.ix_(*nearest_pixels(level, problem.shape))]
+            rows, cols = nearest_pixels(level, problem.shape)
+            tissue = int(problem.tissue.take(rows, axis=0).take(cols, axis=1).sum())
             displacement, level_energies = self._relax(
-                backend, displacement, images, rule, max(1, int(tissue.sum())), progress, level
+                backend, displacement, images, rule, max(1, tissue), progress, level
             )
             energies += level_energies
             runs.append(LevelRun(level.number, level.shape, len(level_energies)))
@@ -115,7 +119,9 @@ class ICM:
         stiffness, observation = images.stiffness, images.observation
         before: list[float] = []
         while len(before) < self.iterations and not self._stable(before):
-            sweeps = min(BLOCK, self.iterations - len(before))
+            # A small level is over before anybody could look.
+            block = self.iterations if level.sites < _SMALL and self.tolerance is None else BLOCK
+            sweeps = min(block, self.iterations - len(before), _MOST)
             displacement, totals = backend.relax(displacement, stiffness, observation, rule, sweeps)
             before += [float(total) / tissue_sites for total in totals]
             progress.swept(level, len(before), before[-1])
@@ -180,8 +186,8 @@ def _stiffness(problem: Problem) -> FloatArray:
 
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
-    y = problem.y / np.float32(problem.unit)
-    p = np.float32(prior.penalty_for(problem)) * problem.c
-    both = np.concatenate([y, p], axis=-1)
-    both[~problem.tissue] = 0
+    both = np.empty((*problem.shape, 4), dtype=np.float32)
+    np.divide(problem.y, np.float32(problem.unit), out=both[..., :2])
+    np.multiply(problem.c, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
+    both *= problem.tissue[..., None]
     return both

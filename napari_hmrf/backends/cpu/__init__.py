@@ -16,6 +16,8 @@ from napari_hmrf.priors import line_weights
 
 # A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.
 _SLOWEST_SITE_SECONDS = 10e-9
+# Levels of fewer sites are swept by one thread.
+_SMALL = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,10 @@ class CpuBackend:
         self._kernels = kernels
         self._transfer = transfer
         self._checkpoint = checkpoint
-        threads = numba.get_num_threads()
+        self._numba = numba
+        self._threads = threads = numba.get_num_threads()
+        # What the last sweeps used beside their fields, for the next ones on the same level.
+        self._left_over: tuple[CpuField, FloatArray, FloatArray] | None = None
         self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
 
     def upload(self, values: FloatArray) -> CpuField:
@@ -90,9 +95,9 @@ class CpuBackend:
 
     def project(self, finest: CpuField, level: Level) -> CpuField:
         """Project by nearest neighbour from level 0."""
-        planes = range(len(finest.planes))
-        field = CpuField(self._transfer.padded(len(planes), level.shape))
-        field.inside[...] = finest.inside[np.ix_(planes, *nearest_pixels(level, finest.shape))]
+        field = CpuField(self._transfer.padded(len(finest.planes), level.shape))
+        rows, cols = nearest_pixels(level, finest.shape)
+        field.inside[...] = finest.inside.take(rows, axis=1).take(cols, axis=2)
         return field
 
     def prolong(
@@ -116,8 +121,10 @@ class CpuBackend:
         """Move all sites at once, `sweeps` times."""
         kernel = self._kernels.sweep_blanket if rule.blanket else self._kernels.sweep_centred
         steps = tuple(np.float32(step) for step in rule.steps) or None
-        even, odd = displacement.planes, np.zeros_like(displacement.planes)
-        share, row_totals = _scratch(displacement.shape, sweeps)
+        even, odd = displacement.planes, self._other_planes(stiffness)
+        share, row_totals = self._share(stiffness), np.empty((sweeps, displacement.shape[0]))
+        # Waking the other threads costs more than a small level does.
+        self._numba.set_num_threads(1 if share.size < _SMALL else self._threads)
         batch = max(1, int(BATCH_SECONDS / (_SLOWEST_SITE_SECONDS * share.size)))
         for start in range(0, sweeps, batch):
             self._checkpoint()
@@ -136,34 +143,44 @@ class CpuBackend:
             )
             if len(totals) % 2 == 1:
                 even, odd = odd, even
+        self._left_over = (stiffness, odd, share)
         return CpuField(even), row_totals.sum(axis=1)
 
     def energy(
         self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
     ) -> float:
         """U_total."""
-        share, row_totals = _scratch(displacement.shape, 1)
+        row_totals = np.empty(displacement.shape[0])
         self._kernels.energy(
             displacement.planes,
             stiffness.planes,
             observation.planes,
             stiffness.spans,
             _weights(rule),
-            share,
-            row_totals[0],
+            self._share(stiffness),
+            row_totals,
         )
         return float(row_totals.sum())
+
+    def _other_planes(self, stiffness: CpuField) -> FloatArray:
+        """Planes to write displacement to, 0 in void; nobody else holds them."""
+        if self._left_over is not None and self._left_over[0] is stiffness:
+            return self._left_over[1]
+        return self._transfer.padded(2, stiffness.shape)
+
+    def _share(self, stiffness: CpuField) -> FloatArray:
+        """A plane for each site's share of the energy."""
+        if self._left_over is not None and self._left_over[0] is stiffness:
+            return self._left_over[2]
+        return np.empty(stiffness.shape, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
         """Nothing to do: memory goes with the last reference."""
 
     def close(self) -> None:
-        """Nothing to do."""
-
-
-def _scratch(shape: tuple[int, ...], sweeps: int) -> tuple[FloatArray, EnergyArray]:
-    """A plane for each site's share of the energy, and float64 totals of its rows, per sweep."""
-    return np.empty(shape, dtype=np.float32), np.empty((sweeps, shape[0]), dtype=np.float64)
+        """Let go of what is kept between sweeps."""
+        self._left_over = None
+        self._numba.set_num_threads(self._threads)
 
 
 def _weights(rule: SiteRule) -> FloatArray | None:
