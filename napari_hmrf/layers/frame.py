@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.view import View, describe, slice_shown, unit_factor
-
-Matrix = tuple[tuple[float, ...], ...]
+from napari_hmrf.layers.transform import (
+    Matrix,
+    flat,
+    floats,
+    floats_or_rows,
+    rows,
+    stored_indices,
+    stored_matrix,
+    stored_numbers,
+    stored_words,
+)
+from napari_hmrf.layers.view import View, describe, is_unit, slice_shown, unit_factor
 
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
-_TOLERANCE = 1e-6
+_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -39,7 +48,7 @@ class Frame:
     scale: tuple[float, ...]
     translate: tuple[float, ...]
     rotate: Matrix
-    shear: tuple[float, ...]
+    shear: tuple[float, ...] | Matrix
     affine: Matrix
     units: tuple[str, ...]
     axis_labels: tuple[str, ...]
@@ -74,6 +83,12 @@ class Frame:
                 describe(layer),
                 "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
             )
+        if flat(matrix[:-1, :-1]):
+            raise ProblemError(
+                describe(layer),
+                "has a scale, rotation or affine that flattens it to less than its axes. Set one "
+                "that keeps all its axes apart.",
+            )
         plane, index = slice_shown(layer, matrix, view)
         row_unit, col_unit = (str(layer.units[axis]) for axis in plane)
         if np.isnan(unit_factor(col_unit, row_unit)):
@@ -85,14 +100,14 @@ class Frame:
         return cls(
             plane=plane,
             index=index,
-            scale=_floats(layer.scale),
-            translate=_floats(layer.translate),
-            rotate=_rows(layer.rotate),
-            shear=_floats(layer.shear),
-            affine=_rows(layer.affine.affine_matrix),
+            scale=floats(layer.scale),
+            translate=floats(layer.translate),
+            rotate=rows(layer.rotate),
+            shear=floats_or_rows(layer.shear),
+            affine=rows(layer.affine.affine_matrix),
             units=tuple(str(unit) for unit in layer.units),
             axis_labels=tuple(str(label) for label in layer.axis_labels),
-            matrix=_rows(matrix),
+            matrix=rows(matrix),
         )
 
     @property
@@ -146,7 +161,12 @@ class Frame:
         chosen = tuple(
             slice(None) if axis in self.plane else self.index[axis] for axis in range(self.ndim)
         )
-        picture = np.array(data[chosen])
+        part = data[chosen]
+        if hasattr(part, "compute"):  # of dask, whose own conversion would lose a mask
+            part = part.compute()
+        # A mask is kept, for whoever can say whose it is.
+        masked = isinstance(part, np.ma.MaskedArray)
+        picture: npt.NDArray[Any] = np.ma.array(part, copy=True) if masked else np.array(part)
         return picture.swapaxes(0, 1) if self.plane[0] > self.plane[1] else picture
 
     def put_image(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -196,11 +216,13 @@ class Frame:
             unit_factor(unit, to)
             for unit, to in zip(other.units[-shared:], self.units[-shared:], strict=True)
         ]
-        step = np.abs(np.array(self.matrix)[:-1, :-1]).max()
-        return bool(
-            np.isfinite(factors).all()
-            and np.allclose(theirs * factors, mine, rtol=_TOLERANCE, atol=_TOLERANCE * step)
-        )
+        if not np.isfinite(factors).all():
+            return False
+        # In pixels, axis by axis: a length in the world says nothing of the pixels of all axes.
+        apart = np.zeros((len(mine), self.ndim))
+        apart[:, -shared:] = theirs * factors - mine
+        pixels = apart @ np.linalg.inv(np.array(self.matrix)[:-1, :-1]).T
+        return bool(np.abs(pixels).max() <= _TOLERANCE)
 
     def _corners(self, shape: tuple[int, int]) -> npt.NDArray[np.float64]:
         corners = np.tile(np.array([*self.index, 1.0]), (4, 1))
@@ -220,28 +242,48 @@ class Frame:
         Raises
         ------
         ValueError
-            If it is not what `as_dict` made.
+            If it is not what `as_dict` made, or no layer can lie there.
         """
         try:
-            return cls(
-                plane=cast(tuple[int, int], tuple(int(axis) for axis in values["plane"])),
-                index=tuple(int(at) for at in values["index"]),
-                scale=_floats(values["scale"]),
-                translate=_floats(values["translate"]),
-                rotate=_rows(values["rotate"]),
-                shear=_floats(values["shear"]),
-                affine=_rows(values["affine"]),
-                units=tuple(str(unit) for unit in values["units"]),
-                axis_labels=tuple(str(label) for label in values["axis_labels"]),
-                matrix=_rows(values["matrix"]),
-            )
-        except (KeyError, TypeError, AttributeError) as error:
+            return cls._stored(values)
+        except KeyError as error:
+            raise ValueError(f"not the place of a slice: it lacks {error}") from error
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(f"not the place of a slice: {error}") from error
+
+    @classmethod
+    def _stored(cls, values: Mapping[str, Any]) -> Frame:
+        index = stored_indices("index", values["index"])
+        plane = stored_indices("plane", values["plane"])
+        ndim = len(index)
+        if len(plane) != 2 or plane[0] == plane[1] or not all(0 <= axis < ndim for axis in plane):
+            raise ValueError(f"its plane is {plane} of {ndim} axes")
+        scale = floats(stored_numbers("scale", values["scale"], (ndim,)))
+        if 0 in scale:
+            raise ValueError(f"its scale is {scale}")
+        shear = values["shear"]
+        sheared = (ndim, ndim) if np.ndim(shear) == 2 else (ndim * (ndim - 1) // 2,)
+        units = stored_words("units", values["units"], ndim)
+        unknown = [unit for unit in units if not is_unit(unit)]
+        if unknown or np.isnan(unit_factor(units[plane[1]], units[plane[0]])):
+            raise ValueError(f"its units are {units}")
+        return cls(
+            plane=(plane[0], plane[1]),
+            index=index,
+            scale=scale,
+            translate=floats(stored_numbers("translate", values["translate"], (ndim,))),
+            rotate=stored_matrix("rotate", values["rotate"], ndim, homogeneous=False),
+            shear=floats_or_rows(stored_numbers("shear", shear, sheared)),
+            affine=stored_matrix("affine", values["affine"], ndim + 1, homogeneous=True),
+            units=units,
+            axis_labels=stored_words("axis labels", values["axis_labels"], ndim),
+            matrix=stored_matrix("matrix", values["matrix"], ndim + 1, homogeneous=True),
+        )
 
     @classmethod
     def of_pixels(cls, spacing: tuple[float, ...]) -> Frame:
         """A two-dimensional frame at the origin, for a solution that came from no layer."""
-        scale = _floats(spacing)
+        scale = floats(spacing)
         return cls(
             plane=(0, 1),
             index=(0, 0),
@@ -249,16 +291,8 @@ class Frame:
             translate=(0.0, 0.0),
             rotate=((1.0, 0.0), (0.0, 1.0)),
             shear=(0.0,),
-            affine=_rows(np.eye(3)),
+            affine=rows(np.eye(3)),
             units=("pixel", "pixel"),
             axis_labels=("-2", "-1"),
-            matrix=_rows(np.diag([*scale, 1.0])),
+            matrix=rows(np.diag([*scale, 1.0])),
         )
-
-
-def _floats(values: Any) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
-
-
-def _rows(matrix: Any) -> Matrix:
-    return tuple(_floats(row) for row in np.asarray(matrix))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+
+#: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
+_UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,20 @@ def unit_factor(unit: str, to: str) -> float:
         return float(registry.Quantity(1, unit).to(to).magnitude)
     except pint.errors.PintError:
         return float("nan")
+
+
+def is_unit(unit: str) -> bool:
+    """Whether layers know a unit of that name."""
+    if not _UNIT.fullmatch(unit):
+        return False
+    import pint
+
+    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
+    try:
+        registry.Unit(unit)
+    except Exception:  # noqa: BLE001 - parsing text of others raises what it likes
+        return False
+    return True
 
 
 def unit_symbol(unit: str) -> str:

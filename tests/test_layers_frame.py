@@ -1,0 +1,269 @@
+"""Where layers lie: near enough is the same place, a hair more is not; and no file is believed."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image, Labels, Layer
+
+from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.contributions import open_solution
+from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.observations import preview_arrows
+from napari_hmrf.layers.view import View
+from napari_hmrf.optimizers.base import LevelRun
+from napari_hmrf.solution import Provenance, Solution
+
+SHAPE = (12, 15)
+
+
+def frame(shape=SHAPE, **place):
+    return Frame.of(Image(np.zeros(shape), **place))
+
+
+def apart(first, second, shape=SHAPE):
+    """Whether two places are told apart, whichever is the reference."""
+    there, back = first.same_place(second, shape), second.same_place(first, shape)
+    assert there == back
+    return not there
+
+
+@pytest.mark.parametrize("pixels", [0.4, 0.01, -0.002])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_small_part_of_a_pixel_is_another_place(pixels, axis):
+    offset = np.zeros(2)
+    offset[axis] = pixels
+    assert apart(frame(), frame(translate=offset))
+    scale = np.array([0.5, 2.0])
+    assert apart(frame(scale=scale), frame(scale=scale, translate=offset * scale))
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0), (1e-6, 1e-3), (1e4, 3.0)])
+def test_rounding_in_a_header_is_not_another_place(scale):
+    offset = np.array([-187.3, 911.7]) * scale
+    exact = frame((512, 512), scale=scale, translate=offset)
+    rounded = frame((512, 512), scale=np.float32(scale), translate=np.float32(offset))
+    assert exact != rounded
+    assert not apart(exact, rounded, (512, 512))
+
+
+def test_the_distance_from_the_origin_does_not_count():
+    """World coordinates of a million pixels, as of a stage: a pixel is still a pixel."""
+    far = np.array([1e6, -1e6])
+    assert apart(frame(translate=far), frame(translate=np.add(far, (0, 0.5))))
+    assert not apart(frame(translate=far), frame(translate=np.add(far, (0, 1e-5))))
+
+
+def test_long_steps_along_other_axes_do_not_count():
+    """Slices a metre apart, or frames an hour apart, do not make pixels larger."""
+    for place in ({"scale": (1e6, 1.0, 1.0)}, {"translate": (1e7, 0.0, 0.0)}):
+        first = frame((3, *SHAPE), **place)
+        shifted = {**place, "translate": np.add(place.get("translate", (0, 0, 0)), (0, 0, 1.0))}
+        assert apart(first, frame((3, *SHAPE), **shifted))
+        assert not apart(first, frame((3, *SHAPE), **place))
+
+
+def test_a_turned_image_is_compared_along_its_own_pixels():
+    place = {"rotate": 30.0, "scale": (100.0, 0.01)}
+    along = np.array(
+        [[np.cos(np.pi / 6), -np.sin(np.pi / 6)], [np.sin(np.pi / 6), np.cos(np.pi / 6)]]
+    )
+    across = along @ (0, 0.005)  # half of a narrow pixel
+    assert apart(frame(**place), frame(**place, translate=across))
+    assert not apart(frame(**place), frame(**place, translate=along @ (0.005, 0)))
+
+
+def test_another_slice_is_another_place():
+    stack = Image(np.zeros((5, *SHAPE)), scale=(4.0, 1.0, 1.0))
+    viewer = ViewerModel()
+    viewer.add_layer(stack)
+    seen = []
+    for step in (1, 2):
+        viewer.dims.set_current_step(0, step)
+        seen.append(Frame.of(stack, View.of(viewer.dims)))
+    assert apart(*seen)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("attribute", "value"),
+    [("scale", (np.nan, 1.0)), ("translate", (np.nan, 1.0)), ("translate", (1.0, np.inf))],
+)
+def test_a_place_that_is_no_number_is_refused(attribute, value):
+    layer = Image(np.zeros(SHAPE), name="MR")
+    setattr(layer, attribute, value)
+    with pytest.raises(ProblemError, match=r"'MR'.*NaN or infinity"):
+        Frame.of(layer)
+
+
+def test_an_affine_that_flattens_the_image_is_refused():
+    layer = Image(np.zeros(SHAPE), name="MR", affine=[[1, 1, 0], [1, 1, 0], [0, 0, 1]])
+    with pytest.raises(ProblemError, match=r"'MR'.*flattens"):
+        Frame.of(layer)
+
+
+def test_a_shear_that_napari_keeps_as_a_matrix_can_be_told():
+    layer = Image(np.zeros(SHAPE), shear=np.array([[1.0, 0.0], [0.2, 1.0]]))
+    found = Frame.of(layer)
+    again = Image(np.zeros(SHAPE), **found.placement())
+    np.testing.assert_allclose(again.data_to_world((3, 4)), layer.data_to_world((3, 4)))
+    assert Frame.from_dict(json.loads(json.dumps(found.as_dict()))) == found
+
+
+# The preview's lengths
+
+
+@pytest.mark.parametrize(
+    ("own", "expected"),
+    [
+        ({"scale": (0.5, 2.0), "units": ("mm", "mm")}, (2.0, 1.5)),
+        ({"scale": (500.0, 2000.0), "units": ("um", "um")}, (2.0, 1.5)),
+    ],
+    ids=["mm", "um"],
+)
+def test_a_rule_is_drawn_in_the_unit_of_the_image(own, expected):
+    """1 x 3 mm on pixels of 0.5 x 2 mm are 2 x 1.5 pixels, whatever the labels count in."""
+    image = frame(scale=(0.5, 2.0), units=("mm", "mm"))
+    labels = np.zeros(SHAPE, int)
+    labels[4, 5] = 1
+    rules = (BoundaryRule(1, "move", vector=(1.0, 3.0)),)
+    _, arrows = preview_arrows(Labels(labels, **own), rules, None, image)
+    np.testing.assert_allclose(arrows, [[(4, 5), expected]])
+
+
+def test_without_an_image_a_rule_is_drawn_in_the_unit_of_its_layer():
+    labels = np.zeros(SHAPE, int)
+    labels[4, 5] = 1
+    rules = (BoundaryRule(1, "move", vector=(1.0, 3.0)),)
+    _, arrows = preview_arrows(Labels(labels, scale=(0.5, 2.0)), rules, None)
+    np.testing.assert_allclose(arrows[0, 1], (2.0, 1.5))
+
+
+# Frames from files
+
+
+def saved(tmp_path, stored):
+    solution = Solution(
+        displacement=np.ones((8, 9, 2), np.float32),
+        energy=np.array([1.0]),
+        levels=(LevelRun(0, (8, 9), 1),),
+        tissue=np.ones((8, 9), bool),
+        spacing=(1.0, 1.0),
+        provenance=Provenance("cpu", "a test"),
+        frame=stored,
+    )
+    return str(solution.save(tmp_path / "odd.npz"))
+
+
+def good_frame():
+    stack = Image(np.zeros((5, 8, 9)), scale=(2.0, 1.0, 1.0), units=("s", "mm", "mm"))
+    return Frame.of(stack).as_dict()
+
+
+def one_at(values, at, value):
+    changed = np.array(values, dtype=object)
+    changed[at] = value
+    return changed.tolist()
+
+
+BAD = {
+    "an axis that is not there": ("plane", (0, 7)),
+    "a negative axis": ("plane", (-1, 1)),
+    "one axis twice": ("plane", (0, 0)),
+    "one axis": ("plane", (1,)),
+    "half an axis": ("plane", (0.5, 1)),
+    "no axes": ("index", ()),
+    "one axis too few": ("index", (0, 0)),
+    "an index beyond numbers": ("index", (float("inf"), 0, 0)),
+    "an index beyond slices": ("index", (10**30, 0, 0)),
+    "an index that is a word": ("index", ("a", 0, 0)),
+    "a number for an index": ("index", 3),
+    "NaN scale": ("scale", (float("nan"), 1.0, 1.0)),
+    "scale 0": ("scale", (1.0, 0.0, 1.0)),
+    "short scale": ("scale", (1.0, 1.0)),
+    "a word for a scale": ("scale", "big"),
+    "nothing for a scale": ("scale", None),
+    "infinite translate": ("translate", (0.0, float("inf"), 0.0)),
+    "flat rotation": ("rotate", np.ones((3, 3)).tolist()),
+    "small rotation": ("rotate", np.eye(2).tolist()),
+    "long shear": ("shear", (0.0, 0.0, 0.0, 0.0)),
+    "affine of another size": ("affine", np.eye(3).tolist()),
+    "ragged affine": ("affine", [[1, 0], [0]]),
+    "affine with NaN": ("affine", one_at(np.eye(4), (0, 3), float("nan"))),
+    "flat affine": ("affine", np.diag([1.0, 0.0, 1.0, 1.0]).tolist()),
+    "affine with perspective": ("affine", one_at(np.eye(4), (3, 0), 1.0)),
+    "empty matrix": ("matrix", []),
+    "matrix of nothing": ("matrix", np.zeros((4, 4)).tolist()),
+    "unknown unit": ("units", ("banana", "banana", "banana")),
+    "a sum for a unit": ("units", ("9**9**9", "pixel", "pixel")),
+    "time for rows": ("units", ("mm", "s", "mm")),
+    "short units": ("units", ("mm", "mm")),
+    "a word for units": ("units", "mmm"),
+    "numbers for units": ("units", (1, 2, 3)),
+    "short labels": ("axis_labels", ("y", "x")),
+    "a number for labels": ("axis_labels", 3),
+}
+
+
+@pytest.mark.parametrize(("key", "value"), BAD.values(), ids=BAD)
+def test_a_file_with_an_impossible_place_is_refused_by_name(tmp_path, key, value):
+    path = saved(tmp_path, {**good_frame(), key: value})
+    with pytest.raises(FileFormatError, match=r"odd\.npz.*place of a slice"):
+        open_solution(path)(path)
+
+
+@pytest.mark.parametrize("key", good_frame())
+def test_a_file_whose_place_lacks_a_part_is_refused_by_name(tmp_path, key):
+    stored = good_frame()
+    del stored[key]
+    path = saved(tmp_path, stored)
+    with pytest.raises(FileFormatError, match=rf"odd\.npz.*lacks '{key}'"):
+        open_solution(path)(path)
+
+
+JUNK = [
+    None,
+    0,
+    -1,
+    1e400,
+    "a",
+    [],
+    [[]],
+    {},
+    [1],
+    [1, 2, 3],
+    ["a"] * 3,
+    [[1e300] * 4] * 4,
+    [{}] * 3,
+]
+
+
+@pytest.mark.parametrize("key", good_frame())
+@pytest.mark.parametrize("value", JUNK, ids=repr)
+def test_whatever_a_file_says_it_is_refused_or_a_layer(tmp_path, key, value):
+    path = saved(tmp_path, {**good_frame(), key: value})
+    try:
+        (layer,) = open_solution(path)(path)
+    except FileFormatError:
+        return
+    assert np.isfinite(Layer.create(*layer).data_to_world((0, 0, 0))).all()
+
+
+def test_a_good_place_is_believed(tmp_path):
+    path = saved(tmp_path, good_frame())
+    ((data, attributes, kind),) = open_solution(path)(path)
+    assert [str(unit) for unit in Layer.create(data, attributes, kind).units] == [
+        "second",
+        "millimeter",
+        "millimeter",
+    ]
+
+
+def test_a_place_is_the_same_after_a_file_with_any_of_its_parts_changed():
+    found = Frame.of(Image(np.zeros(SHAPE)))
+    assert Frame.from_dict(json.loads(json.dumps(found.as_dict()))) == found
+    moved = replace(found, translate=(3.0, 4.0))
+    assert Frame.from_dict(moved.as_dict()) != found
