@@ -15,6 +15,10 @@ import numpy as np
 _EDGE = 1e-9
 # Twice the area, in pixels, below which a triangle has collapsed and covers nothing.
 _COLLAPSED = 1e-12
+# Pixels between two places from which tissue came, up to which they are one: neighbours.
+_NEAR = 1.0
+# The state of a pixel that two parts of the tissue have moved onto.
+TWICE = 3
 
 
 @numba.njit(inline="always")
@@ -22,7 +26,8 @@ def _draw(moved, source, state, value, height, width, a_row, a_col, b_row, b_col
     """Draw the moved triangle of sites a, b, c if its orientation is the one asked for.
 
     `value` is 2 for triangles that kept their orientation and 1 for those that were turned over; a
-    pixel that already holds as much is left alone. Returns whether this one was turned over.
+    pixel that already holds as much is left alone, but for a mark if what it holds came from
+    elsewhere. Returns whether this one was turned over.
     """
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
@@ -49,11 +54,17 @@ def _draw(moved, source, state, value, height, width, a_row, a_col, b_row, b_col
             to_c = (by * x - bx * y) / area
             if to_b < -_EDGE or to_c < -_EDGE or to_b + to_c > 1 + _EDGE:
                 continue
+            from_row = a_row + to_b * (b_row - a_row) + to_c * (c_row - a_row)
+            from_col = a_col + to_b * (b_col - a_col) + to_c * (c_col - a_col)
             if state[row, col] >= value:
+                rows = abs(from_row - source[row, col, 0])
+                cols = abs(from_col - source[row, col, 1])
+                if value == 2 and max(rows, cols) > _NEAR:
+                    state[row, col] = TWICE
                 continue
             state[row, col] = value
-            source[row, col, 0] = a_row + to_b * (b_row - a_row) + to_c * (c_row - a_row)
-            source[row, col, 1] = a_col + to_b * (b_col - a_col) + to_c * (c_col - a_col)
+            source[row, col, 0] = from_row
+            source[row, col, 1] = from_col
     return not kept
 
 
@@ -100,7 +111,8 @@ def rasterise(moved, tissue):
     source : ndarray, shape (H, W, 2), float64
         Where the tissue now on each pixel came from, in pixels.
     state : ndarray, shape (H, W), uint8
-        0 nothing came, 1 by a triangle turned over, 2 by one that was not, or by a line.
+        0 nothing came, 1 by a triangle turned over, 2 by one that was not, or by a line, 3 by
+        two that were not, from places more than a pixel apart.
     """
     height, width = tissue.shape
     source = np.zeros((height, width, 2))

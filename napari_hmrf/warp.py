@@ -93,14 +93,45 @@ def inverse_map(
     ProblemError
         Naming the input at fault.
     """
+    coordinates, covered, _ = inverse_map_and_overlaps(displacement, spacing, tissue)
+    return coordinates, covered
+
+
+def inverse_map_and_overlaps(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> tuple[Float64Array, BoolArray, BoolArray]:
+    """`inverse_map`, and where one part of the tissue lies on another.
+
+    Two parts that move onto each other across a gap fold nowhere, and yet one hides the other.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `warp`.
+
+    Returns
+    -------
+    coordinates, covered
+        As of `inverse_map`.
+    overlaps : ndarray, shape (H, W), bool
+        Pixels onto which tissue, not turned over, has moved from two places more than a pixel
+        apart; which of the two is seen is chance. Tissue one pixel thin is not looked at.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
     moving, mask = moved_sites(displacement, spacing, tissue)
     # numba takes half a second to import: only those who warp wait for it.
-    from napari_hmrf.rasterise import rasterise
+    from napari_hmrf.rasterise import TWICE, rasterise
 
     coordinates, state = rasterise(moving, mask)
     still = ~mask & (state == 0)
     coordinates[still] = np.argwhere(still)
-    return coordinates, (state > 0) | still
+    return coordinates, (state > 0) | still, state == TWICE
 
 
 def resample(
@@ -250,12 +281,14 @@ def _as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
 
 def _checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
     try:
-        value = float(fill)
+        # Integers are compared as such: as floats the largest are one too large.
+        whole = dtype.kind in "iu" and isinstance(fill, int | np.integer)
+        value = fill if whole else float(fill)
         low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
         if dtype.kind in "iu":
             low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
-        fits = dtype.kind == "f" or (low <= value <= high and value.is_integer())
-    except (TypeError, ValueError):
+        fits = dtype.kind == "f" or (low <= value <= high and value == int(value))
+    except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
         raise ProblemError("fill", f"is {fill!r}, which an image of type {dtype} cannot hold.")

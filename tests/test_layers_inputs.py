@@ -1,7 +1,7 @@
 """Layers and tables become one problem, or one error that names the layer."""
 
 import json
-import warnings
+from dataclasses import replace
 
 import dask.array as da
 import numpy as np
@@ -125,14 +125,15 @@ def test_sheared_pixels_are_taken_as_rectangles_and_it_is_said():
     assert any("sheared by 11.3 degrees" in note for note in inputs.notes)
 
 
-@pytest.mark.parametrize("bad", [(np.nan, 1.0)])
-def test_a_scale_that_is_no_number_is_refused(bad):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        image = Image(picture(), name="MR")
-        image.translate = bad
-        error = refusal(request(image=image))
-    assert "'MR'" in str(error)
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("attribute", ["scale", "translate"])
+@pytest.mark.parametrize("which", ["image", "tissue", "boundary"])
+def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
+    wanted = request()
+    setattr(getattr(wanted, which), attribute, (np.nan, 1.0))
+    error = refusal(wanted)
+    assert error.field == describe(getattr(wanted, which))
+    assert "NaN" in error.message
 
 
 def test_layers_of_different_size_are_refused_with_both_sizes():
@@ -296,6 +297,8 @@ def test_a_multiscale_image_is_solved_on_its_finest_level_and_it_is_said():
     inputs = read_layers(request(image=Image(levels, multiscale=True)))
     assert inputs.problem.shape == SHAPE
     assert inputs.notes == ("computed on the finest level, 12 x 15",)
+    assert inputs.pictures.level == 0
+    assert read_layers(request()).pictures.level is None
 
 
 def test_one_row_of_pixels_is_a_problem_and_one_pixel_is_not():
@@ -307,28 +310,91 @@ def test_one_row_of_pixels_is_a_problem_and_one_pixel_is_not():
     assert "single pixel" in str(refusal(Request(one, one, None, MATERIALS, RULES)))
 
 
+@pytest.mark.parametrize("kind", ["numpy", "dask", "multiscale"])
+@pytest.mark.parametrize("which", ["image", "tissue", "confidence"])
+def test_a_mask_is_not_lost_but_refused_by_layer(which, kind):
+    data = np.ma.masked_array(np.ones(SHAPE), mask=np.zeros(SHAPE, bool))
+    data.mask[3, 4:6] = True
+    layer = Image(
+        {
+            "numpy": data,
+            "dask": da.from_array(data, chunks=5),
+            "multiscale": [data, data[::2, ::2]],
+        }[kind],
+        name="holes",
+        contrast_limits=(0, 1),
+        multiscale=kind == "multiscale",
+    )
+    wanted = replace(request(boundary=arrow_layer([(5, 3), (1, 1)])), **{which: layer})
+    with pytest.raises(ProblemError, match="masked array with 2 masked values") as caught:
+        read_layers(wanted)
+    assert caught.value.field == describe(layer)
+
+
+def test_a_mask_that_hides_nothing_is_no_reason_to_refuse():
+    m = np.ma.masked_array(np.ones(SHAPE), mask=np.zeros(SHAPE, bool))
+    inputs = read_layers(request(image=Image(m), tissue=Image(m)))
+    assert type(inputs.pictures.image) is np.ndarray
+    np.testing.assert_array_equal(inputs.problem.m, 1)
+
+
+@pytest.mark.parametrize("which", ["image", "confidence"])
+def test_a_mask_elsewhere_in_the_stack_does_not_matter(which):
+    data = np.ma.masked_array(np.ones((4, *SHAPE)), mask=np.zeros((4, *SHAPE), bool))
+    data.mask[2] = True
+    wanted = request((4, *SHAPE), boundary=Vectors([[(0, 5, 3), (0, 1, 1)]]))
+    assert read_layers(replace(wanted, **{which: Image(data)})).notes == ()
+
+
+def test_whole_numbers_that_single_precision_rounds_are_mentioned():
+    m = np.full(SHAPE, 2**24, dtype=np.int32)
+    m[3, 4:6] += 1
+    inputs = read_layers(request(tissue=Image(m, name="stiffness")))
+    assert inputs.notes == ("2 whole numbers of 'stiffness' above 2^24 were rounded",)
+    m[3, 4:6] += 1
+    assert read_layers(request(tissue=Image(m, name="stiffness"))).notes == ()
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.uint64])
+def test_the_largest_whole_numbers_are_a_stiffness(dtype):
+    m = np.full(SHAPE, np.iinfo(dtype).max)
+    inputs = read_layers(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
+    assert inputs.notes == ("180 whole numbers of 'stiffness' above 2^24 were rounded",)
+
+
 class Unreadable:
     """An array whose file is gone."""
 
     shape, dtype, ndim = SHAPE, np.dtype("float32"), 2
 
     def __init__(self):
-        self.gone = False
+        self.gone = None
 
     def __getitem__(self, key):
-        if self.gone:
-            raise OSError("no such file")
+        if self.gone is not None:
+            raise self.gone
         return picture()[key]
 
     def __array__(self, dtype=None, copy=None):
         return picture()
 
 
-def test_a_file_that_cannot_be_read_names_its_layer():
+@pytest.mark.parametrize(
+    ("gone", "said"),
+    [
+        (OSError("no such file"), "no such file"),
+        (ZeroDivisionError("chunk 3"), "chunk 3"),
+        (AssertionError(), "AssertionError"),
+        (MemoryError(), "MemoryError"),
+        (type("ReaderError", (Exception,), {})("bad magic."), "bad magic"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_file_that_cannot_be_read_names_its_layer(gone, said):
     data = Unreadable()
     image = Image(data, name="far away", contrast_limits=(0, 1))
-    data.gone = True
-    with pytest.raises(ProblemError, match=r"'far away'.*could not be read: no such file"):
+    data.gone = gone
+    with pytest.raises(ProblemError, match=rf"'far away'.*could not be read: {said}\. Check"):
         read_layers(request(image=image))
 
 
@@ -380,6 +446,30 @@ def test_an_arrow_that_is_no_number_is_refused_by_number():
     boundary = arrow_layer([(5, 3), (1, 1)])
     boundary.data[0, 1, 0] = np.nan  # behind napari's back: it cannot draw such a thing
     assert "vector 0" in str(refusal(request(boundary=boundary)))
+
+
+def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
+    """Only what is said of the motion within the slice counts; nothing is said of it here."""
+    vectors = np.array(
+        [
+            [(1, 5, 3), (2, 0, 0)],  # straight out
+            [(1, 6, 3), (2, 1, 0)],  # out and down
+            [(1, 7, 3), (0, 0, 0)],  # stays
+            [(0, 8, 3), (2, 0, 0)],  # of another slice
+        ],
+        float,
+    )
+    viewer = ViewerModel()
+    wanted = request((4, *SHAPE), boundary=Vectors(vectors, name="arrows"))
+    for layer in wanted.layers:
+        viewer.add_layer(layer)
+    viewer.dims.set_current_step(0, 1)
+    inputs = read_layers(seen(viewer, wanted))
+    assert not inputs.problem.c[5, 3].any()
+    assert inputs.problem.c[6, 3].all()
+    np.testing.assert_array_equal(inputs.problem.y[6, 3], (1, 0))
+    assert inputs.problem.c[7, 3].all()
+    assert inputs.notes == ("1 arrow points straight out of the slice and did not count",)
 
 
 def test_arrows_that_agree_merge():
@@ -470,6 +560,20 @@ def test_flat_labels_lie_on_every_slice():
         View.of(viewer.dims),
     )
     assert read_layers(flat).frame.ndim == 3
+
+
+def test_of_labels_with_more_axes_than_the_image_the_slice_taken_is_said():
+    viewer = ViewerModel()
+    labels = np.zeros((4, *SHAPE), np.uint8)
+    labels[2] = tissue_labels()
+    wanted = request(tissue=Labels(labels, name="Tissue", axis_labels=("z", "y", "x")))
+    for layer in wanted.layers:
+        viewer.add_layer(layer)
+    viewer.dims.set_current_step(0, 2)
+    inputs = read_layers(seen(viewer, wanted))
+    assert inputs.frame.slice_name == ""
+    assert inputs.notes == ("of 'Tissue' the slice z = 2 was taken",)
+    np.testing.assert_array_equal(inputs.pictures.labels, tissue_labels())
 
 
 @pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")

@@ -167,6 +167,36 @@ def test_folds_are_counted():
     assert result_layers(solution()).folds == 0
 
 
+def test_a_piece_that_covers_another_is_counted_though_nothing_folds():
+    two = solution((0.0, 0.0))
+    two.tissue[:, 14:16] = False
+    two.displacement[:, :14] = (0, 6)
+    outputs = result_layers(two, pictures=Pictures(), kinds=("arrows",))
+    assert outputs.folds == 0
+    assert outputs.overlaps == 30 * 4  # sites up to column 13 + 6 lie on those from column 16
+    known = outputs.layers["arrows"].attributes["metadata"][METADATA]
+    assert known["overlaps"] == outputs.overlaps
+    assert result_layers(solution(), pictures=Pictures()).overlaps == 0
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.uint64, np.int8, bool])
+def test_an_image_of_the_largest_numbers_of_its_type_is_deformed(dtype):
+    largest = 1 if dtype is bool else np.iinfo(dtype).max
+    image = np.full(SHAPE, largest, dtype)
+    moved = result_layers(solution((5.0, 0.0)), pictures=Pictures(image)).layers["image"].data
+    assert moved.dtype == dtype
+    assert moved[0, 0] == largest
+    assert abs(int(moved[20, 20]) - largest) <= largest / 2**50
+
+
+def test_the_level_of_a_multiscale_image_is_kept_with_the_result():
+    outputs = result_layers(solution(), pictures=Pictures(spot(), level=0), kinds=KINDS)
+    for made in outputs.layers.values():
+        assert made.attributes["metadata"][METADATA]["level"] == 0
+    plain = result_layers(solution(), pictures=Pictures(spot())).layers["image"]
+    assert "level" not in plain.attributes["metadata"][METADATA]
+
+
 def test_the_work_can_be_stopped_between_its_parts():
     calls = []
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ProblemError, inverse_map, phantom, reference_displacement, resample, warp
+from napari_hmrf.deformation import count_folds
+from napari_hmrf.warp import inverse_map_and_overlaps
 
 
 def places(shape):
@@ -172,6 +174,46 @@ def test_void_stays_in_place_and_tissue_covers_it_and_leaves_fill_behind():
     expected[3:9, 5:15] = 1
     expected[3:9, 11:21] = 100
     np.testing.assert_array_equal(moved, expected)
+
+
+@pytest.mark.parametrize("shift", [0, 1.5, 2, 3, 6, 6.3, -4])
+def test_a_piece_that_covers_another_is_found_though_nothing_folds(shift):
+    """Two pieces with 2 pixels of void between them; the left one moves towards the right one."""
+    shape = (12, 40)
+    left, right = block(shape, slice(2, 9), slice(5, 15)), block(shape, slice(2, 9), slice(17, 30))
+    displacement = field(shape, (0, shift)) * left[..., None]
+    _, _, overlaps = inverse_map_and_overlaps(displacement, tissue=left | right)
+    expected = np.zeros(shape, bool)
+    if shift >= 3:  # its last site, at 14, has come to or beyond the first of the other, at 17
+        expected[2:9, 17 : int(14 + shift) + 1] = True
+    np.testing.assert_array_equal(overlaps, expected)
+
+
+@pytest.mark.parametrize("shape", [(23, 31), (64, 40)])
+@pytest.mark.parametrize("amplitude", [0.0, 1.0, 2.0])
+def test_tissue_that_only_bends_covers_nothing(shape, amplitude):
+    bent = smooth_field(shape, amplitude)
+    assert count_folds(bent) == 0
+    assert not inverse_map_and_overlaps(bent)[2].any()
+    assert not inverse_map_and_overlaps(bent * (0.3, 2.0), (0.3, 2.0))[2].any()
+
+
+def test_tissue_that_is_pressed_together_covers_nothing():
+    """To a tenth, and by amounts that put many sites on one pixel."""
+    shape = (40, 40)
+    pressed = -0.9 * places(shape) + np.random.default_rng(0).uniform(-0.02, 0.02, (*shape, 2))
+    assert count_folds(pressed) == 0
+    assert not inverse_map_and_overlaps(pressed)[2].any()
+
+
+def test_a_fold_covers_too():
+    shape = (20, 40)
+    folded = np.zeros((*shape, 2))
+    folded[:, :20, 1] = 8.0  # the left half slides over the right one
+    overlaps = inverse_map_and_overlaps(folded)[2]
+    assert overlaps[:, 22:27].all()
+    assert not overlaps[:, :19].any()
+    assert not overlaps[:, 29:].any()
 
 
 def test_void_is_not_dragged_along_whatever_its_displacement_says():

@@ -116,9 +116,18 @@ def read_layers(request: Request) -> Inputs:
     reference = request.layers[0]
     frame = Frame.of(reference, request.view)
     height, width = plane_shape(reference, frame)
+    frames = {
+        id(layer): frame if layer is reference else Frame.of(layer, request.view)
+        for layer in request.layers
+    }
     notes = _notes(request, frame, (height, width))
+    notes += tuple(
+        f"of '{layer.name}' the slice {frames[id(layer)].slice_name} was taken"
+        for layer in request.layers[1:]
+        if frames[id(layer)].ndim > frame.ndim
+    )
     taken = {
-        id(layer): take_slice(layer, reference, frame, (height, width), request.view)
+        id(layer): take_slice(layer, frames[id(layer)], reference, frame, (height, width))
         for layer in request.layers
         if not isinstance(layer, Vectors)
     }
@@ -135,12 +144,18 @@ def read_layers(request: Request) -> Inputs:
                 "image.",
             )
         m = stiffness_image(tissue, request.materials) if labelled else tissue
+        if not labelled:
+            notes += _check_digits(request.tissue, tissue)
     named = {"m": request.tissue, "y": request.boundary, "spacing": reference}
     with naming(**named, c=request.confidence or request.boundary):
         if isinstance(request.boundary, Labels):
             y, c = boundary_images(taken[id(request.boundary)], request.rules, frame.spacing)
         else:
-            y, c = _observed(request, frame, (height, width), taken)
+            own = frames[id(request.boundary)]
+            y, c, out = _observed(request, own, frame, (height, width), taken)
+            if out:
+                what = "1 arrow points" if out == 1 else f"{out} arrows point"
+                notes += (f"{what} straight out of the slice and did not count",)
         problem = Problem(y, c, m, frame.spacing)
     ignored = int(((problem.c > 0).any(axis=-1) & ~problem.tissue).sum())
     return Inputs(
@@ -153,6 +168,7 @@ def read_layers(request: Request) -> Inputs:
             labels_name=str(request.tissue.name),
             look=_look(request.image),
             labels_look=_look(request.tissue) if labelled else {},
+            level=0 if any(_multiscale(layer) for layer in request.layers) else None,
         ),
         ignored=ignored,
         notes=(*notes, *_loose_pieces(problem)),
@@ -180,9 +196,13 @@ def _notes(request: Request, frame: Frame, shape: tuple[int, int]) -> tuple[str,
         notes.append(
             f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
         )
-    if any(getattr(layer, "multiscale", False) for layer in request.layers):
+    if any(_multiscale(layer) for layer in request.layers):
         notes.append(f"computed on the finest level, {shape[0]} x {shape[1]}")
     return tuple(notes)
+
+
+def _multiscale(layer: Any) -> bool:
+    return bool(getattr(layer, "multiscale", False))
 
 
 def _check_picture(layer: Any, picture: npt.NDArray[Any]) -> tuple[str, ...]:
@@ -197,18 +217,34 @@ def _check_picture(layer: Any, picture: npt.NDArray[Any]) -> tuple[str, ...]:
     return (f"{bad} pixels of '{layer.name}' are NaN or infinite",) if bad else ()
 
 
+def _check_digits(layer: Any, stiffness: npt.NDArray[Any]) -> tuple[str, ...]:
+    """Say so where single precision, which the solver works in, rounds whole numbers."""
+    if stiffness.dtype.kind not in "iu":
+        return ()
+    # Bit by bit: no float holds all 64-bit integers to compare with.
+    whole = np.maximum(stiffness, 1).astype(np.uint64)
+    lowest_bit = whole & (~whole + np.uint64(1))
+    rounded = int((whole // lowest_bit > 2**24).sum())
+    if not rounded:
+        return ()
+    return (f"{rounded} whole numbers of '{layer.name}' above 2^24 were rounded",)
+
+
 def _observed(
-    request: Request, frame: Frame, shape: tuple[int, int], taken: dict[int, npt.NDArray[Any]]
-) -> tuple[FloatArray, FloatArray]:
-    own = Frame.of(request.boundary, request.view)
+    request: Request,
+    own: Frame,
+    frame: Frame,
+    shape: tuple[int, int],
+    taken: dict[int, npt.NDArray[Any]],
+) -> tuple[FloatArray, FloatArray, int]:
     check_place(request.boundary, own, request.layers[0], frame, shape)
-    y, c = arrow_observations(request.boundary, own, frame.spacing, shape)
+    y, c, out = arrow_observations(request.boundary, own, frame.spacing, shape)
     if request.confidence is not None:
         if request.confidence.rgb:
             raise ProblemError("c", "is a colour image. Choose a grey image of values 0 to 1.")
         sure = taken[id(request.confidence)].astype(np.float32)
         c = np.where(c > 0, sure[..., None], np.float32(0))
-    return y, c
+    return y, c, out
 
 
 def _loose_pieces(problem: Problem) -> tuple[str, ...]:

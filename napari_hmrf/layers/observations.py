@@ -21,7 +21,7 @@ PREVIEW_ACROSS = 40
 
 def arrow_observations(
     layer: Any, own: Frame, spacing: tuple[float, float], shape: tuple[int, int]
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, int]:
     """Displacement and confidence from arrows, each counting for the pixel it starts in.
 
     Parameters
@@ -39,6 +39,9 @@ def arrow_observations(
     -------
     y, c : ndarray, shape (H, W, 2), float32
         Displacement in the unit of `spacing`, and 1 where an arrow starts.
+    int
+        How many arrows of the slice point straight out of it, and so say nothing of a motion in it:
+        they do not count.
 
     Raises
     ------
@@ -52,7 +55,10 @@ def arrow_observations(
         raise ProblemError("y", f"has NaN or infinity in vector {bad[0]}. Remove it.")
     others = [axis for axis in range(own.ndim) if axis not in own.plane]
     here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
-    rows = np.flatnonzero(here.all(axis=1))
+    inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
+    outward = vectors[:, 1][:, others].any(axis=1) & ~inward
+    here = here.all(axis=1)
+    rows = np.flatnonzero(here & ~outward)
     arrows = vectors[rows][:, :, list(own.plane)]
     at = np.rint(arrows[:, 0]).astype(int)
     outside = np.flatnonzero(((at < 0) | (at >= shape)).any(axis=1))
@@ -77,7 +83,7 @@ def arrow_observations(
             f"has vectors that start in the same pixel and differ, as vector {rows[first]} at "
             f"{tuple(at[first].tolist())}. Keep one for each pixel.",
         )
-    return y, c
+    return y, c, int((here & outward).sum())
 
 
 def preview_arrows(

@@ -16,7 +16,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.solution import Solution
-from napari_hmrf.warp import inverse_map, resample
+from napari_hmrf.warp import inverse_map_and_overlaps, resample
 
 Kind = Literal["image", "arrows", "grid", "magnitude", "labels"]
 #: The layers there can be, in the order they are stacked, lowest first.
@@ -49,6 +49,8 @@ class Pictures:
     labels : ndarray of int, shape (H, W), optional
     name, labels_name : str
         Of the layers they came from; results are named after them.
+    level : int, optional
+        Of a multiscale layer, where there was one: 0, the finest.
     look, labels_look : dict
         How they are drawn: colormap and the like, as a new layer takes it.
     """
@@ -57,6 +59,7 @@ class Pictures:
     labels: npt.NDArray[Any] | None = None
     name: str = ""
     labels_name: str = ""
+    level: int | None = None
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
 
@@ -73,11 +76,15 @@ class Outputs:
         In stacking order.
     folds : int
         Sites at which the tissue folds over itself (Jacobian determinant <= 0).
+    overlaps : int
+        Pixels at which one part of the tissue has moved onto another; only counted where there
+        are pictures.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
+    overlaps: int = 0
 
 
 def result_layers(
@@ -117,12 +124,14 @@ def result_layers(
     checkpoint()
     folds = count_folds(solution.displacement, solution.spacing, solution.tissue)
     maker = _Maker(solution, frame, pictures or Pictures(), folds)
+    # A file that is opened shows arrows, and need not wait for the compiler of the loops.
+    overlaps = 0 if pictures is None else maker.count_overlaps()
     layers: dict[Kind, LayerData] = {}
     for kind in KINDS:
         checkpoint()
         if kind in kinds and (made := getattr(maker, kind)()) is not None:
             layers[kind] = made
-    return Outputs(solution, layers, folds)
+    return Outputs(solution, layers, folds, overlaps)
 
 
 class _Maker:
@@ -133,13 +142,20 @@ class _Maker:
         self._frame = frame
         self._pictures = pictures
         self._field = (solution.displacement, solution.spacing)
-        self._facts = {
+        self._facts: dict[str, Any] = {
             "source": pictures.name,
             "slice": frame.slice_name,
             "unit": frame.unit,
             "folds": folds,
             "provenance": asdict(solution.provenance),
         }
+        if pictures.level is not None:
+            self._facts["level"] = pictures.level
+
+    def count_overlaps(self) -> int:
+        """Count the pixels that hold tissue twice, and keep the number with the layers' facts."""
+        self._facts["overlaps"] = int(self._inverted[2].sum())
+        return int(self._facts["overlaps"])
 
     def image(self) -> LayerData | None:
         """The image, moved with the tissue."""
@@ -148,7 +164,8 @@ class _Maker:
             return None
         finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
         # What tissue leaves behind is background: black, or the darkest there is (air in CT).
-        fill = 0.0 if picture.ndim == 3 else float(finite.min())
+        # As Python's own number: a float cannot hold the largest integers.
+        fill = 0 if picture.ndim == 3 or not finite.size else finite.min().item()
         moved = resample(picture, *self._inverse, order=1, fill=fill)
         return self._picture("image", moved, "deformed", self._pictures.look, rgb=moved.ndim == 3)
 
@@ -191,8 +208,14 @@ class _Maker:
         return self._vectors("arrows", found, "arrows", look)
 
     @cached_property
+    def _inverted(
+        self,
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        return inverse_map_and_overlaps(*self._field, self._solution.tissue)
+
+    @property
     def _inverse(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        return inverse_map(*self._field, self._solution.tissue)
+        return self._inverted[:2]
 
     def _picture(
         self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any], **more: Any

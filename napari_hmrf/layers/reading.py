@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 from napari.layers import Vectors
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.view import View, describe, full_resolution
+from napari_hmrf.layers.view import describe, full_resolution
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
@@ -26,10 +27,9 @@ def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
 
 
 def take_slice(
-    layer: Any, reference: Any, frame: Frame, shape: tuple[int, int], view: View | None
+    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
 ) -> npt.NDArray[Any]:
     """Copy the slice of a layer that covers the same pixels as the reference's."""
-    own = frame if layer is reference else Frame.of(layer, view)
     check_place(layer, own, reference, frame, shape)
     own_shape = plane_shape(layer, own)
     if own_shape != shape:
@@ -47,16 +47,24 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
     Raises
     ------
     ProblemError
-        If it could not be read.
+        If it could not be read, or pixels of it are masked.
     """
     try:
-        return own.take(full_resolution(layer))
+        picture = own.take(full_resolution(layer))
     except Exception as error:
         # A lazy layer runs the code of whoever reads it, which may raise anything.
         reason = str(error).rstrip(".") or type(error).__name__
         raise ProblemError(
             describe(layer), f"could not be read: {reason}. Check the file it comes from."
         ) from error
+    hidden = int(np.ma.getmaskarray(picture).sum()) if isinstance(picture, np.ma.MaskedArray) else 0
+    if hidden:
+        raise ProblemError(
+            describe(layer),
+            f"is a masked array with {hidden} masked values in this slice, and a mask would be "
+            "lost. Fill them with a value (0 is where there is no tissue).",
+        )
+    return np.asarray(picture)
 
 
 def check_place(
