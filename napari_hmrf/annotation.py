@@ -23,9 +23,8 @@ Action = Literal["fixed", "move", "expand"]
 
 #: How far the outline of an expanding region is smoothed before its normal is taken, in pixels.
 _SMOOTHING = 1.5
-#: A painted line no wider than this, in pixels on either side of its middle, has no inside.
-_THIN = 2.0
-_LONG = 10.0
+#: A part so many times longer than it is thick is a line, whatever the brush: it has no inside.
+_LINE = 8.0
 #: Pixels that touch at a corner belong together, as in a ring one pixel wide.
 _EIGHT = np.ones((3, 3), dtype=bool)
 
@@ -234,7 +233,7 @@ def _outward_normals(
     for box, part in _parts(painted):
         padded = np.pad(part, [(size, size) for size in margin])
         filled = ndimage.binary_fill_holes(padded)
-        _refuse_open_line(part, filled, rule)
+        _refuse_open_line(filled, sizes, rule)
         blurred = ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
         slope = -np.stack(np.gradient(blurred, *sizes), axis=-1)
         outline = filled & ~ndimage.binary_erosion(filled)
@@ -267,14 +266,23 @@ def _parts(
 
 
 def _refuse_open_line(
-    part: npt.NDArray[np.bool_], filled: npt.NDArray[np.bool_], rule: BoundaryRule
+    filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float64], rule: BoundaryRule
 ) -> None:
-    thickest = float(ndimage.distance_transform_edt(filled).max())
-    if thickest <= _THIN and math.hypot(*part.shape) >= _LONG:
+    area = float(filled.sum() * sizes.prod())
+    deepest = float(ndimage.distance_transform_edt(filled, sampling=sizes).max())
+    at_least = 2 * deepest - sizes.max()
+    if area <= _LINE * at_least**2:
+        return
+    # At half the pixel size even and odd widths both have a middle, and come out as they are.
+    fine = filled.repeat(2, axis=0).repeat(2, axis=1)
+    thickness = 2 * float(ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
+    length = area / thickness
+    if length > _LINE * thickness:
         raise ProblemError(
             "y",
-            f"lets {_quoted(rule)} expand, but a part of it is an open line, which has no outside. "
-            "Close it to a ring, fill it, or let it move by a vector instead.",
+            f"lets {_quoted(rule)} expand, but a part of it is an open line (about {length:.3g} "
+            f"long and {thickness:.3g} thick), which has no outside: it would be torn along its "
+            "middle. Close the line to a ring, or let it move by a vector instead ('moves by').",
         )
 
 

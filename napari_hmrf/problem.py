@@ -17,6 +17,8 @@ FloatArray = npt.NDArray[np.float32]
 #: The largest ratio between two stiffnesses that single precision is trusted with.
 MAX_STIFFNESS_RATIO = 1e6
 _SMALLEST_PIXEL = 1e-15
+#: The longest displacement that can be meant, in diagonals of the image.
+MAX_REACH = 2.0
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -80,6 +82,7 @@ class Problem:
         _check_confidence(c, m)
         y = np.where(c > 0, y, np.float32(0))
         _check_finite("y", y, "where c > 0")
+        _check_reach(y, pixel)
         for field, array in (("y", y), ("c", c), ("m", m)):
             array.setflags(write=False)
             object.__setattr__(self, field, array)
@@ -162,6 +165,21 @@ def _check_finite(field: str, array: FloatArray, where: str = "") -> None:
             field,
             f"has {int(bad.sum())} values that are NaN or infinite {where}".rstrip()
             + f", the first at {_first_index(bad)}. Replace them by numbers.",
+        )
+
+
+def _check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
+    """Refuse displacements far beyond the image, mostly of a wrong unit."""
+    length = np.linalg.norm(y.astype(np.float64), axis=-1)
+    diagonal = math.hypot(*(size * step for size, step in zip(length.shape, spacing, strict=True)))
+    far = length > MAX_REACH * diagonal
+    if far.any():
+        raise ProblemError(
+            "y",
+            f"moves {int(far.sum())} pixels by more than {MAX_REACH:g} diagonals of the image "
+            f"({diagonal:.3g} each), the furthest by {float(length.max()):.3g}, the first at "
+            f"{_first_index(far)}. Give displacements in the unit of the pixel spacing, in which "
+            f"a pixel is {' x '.join(f'{size:.3g}' for size in spacing)}.",
         )
 
 

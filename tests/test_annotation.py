@@ -139,6 +139,37 @@ def test_a_rim_cut_by_the_edge_of_the_image_is_no_ring():
         boundary_images(arc.astype(int), [BoundaryRule(1, "expand", amount=1.0)])
 
 
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)], ids=["square", "oblong"])
+@pytest.mark.parametrize("width", [1, 2, 3, 8, 20, 40])
+def test_an_open_line_is_refused_however_thick_the_brush(width, spacing):
+    """Its two sides would part: half of it moves one way and half the other."""
+    length = round(10 * width * spacing[1] / spacing[0])
+    line = np.zeros((length + 2, width + 4), int)
+    line[1:-1, 2:-2] = 1
+    with pytest.raises(ProblemError, match=r"open line.*Close.*ring.*moves by") as caught:
+        boundary_images(line, [BoundaryRule(1, "expand", amount=1.0)], spacing)
+    assert caught.value.field == "y"
+
+
+@pytest.mark.parametrize("width", [4, 8, 16])
+def test_an_arc_painted_with_any_brush_is_refused_and_a_closed_ring_is_not(width):
+    disc, _ = _ellipse((301, 301), (110, 110))
+    ring = _rim(disc, width)
+    rule = BoundaryRule(1, "expand", amount=1.0)
+    assert boundary_images(ring.astype(int), [rule])[1].any()
+    ring[: 40 + width, 145:156] = False  # a gap of a few pixels makes a line of it
+    with pytest.raises(ProblemError, match="open line"):
+        boundary_images(ring.astype(int), [rule])
+
+
+@pytest.mark.parametrize("scale", [1, 2, 5])
+@pytest.mark.parametrize("shape", [(1, 2), (2, 2), (2, 5), (3, 12), (6, 30)])
+def test_what_is_stout_is_no_line_however_small(shape, scale):
+    labels = np.zeros((40 * scale, 40 * scale), int)
+    labels[3 : 3 + shape[0] * scale, 3 : 3 + shape[1] * scale] = 1
+    boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)])
+
+
 def test_a_disc_at_the_edge_of_the_image_expands_beyond_it():
     disc, _radial = _ellipse((41, 41), (12, 12))
     y, _ = boundary_images(disc[20:].astype(int), [BoundaryRule(1, "expand", amount=1.0)])

@@ -163,3 +163,24 @@ def test_a_mask_is_not_dropped_silently():
 def test_thin_grids_are_problems_too(shape):
     y, c, m = np.zeros((*shape, 2)), np.ones((*shape, 2)), np.ones(shape)
     assert Problem(y, c, m).shape == shape
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.01, 0.02), (300.0, 100.0)])
+def test_a_motion_far_beyond_the_image_is_a_wrong_unit(spacing):
+    """Within two diagonals, however strange, it is taken; beyond, the first pixel is named."""
+    y, c, m = good()
+    c[2, 3] = (0, 1)
+    reach = 2 * np.hypot(*np.multiply(m.shape, spacing))
+    y[2, 3] = (0, 0.999 * reach)
+    Problem(y, c, m, spacing)
+    y[2, 3] = (0, -1.001 * reach)
+    with pytest.raises(ProblemError, match=r"y: moves 1 pixels by more than 2 diagonals") as caught:
+        Problem(y, c, m, spacing)
+    assert "(2, 3)" in str(caught.value)
+    assert "unit of the pixel spacing" in str(caught.value)
+
+
+def test_how_far_a_motion_would_go_does_not_matter_where_nothing_is_known_of_it():
+    y, c, m = good()
+    y[2, 3], c[2, 3] = 1e30, 0
+    assert not Problem(y, c, m).y[2, 3].any()
