@@ -191,6 +191,23 @@ def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, ru
 # Results
 
 
+def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
+    """The right part is pushed 6.5 pixels to the left, over 2 pixels of air."""
+    _, tissue, boundary = small_sample(viewer_of(widget))
+    tissue.data[:, 11:13] = 0
+    boundary.data[2:-2, 2:-2] = 1
+    boundary.data[2:-2, 13:] = 2
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -6.5)))
+    outputs = run(widget)
+    assert (
+        outputs.overlaps == 16 * 4
+    )  # its sites from column 13 come to columns 6.5 and on; up to column 10
+    assert "at 64 pixels one part of the tissue has moved onto another" in widget.status
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -1.0)))
+    assert run(widget).overlaps == 0
+    assert "onto another" not in widget.status
+
+
 class Source:
     """Stands for a layer: small, so that the next one is likely to lie at the same address."""
 

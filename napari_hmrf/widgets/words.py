@@ -35,6 +35,12 @@ def report(outputs: Outputs, inputs: Inputs, changed: bool = False) -> str:
             f"Warning: the tissue folds over itself at {share}; smaller motion or a wider "
             "boundary avoids this."
         )
+    if outputs.overlaps:
+        share = f"{outputs.overlaps} pixel{'s' if outputs.overlaps > 1 else ''}"
+        parts.append(
+            f"Warning: at {share} one part of the tissue has moved onto another and hides it; "
+            "parts do not feel each other across a gap."
+        )
     if inputs.ignored:
         parts.append(f"{inputs.ignored} boundary pixels outside tissue were ignored.")
     parts += [f"{note[0].upper()}{note[1:]}." for note in inputs.notes]
