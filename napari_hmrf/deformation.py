@@ -90,9 +90,34 @@ def count_folds(
     ProblemError
         Naming the input at fault.
     """
+    return int((smallest_determinant(displacement, spacing, tissue) <= 0).sum())
+
+
+def smallest_determinant(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Find how near each site is to a fold: the smallest determinant of its four quadrants.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        0 or below where the tissue folds; NaN where there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
     moved, mask = moved_sites(displacement, spacing, tissue)
     smallest = np.minimum.reduce(_quadrants(moved, mask))
-    return int((mask & (smallest <= 0)).sum())
+    return np.where(mask, smallest, np.nan).astype(np.float32)
 
 
 def deformation_grid(
@@ -157,16 +182,29 @@ def arrows(
     if not about >= 1:
         raise ProblemError("about", f"is {about!r}. Ask for at least one arrow.")
     moved, mask = moved_sites(displacement, spacing, tissue)
-    step = max(1, round(math.sqrt(mask.sum() / about)))
-    row, col = np.indices(mask.shape)
-    first = [min(step, size) // 2 for size in mask.shape]
-    chosen = mask & (row % step == first[0]) & (col % step == first[1])
+    steps = _lattice(mask.sum() / about, spacing)
+    chosen = np.zeros_like(mask)
+    lines = tuple(
+        slice(min(step, size) // 2, None, step)
+        for step, size in zip(steps, mask.shape, strict=True)
+    )
+    chosen[lines] = mask[lines]
     starts = np.argwhere(chosen)
     if not len(starts):  # all tissue is thinner than a step
         sites = np.argwhere(mask)
         starts = sites[:: max(1, round(len(sites) / about))]
     ends = moved[tuple(starts.T)]
     return np.stack([starts, ends - starts], axis=1).astype(np.float32)
+
+
+def _lattice(sites: float, spacing: Sequence[float]) -> tuple[int, int]:
+    """Steps in (row, col) of a lattice that is square in the world, with so many sites a point."""
+    aspect = math.sqrt(spacing[1] / spacing[0])
+    row = max(1, round(math.sqrt(max(1.0, sites)) * aspect))
+    col = max(1, round(sites / row))
+    if col == 1:
+        row = max(1, round(sites))
+    return row, col
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:

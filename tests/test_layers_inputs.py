@@ -12,8 +12,8 @@ from napari.layers import Image, Labels, Vectors
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.inputs import Request, read_layers
-from napari_hmrf.layers.view import View, describe
+from napari_hmrf.layers.inputs import Request, copy_layers, prepare, read_layers
+from napari_hmrf.layers.view import View
 
 MATERIALS = (Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(2, "soft", 10.0))
 RULES = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 3.0)))
@@ -87,10 +87,23 @@ def test_nothing_that_is_painted_later_changes_what_was_read():
 
 def test_reading_again_tells_whether_anything_that_matters_changed():
     wanted = request()
-    first = read_layers(wanted)
-    assert first.same_as(read_layers(wanted))
+    first = copy_layers(wanted)
+    assert first.same_as(copy_layers(wanted))
     wanted.tissue.data[5, 5] = 2
-    assert not first.same_as(read_layers(wanted))
+    assert not first.same_as(copy_layers(wanted))
+
+
+def test_a_label_without_a_row_can_be_given_one_and_it_is_said():
+    wanted = request()
+    wanted.tissue.data[5, 5] = 9
+    wanted.boundary.data[6, 6] = 7
+    inputs = prepare(copy_layers(wanted), complete=True)
+    assert inputs.problem.m[5, 5] == 20
+    np.testing.assert_array_equal(inputs.problem.c[6, 6], [1, 1])
+    assert inputs.notes == (
+        "label 9 of 'Tissue' is not in the table and got stiffness 20",
+        "label 7 of 'Boundary' is not in the table and was held fixed",
+    )
 
 
 def test_anisotropic_pixels_give_the_spacing_and_lengths_keep_their_unit():
@@ -132,13 +145,14 @@ def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
     wanted = request()
     setattr(getattr(wanted, which), attribute, (np.nan, 1.0))
     error = refusal(wanted)
-    assert error.field == describe(getattr(wanted, which))
+    assert error.field == getattr(wanted, which).name
     assert "NaN" in error.message
 
 
 def test_layers_of_different_size_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
-    assert "<Labels layer 'Tissue' (uint8, 12 x 14)>" in str(error)
+    assert str(error).startswith("'Tissue' has 12 x 14 pixels")
+    assert str(error).endswith("(Labels layer, uint8, 12 x 14)")
     assert "12 x 15" in str(error)
 
 
@@ -156,8 +170,8 @@ def test_layers_of_different_size_are_refused_with_both_sizes():
 )
 def test_layers_that_lie_elsewhere_are_refused_with_both_names(place):
     error = refusal(request(boundary=Labels(boundary_labels(), name="Boundary", **place)))
-    assert error.field == describe(Labels(boundary_labels(), name="Boundary"))
-    assert "lies elsewhere than <Image layer 'MR' (float32, 12 x 15)>" in error.message
+    assert error.field == "Boundary"
+    assert "lies elsewhere than 'MR'" in error.message
 
 
 def test_the_same_place_said_differently_is_the_same_place():
@@ -201,7 +215,8 @@ def test_an_impossible_stiffness_names_its_layer(value, said):
     m = np.ones(SHAPE)
     m[3, 4] = value
     error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
-    assert "<Image layer 'stiffness' (float64, 12 x 15)>" in str(error)
+    assert str(error).startswith("'stiffness' has 1 ")
+    assert "(Image layer, float64, 12 x 15)" in str(error)
     assert said in str(error)
     assert "(3, 4)" in str(error)
 
@@ -222,14 +237,39 @@ def test_tissue_labels_without_a_stiffness_are_listed():
     tissue = tissue_labels()
     tissue[3, 3], tissue[4, 4] = 9, 12
     error = refusal(request(tissue=Labels(tissue, name="Tissue")))
-    assert error.field == "<Labels layer 'Tissue' (uint8, 12 x 15)>"
+    assert error.field == "Tissue"
     assert "labels 9, 12 without a stiffness" in error.message
 
 
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
-    assert error.field == "<Labels layer 'Boundary' (uint8, 12 x 15)>"
-    assert "fixed or moving" in error.message
+    assert str(error) == (
+        "Nothing is painted in 'Boundary' yet: choose a row, then paint a wall or something that "
+        "moves. (Labels layer, uint8, 12 x 15)"
+    )
+
+
+def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
+    void = request()
+    error = refusal(Request(void.tissue, void.boundary, void.image, (), ()))
+    assert "without a stiffness" in str(error)
+    airy = tuple(Material(label, "air", 0.0) for label in range(3))
+    error = refusal(Request(void.tissue, void.boundary, void.image, airy, RULES))
+    assert str(error).startswith("There is no tissue in 'Tissue'")
+    unsure = tuple(BoundaryRule(label, "fixed", confidence=(0.0, 0.0)) for label in (1, 2))
+    error = refusal(Request(void.tissue, void.boundary, void.image, MATERIALS, unsure))
+    assert str(error).startswith("Nothing in 'Boundary' counts")
+
+
+def test_paint_on_another_slice_is_pointed_to():
+    viewer, wanted = stack((9, *SHAPE))
+    wanted.boundary.data[:] = 0
+    wanted.boundary.data[5] = boundary_labels()
+    wanted.boundary.data[0] = boundary_labels()
+    viewer.dims.set_current_step(0, 7)
+    assert str(refusal(seen(viewer, wanted))).startswith(
+        "'Boundary' has no paint in this slice (axis 0 = 7); paint here or go to slice 5."
+    )
 
 
 def test_a_boundary_in_the_void_alone_is_refused():
@@ -328,7 +368,7 @@ def test_a_mask_is_not_lost_but_refused_by_layer(which, kind):
     wanted = replace(request(boundary=arrow_layer([(5, 3), (1, 1)])), **{which: layer})
     with pytest.raises(ProblemError, match="masked array with 2 masked values") as caught:
         read_layers(wanted)
-    assert caught.value.field == describe(layer)
+    assert caught.value.field == "holes"
 
 
 def test_a_mask_that_hides_nothing_is_no_reason_to_refuse():
@@ -432,13 +472,14 @@ def test_confidence_can_come_from_an_image():
     [
         ([[(40, 3), (1, 1)]], "vector 0 at (40, 3)"),
         ([[(5, 3), (1, 1)], [(5.2, 3), (2, 1)]], "vector 0 at (5, 3)"),
-        ([], "0 everywhere"),
+        ([], "No arrow of 'arrows' starts"),
     ],
     ids=["outside", "conflict", "none"],
 )
 def test_arrows_that_say_nothing_clear_are_refused_by_number(arrows, said):
     error = refusal(request(boundary=arrow_layer(*arrows)))
-    assert "<Vectors layer 'arrows'" in str(error)
+    assert "'arrows'" in str(error)
+    assert "(Vectors layer, " in str(error)
     assert said in str(error)
 
 

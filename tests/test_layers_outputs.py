@@ -53,7 +53,9 @@ def test_arrows_and_picture_move_the_same_way():
 def test_every_layer_can_be_had_and_is_named_after_its_source():
     labels = (spot() > 0).astype(np.uint8)
     pictures = Pictures(spot(), labels, "MR", "Tissue")
-    layers = layers_of(result_layers(solution(), pictures=pictures, kinds=KINDS))
+    outputs = result_layers(solution(), pictures=pictures, kinds=KINDS)
+    assert set(outputs.layers) == {*KINDS} - {"folds"}  # there are none
+    layers = layers_of(outputs)
     assert {kind: layer.name for kind, layer in layers.items()} == {
         "image": "MR deformed",
         "magnitude": "MR magnitude (px)",
@@ -74,6 +76,23 @@ def test_without_a_picture_there_is_none_to_deform():
 def test_arrows_leave_room_to_see_the_image():
     outputs = result_layers(solution(shape=(300, 300)))
     assert ARROWS / 2 < len(outputs.layers["arrows"].data) < 2 * ARROWS
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (4.0, 1.0)])
+def test_long_arrows_stay_apart_at_true_length(spacing):
+    outputs = result_layers(solution((0.0, 50.0), spacing, (200, 300)))
+    arrows = outputs.layers["arrows"].data
+    np.testing.assert_allclose(arrows[:, 1], [[0, 50]] * len(arrows))
+    assert len(arrows) > 20
+    for row in np.unique(arrows[:, 0, 0]):
+        starts = np.sort(arrows[arrows[:, 0, 0] == row, 0, 1])
+        assert (np.diff(starts) > 50).all()
+
+
+def test_arrows_are_as_far_apart_in_millimetres_down_as_across():
+    arrows = result_layers(solution((0.0, 0.1), (4.0, 1.0), (60, 240))).layers["arrows"].data
+    rows, cols = (np.unique(arrows[:, 0, axis]) for axis in (0, 1))
+    assert 0.6 < 4 * np.diff(rows).min() / np.diff(cols).min() < 1.6
 
 
 def test_what_tissue_leaves_behind_is_the_darkest_there_is():
@@ -163,8 +182,13 @@ def test_arrows_carry_the_whole_solution_with_its_frame():
 def test_folds_are_counted():
     folded = solution((0.0, 0.0))
     folded.displacement[:, 20] = (0, 5)
-    assert result_layers(folded).folds > 0
-    assert result_layers(solution()).folds == 0
+    outputs = result_layers(folded, kinds=KINDS)
+    assert outputs.folds > 0
+    assert outputs.layers["folds"].data.sum() == outputs.folds
+    assert outputs.layers["folds"].data[outputs.worst] == 1
+    assert 19 <= outputs.worst[1] <= 25
+    unfolded = result_layers(solution())
+    assert (unfolded.folds, unfolded.worst) == (0, None)
 
 
 def test_a_piece_that_covers_another_is_counted_though_nothing_folds():

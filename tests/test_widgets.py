@@ -7,11 +7,12 @@ import pytest
 from conftest import quick
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import ICM, SeilerPrior
 from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.widgets.deform import DeformTissue
 
 
@@ -32,6 +33,11 @@ def by_name(widget, name):
     return viewer_of(widget).layers[name]
 
 
+def results_of(widget):
+    """Layers that hold a result, lowest first."""
+    return [layer for layer in viewer_of(widget).layers if "folds" in known_of(layer)]
+
+
 # The main path
 
 
@@ -47,7 +53,8 @@ def test_opening_a_sample_leaves_one_button_to_press(docked, run, name):
     added = set(names(viewer)) - {"Tissue", "Boundary", "boundary preview"}
     assert any(layer.endswith("arrows") for layer in added)
     assert any(layer.endswith("deformed") for layer in added)
-    assert "sweeps in" in docked.status
+    assert docked.status.startswith("Tissue moved up to ")
+    assert "sweeps in" in docked.details
 
 
 def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, small_sample):
@@ -77,10 +84,13 @@ def test_all_outputs_can_be_had(widget, small_sample, run):
     small_sample(viewer_of(widget))
     widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     run(widget)
-    assert names(viewer_of(widget))[-5:] == [
+    assert [name for name in names(viewer_of(widget)) if "preview" not in name] == [
+        "MR",
         "MR deformed",
         "MR magnitude (px)",
         "Tissue deformed",
+        "Tissue",
+        "Boundary",
         "MR grid",
         "MR arrows",
     ]
@@ -123,6 +133,21 @@ def test_painting_goes_on_with_the_same_brush(docked, small_sample, run):
     viewer.layers.selection.active = tissue
     run(docked)
     assert viewer.layers.selection.active is tissue
+
+
+def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    _, tissue, boundary = small_sample(viewer)
+    run(widget)
+    deformed = by_name(widget, "MR deformed")
+    assert (deformed.visible, tissue.visible, boundary.visible) == (True, False, True)
+    assert names(viewer).index("MR deformed") < names(viewer).index("Tissue")
+    assert names(viewer)[-1] == "MR arrows"
+    widget._face.tissue.table.add()
+    assert (deformed.visible, tissue.visible, tissue.mode) == (False, True, "paint")
+    assert "hidden meanwhile" in widget.status
+    run(widget)
+    assert (deformed.visible, tissue.visible) == (True, False)
 
 
 def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, run):
@@ -173,6 +198,7 @@ def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
         table.item(1, 2).setText(nonsense)
         assert widget.materials[1].stiffness == 12.5
         assert table.item(1, 2).text() == "12.5"
+        assert widget.status == "Stiffness must be a number, 0 or more; kept 12.5."
     table.item(1, 1).setText("jelly")
     assert widget.materials[1].name == "jelly"
 
@@ -183,24 +209,63 @@ def test_boundary_cells_follow_the_action(widget, small_sample):
     assert [table.item(1, column).text() for column in (3, 4)] == ["0", "3"]
     table.cellWidget(1, 2).setCurrentIndex(2)
     assert widget.rules[1].action == "expand"
-    table.item(1, 3).setText("-2")
+    assert [table.item(1, column).text() for column in (3, 4, 5)] == ["", "", "0"]
+    table.item(1, 5).setText("-2")
     assert widget.rules[1].amount == -2.0
-    table.item(1, 5).setText("0.5")
+    table.item(1, 6).setText("0.5 / 1")
     table.item(1, 6).setText("2")  # out of range: put back
     assert widget.rules[1].confidence == (0.5, 1.0)
+    assert widget.status == (
+        "Confidence must be a number from 0 to 1, or two: 1 / 0.5; kept 0.5 / 1."
+    )
+    table.item(1, 6).setText("0.25")
+    assert widget.rules[1].confidence == (0.25, 0.25)
     table.item(1, 1).setText("rim")
     assert widget.rules[1].name == "rim"
 
 
-def test_clicking_a_row_paints_with_it_and_choosing_a_label_finds_its_row(widget, small_sample):
-    _, tissue, _ = small_sample(viewer_of(widget))
+def click(qtbot, table, row, column=1):
+    place = table.visualItemRect(table.item(row, column)).center()
+    qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, pos=place)
+
+
+def highlighted(table):
+    return sorted({index.row() for index in table.selectedIndexes()})
+
+
+def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample, qtbot):
+    viewer = viewer_of(widget)
+    _, tissue, boundary = small_sample(viewer)
+    tissues, boundaries = widget._face.tissue.table, widget._face.boundary.table
+    for table, layer, row, label in [
+        (tissues, tissue, 1, 1),
+        (boundaries, boundary, 1, 2),
+        (boundaries, boundary, 0, 1),
+        (tissues, tissue, 1, 1),  # the row that was the current one all the while
+    ]:
+        layer.visible = False
+        click(qtbot, table, row)
+        assert viewer.layers.selection.active is layer
+        assert (layer.selected_label, layer.mode, layer.visible) == (label, "paint", True)
+        assert highlighted(table) == [row]
+        assert highlighted(boundaries if table is tissues else tissues) == []
+        assert f"'{layer.name}'" in widget.status
+    assert boundaries.add() == 3
+    assert viewer.layers.selection.active is boundary
+    assert boundary.selected_label == 3
+
+
+def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, small_sample):
+    viewer = viewer_of(widget)
+    image, tissue, _ = small_sample(viewer)
     table = widget._face.tissue.table
-    table.setCurrentCell(0, 1)
-    assert tissue.selected_label == 0
+    viewer.layers.selection.active = tissue
+    tissue.selected_label = 0
+    assert highlighted(table) == [0]
     tissue.selected_label = 1
-    assert table.currentRow() == 1
-    assert table.add() == 2
-    assert tissue.selected_label == 2
+    assert highlighted(table) == [1]
+    viewer.layers.selection.active = image
+    assert highlighted(table) == []
 
 
 def test_rows_wear_the_colour_of_their_label(widget, small_sample):
@@ -234,7 +299,7 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(docked, 
     assert tissue.units == viewer.layers["T1"].units
     assert viewer.layers.selection.active is tissue
     assert tissue.mode == "paint"
-    assert docked.materials[0] == Material(0, "unpainted", 20.0)
+    assert docked.materials[0] == Material(0, "everything unpainted", 20.0)
     assert [rule.action for rule in docked.rules] == ["fixed", "expand"]
     boundary.data[:, :2] = 1
     boundary.data[10:20, 20:25] = 2
@@ -243,10 +308,12 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(docked, 
     assert "mm" in docked._face.boundary.table.horizontalHeaderItem(3).text()
 
 
-def test_without_an_image_there_is_nothing_to_paint_on(widget):
+def test_without_an_image_there_is_nothing_to_paint_on(widget, run):
     assert not widget._face.make.enabled
     widget.make_layers()
-    assert "missing" in widget.status
+    assert widget.status.startswith("Open an image first (File > Open), or a sample")
+    assert run(widget) is None
+    assert widget.status.startswith("Open an image first (File > Open), or a sample")
     assert names(viewer_of(widget)) == []
 
 
@@ -280,7 +347,7 @@ def test_layers_that_go_are_no_longer_chosen(widget, small_sample):
     small_sample(viewer)
     viewer.add_image(np.zeros((20, 24)), name="another")
     viewer.layers.remove("MR")
-    assert widget.image is None
+    assert widget.image is viewer.layers["another"]
     viewer.layers.remove("Tissue")
     assert widget.tissue is None
     viewer.layers.clear()
@@ -345,7 +412,7 @@ def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample
     widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     outputs = run(widget)
     assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
-    for layer in list(viewer_of(widget).layers)[-5:]:
+    for layer in results_of(widget):
         assert layer.units == image.units
         assert layer.axis_labels == image.axis_labels
         np.testing.assert_allclose(layer.data_to_world((4, 5)), image.data_to_world((4, 5)))
@@ -358,7 +425,7 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     small_sample(viewer, (5, 20, 24), scale=(4.0, 1.0, 1.0), axis_labels=("z", "y", "x"))
     viewer.dims.set_current_step(0, 3)
     run(widget)
-    assert "Slice z = 3" in widget.status
+    assert widget.status.startswith("Slice z = 3: tissue moved up to")
     arrows = viewer.layers["MR arrows (z = 3)"]
     assert (arrows.data[:, 0, 0] == 3).all()
     deformed = viewer.layers["MR deformed (z = 3)"]
@@ -384,7 +451,7 @@ def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
 # Words
 
 
-def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, run):
+def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, run, wait_for):
     _, _, boundary = small_sample(viewer_of(widget))
     boundary.data[0, :5] = 1
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
@@ -392,7 +459,11 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     outputs = run(widget)
     assert "5 boundary pixels outside tissue were ignored." in widget.status
     assert outputs.folds > 0
-    assert f"folds over itself at {outputs.folds} pixel" in widget.status
+    assert f"at {outputs.folds} pixels, worst at row {outputs.worst[0]}" in widget.status
+    # And they can be seen, without solving again.
+    widget.outputs = ("image", "arrows", "folds")
+    wait_for(lambda: "MR folds" in names(viewer_of(widget)))
+    assert by_name(widget, "MR folds").data.sum() == outputs.folds
 
 
 def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thread, wait_for):
@@ -404,8 +475,53 @@ def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thr
     tissue.refresh()
     busy_thread.set()
     wait_for(lambda: widget.idle, 60_000)
-    assert "Inputs changed since start" in widget.status
+    assert widget.status == "Changed since the last result: press Deform."
     assert viewer.layers["MR arrows"].metadata[METADATA]["inputs_changed"]
+
+
+def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, run, wait_for):
+    viewer = viewer_of(widget)
+    _, _, boundary = small_sample(viewer)
+    run(widget)
+    said = widget.status
+    boundary.paint((8, 8), 1)
+    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    boundary.undo()
+    wait_for(lambda: widget.status == said)
+    widget.settings.sweeps.value = 4
+    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    run(widget)
+    before = widget.solution
+    widget.outputs = ("image", "arrows", "grid")
+    wait_for(lambda: "MR grid" in names(viewer))  # drawn at once, from the same solution
+    assert widget.solution.provenance == before.provenance
+    while viewer.layers:
+        viewer.layers.pop()
+    wait_for(lambda: widget.status.startswith("Open an image first"))
+    assert widget.solution is None
+
+
+def test_air_around_the_image_can_be_made_no_tissue(widget):
+    viewer = viewer_of(widget)
+    head = np.zeros((30, 40))
+    head[5:25, 8:32] = 1
+    head[12:15, 15:20] = 0  # dark, but inside
+    viewer.add_image(head, name="head")
+    widget.make_layers()
+    widget.tissue.data[:3, :3] = 2  # what is painted already stays
+    widget.mark_background()
+    air = (head == 0) & (widget.tissue.data != 2)
+    air[12:15, 15:20] = False
+    (background,) = [row for row in widget.materials if row.stiffness == 0]
+    np.testing.assert_array_equal(widget.tissue.data == background.label, air)
+    widget.tissue.undo()
+    assert not (widget.tissue.data == background.label).any()
+
+
+def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    tissue.paint((8, 8), 5)
+    wait_for(lambda: "label 5 (stiffness 20)" in widget.status)
 
 
 # Errors
@@ -414,8 +530,8 @@ def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thr
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda v: v.layers.remove("Tissue"), "tissue: no layer is chosen"),
-        (lambda v: v.layers.remove("Boundary"), "boundary: no layer is chosen"),
+        (lambda v: v.layers.remove("Tissue"), "No tissue layer is chosen"),
+        (lambda v: v.layers.remove("Boundary"), "No boundary layer is chosen"),
         (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
         (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
         (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
@@ -464,14 +580,14 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     before = state(viewer)
     widget.deform()
     assert not widget.idle
-    assert not widget._face.deform.enabled
-    assert widget._face.cancel.enabled
+    assert not widget._face.footer.deform.enabled
+    assert widget._face.footer.cancel.enabled
     started = time.perf_counter()
     widget.cancel()
     assert time.perf_counter() - started < 0.2
     assert widget.idle
-    assert widget._face.deform.enabled
-    assert not widget._face.cancel.enabled
+    assert widget._face.footer.deform.enabled
+    assert not widget._face.footer.cancel.enabled
     assert "Cancelled" in widget.status
     busy_thread.set()
     QApplication.processEvents()
@@ -517,6 +633,24 @@ def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_
     busy_thread.set()
     QApplication.processEvents()
     assert not any("arrows" in name for name in names(viewer))
+
+
+def test_a_layer_removed_while_napari_draws_the_progress_ends_the_work(
+    widget, small_sample, busy_thread, wait_for, monkeypatch
+):
+    viewer = viewer_of(widget)
+    image, _, _ = small_sample(viewer)
+    viewer.add_image(np.zeros((20, 24)), name="another")
+
+    def remove(_):
+        if "Boundary" in viewer.layers:
+            viewer.layers.remove("Boundary")
+
+    monkeypatch.setattr(widget._face.footer, "progress", remove)
+    widget.deform()
+    wait_for(lambda: widget.idle)
+    assert widget.status == "Cancelled: 'Boundary' was removed."
+    assert widget.image is image
 
 
 def test_closing_the_viewer_while_working_is_quick_and_quiet(
@@ -577,5 +711,5 @@ def test_the_kinds_of_result_layers(widget, small_sample, run):
     small_sample(viewer_of(widget))
     widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     run(widget)
-    kinds = [type(layer) for layer in list(viewer_of(widget).layers)[-5:]]
+    kinds = [type(layer) for layer in results_of(widget)]
     assert kinds == [Image, Image, Labels, Vectors, Vectors]

@@ -159,7 +159,7 @@ def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
     busy_thread.set()
     wait_for(lambda: bool(said), 60_000)
     assert said[0] is not None
-    assert "Inputs changed since start" in widget.status
+    assert "Changed since the last result" in widget.status
 
 
 def test_whatever_goes_wrong_in_looking_again_means_changed(
@@ -177,13 +177,13 @@ def test_whatever_goes_wrong_in_looking_again_means_changed(
     busy_thread.set()
     wait_for(lambda: bool(said), 60_000)
     assert said[0] is not None
-    assert "Inputs changed since start" in widget.status
+    assert "Changed since the last result" in widget.status
 
 
 def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, run):
     small_sample(viewer_of(widget))
     outputs = run(widget)
-    assert "changed" not in widget.status
+    assert "Changed" not in widget.status
     for made in outputs.layers.values():
         assert made.attributes["metadata"][METADATA]["inputs_changed"] is False
 

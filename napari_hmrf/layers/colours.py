@@ -6,6 +6,8 @@ from typing import Any
 
 #: Of the arrows that show what a boundary will do.
 PREVIEW = "magenta"
+#: Of the arrows of a result: seen on black, grey and white.
+ARROWS = "#ff6000"
 #: Of boundary labels 1, 2, ...; napari's own would repeat the colours of the tissues.
 _BOUNDARY = ("#ff9f1c", "#ff4fd8", "#7ee081", "#ff5a5f", "#f4f482", "#a78bfa")
 
@@ -15,3 +17,10 @@ def boundary_colours() -> Any:
     from napari.utils.colormaps import CyclicLabelColormap
 
     return CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
+
+
+def fold_colours() -> Any:
+    """The colormap of a Labels layer of folds."""
+    from napari.utils.colormaps import DirectLabelColormap
+
+    return DirectLabelColormap(color_dict={None: "transparent", 0: "transparent", 1: "red"})

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.transform import (
     Matrix,
     flat,
@@ -21,7 +21,7 @@ from napari_hmrf.layers.transform import (
     stored_numbers,
     stored_words,
 )
-from napari_hmrf.layers.view import View, describe, is_unit, slice_shown, unit_factor
+from napari_hmrf.layers.view import View, is_unit, slice_shown, unit_factor
 
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
 _TOLERANCE = 1e-3
@@ -79,21 +79,21 @@ class Frame:
         matrix[:ndim, :ndim] = np.stack(steps, axis=1)
         matrix[:ndim, ndim] = origin
         if not np.isfinite(matrix).all():
-            raise ProblemError(
-                describe(layer),
+            raise LayerError(
+                layer,
                 "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
             )
         if flat(matrix[:-1, :-1]):
-            raise ProblemError(
-                describe(layer),
+            raise LayerError(
+                layer,
                 "has a scale, rotation or affine that flattens it to less than its axes. Set one "
                 "that keeps all its axes apart.",
             )
         plane, index = slice_shown(layer, matrix, view)
         row_unit, col_unit = (str(layer.units[axis]) for axis in plane)
         if np.isnan(unit_factor(col_unit, row_unit)):
-            raise ProblemError(
-                describe(layer),
+            raise LayerError(
+                layer,
                 f"measures rows in {row_unit} and columns in {col_unit}. Give both axes a unit of "
                 "length.",
             )

@@ -2,68 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Labels, Vectors
 from scipy import ndimage
 
-from napari_hmrf.annotation import BoundaryRule, Material, boundary_images, stiffness_image
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.annotation import boundary_images, labels_present, stiffness_image
+from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.naming import LayerError, Named, naming
 from napari_hmrf.layers.observations import arrow_observations
 from napari_hmrf.layers.outputs import Pictures
-from napari_hmrf.layers.reading import check_place, naming, plane_shape, take_slice
-from napari_hmrf.layers.view import View, describe
+from napari_hmrf.layers.snapshot import Request, Snapshot, copy_layers
 from napari_hmrf.problem import Problem
 
+__all__ = ["Inputs", "Request", "Snapshot", "copy_layers", "prepare", "read_layers"]
+
 FloatArray = npt.NDArray[np.float32]
-
-#: Pixels sheared by less than this many degrees pass for rectangles.
-_RIGHT_ANGLE = 0.1
-
-
-@dataclass(frozen=True)
-class Request:
-    """What the user chose: layers, tables, and the slice that was shown.
-
-    Attributes
-    ----------
-    tissue : napari.layers.Labels or napari.layers.Image
-        Labels, each with a stiffness in `materials`; or the stiffness itself.
-    boundary : napari.layers.Labels or napari.layers.Vectors
-        Labels, each with a rule in `rules`; or the observed displacements as arrows.
-    image : napari.layers.Image, optional
-        The picture to deform; its place is the reference, else that of `tissue`.
-    materials : tuple of Material
-    rules : tuple of BoundaryRule
-        Lengths in the unit of the image.
-    confidence : napari.layers.Image, optional
-        With arrows: how sure each is, 0 to 1; by default 1.
-    view : View, optional
-        Which slice; by default the first, of the last two axes.
-    """
-
-    tissue: Any
-    boundary: Any
-    image: Any = None
-    materials: tuple[Material, ...] = ()
-    rules: tuple[BoundaryRule, ...] = ()
-    confidence: Any = None
-    view: View | None = None
-
-    @property
-    def layers(self) -> tuple[Any, ...]:
-        """The layers that are there, the reference first."""
-        chosen = (self.image, self.tissue, self.boundary, self.confidence)
-        return tuple(layer for layer in chosen if layer is not None)
 
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Copies of everything a solve needs, which no later painting changes.
+    """Everything a solve needs, which no later painting changes.
 
     Attributes
     ----------
@@ -84,17 +47,6 @@ class Inputs:
     ignored: int = 0
     notes: tuple[str, ...] = ()
 
-    def same_as(self, other: Inputs) -> bool:
-        """Whether a solve of the other would have given the same result."""
-        pairs = [
-            (self.problem.y, other.problem.y),
-            (self.problem.c, other.problem.c),
-            (self.problem.m, other.problem.m),
-            (self.pictures.image, other.pictures.image),
-            (self.pictures.labels, other.pictures.labels),
-        ]
-        return self.frame == other.frame and all(_equal(mine, its) for mine, its in pairs)
-
 
 def read_layers(request: Request) -> Inputs:
     """Turn layers and tables into a problem; the one way to do so.
@@ -113,111 +65,105 @@ def read_layers(request: Request) -> Inputs:
     ProblemError
         Naming the layer, what is wrong with it and what to do.
     """
-    reference = request.layers[0]
-    frame = Frame.of(reference, request.view)
-    height, width = plane_shape(reference, frame)
-    frames = {
-        id(layer): frame if layer is reference else Frame.of(layer, request.view)
-        for layer in request.layers
-    }
-    notes = _notes(request, frame, (height, width))
-    notes += tuple(
-        f"of '{layer.name}' the slice {frames[id(layer)].slice_name} was taken"
-        for layer in request.layers[1:]
-        if frames[id(layer)].ndim > frame.ndim
-    )
-    taken = {
-        id(layer): take_slice(layer, frames[id(layer)], reference, frame, (height, width))
-        for layer in request.layers
-        if not isinstance(layer, Vectors)
-    }
-    image = None if request.image is None else taken[id(request.image)]
-    if image is not None:
-        notes += _check_picture(request.image, image)
-    with naming(m=request.tissue):
-        labelled = isinstance(request.tissue, Labels)
-        tissue = taken[id(request.tissue)]
-        if not labelled and request.tissue.rgb:
-            raise ProblemError(
-                "m",
-                "is a colour image, which cannot be a stiffness. Choose a Labels layer or a grey "
-                "image.",
-            )
-        m = stiffness_image(tissue, request.materials) if labelled else tissue
-        if not labelled:
-            notes += _check_digits(request.tissue, tissue)
-    named = {"m": request.tissue, "y": request.boundary, "spacing": reference}
-    with naming(**named, c=request.confidence or request.boundary):
-        if isinstance(request.boundary, Labels):
-            y, c = boundary_images(taken[id(request.boundary)], request.rules, frame.spacing)
+    return prepare(copy_layers(request))
+
+
+def prepare(
+    snapshot: Snapshot, complete: bool = False, checkpoint: Callable[[], None] = lambda: None
+) -> Inputs:
+    """Turn copies of layers into a problem; on any thread, for it takes a while on large images.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+    complete : bool
+        Whether a label without a row gets a default one, and a note, instead of an error.
+    checkpoint : callable
+        Called between the parts; raises to stop the work.
+
+    Returns
+    -------
+    Inputs
+
+    Raises
+    ------
+    ProblemError
+        As `read_layers`.
+    """
+    notes = snapshot.notes + _check_picture(snapshot)
+    if complete:
+        snapshot, added = _completed(snapshot)
+        notes += added
+    checkpoint()
+    tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
+    with naming(m=tissue):
+        if snapshot.tissue_labelled:
+            m = stiffness_image(snapshot.tissue, snapshot.materials)
         else:
-            own = frames[id(request.boundary)]
-            y, c, out = _observed(request, own, frame, (height, width), taken)
-            if out:
-                what = "1 arrow points" if out == 1 else f"{out} arrows point"
-                notes += (f"{what} straight out of the slice and did not count",)
-        problem = Problem(y, c, m, frame.spacing)
+            m = snapshot.tissue
+            notes += _check_digits(tissue, m)
+    checkpoint()
+    with naming(
+        m=tissue,
+        y=boundary,
+        c=snapshot.confidence_name or boundary,
+        spacing=snapshot.reference_name,
+    ):
+        y, c, out = _observed(snapshot)
+        if out:
+            what = "1 arrow points" if out == 1 else f"{out} arrows point"
+            notes += (f"{what} straight out of the slice and did not count",)
+        checkpoint()
+        _refuse_in_words(snapshot, m, c)
+        problem = Problem(y, c, m, snapshot.frame.spacing)
+    checkpoint()
     ignored = int(((problem.c > 0).any(axis=-1) & ~problem.tissue).sum())
     return Inputs(
         problem=problem,
-        frame=frame,
-        pictures=Pictures(
-            image=image,
-            labels=tissue if labelled else None,
-            name=str(reference.name),
-            labels_name=str(request.tissue.name),
-            look=_look(request.image),
-            labels_look=_look(request.tissue) if labelled else {},
-            level=0 if any(_multiscale(layer) for layer in request.layers) else None,
-        ),
+        frame=snapshot.frame,
+        pictures=snapshot.pictures,
         ignored=ignored,
         notes=(*notes, *_loose_pieces(problem)),
     )
 
 
-def _look(layer: Any) -> dict[str, Any]:
-    """How an Image or Labels layer is drawn, as a new layer takes it."""
-    if layer is None:
-        return {}
-    if isinstance(layer, Labels):
-        return {"colormap": layer.colormap, "opacity": layer.opacity}
-    if layer.rgb:
-        return {}
-    return {
-        "colormap": layer.colormap,
-        "contrast_limits": tuple(layer.contrast_limits),
-        "gamma": layer.gamma,
-    }
-
-
-def _notes(request: Request, frame: Frame, shape: tuple[int, int]) -> tuple[str, ...]:
+def _completed(snapshot: Snapshot) -> tuple[Snapshot, tuple[str, ...]]:
+    """Give labels that no table mentions their default, and say so."""
     notes = []
-    if frame.skew > _RIGHT_ANGLE:
-        notes.append(
-            f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
-        )
-    if any(_multiscale(layer) for layer in request.layers):
-        notes.append(f"computed on the finest level, {shape[0]} x {shape[1]}")
-    return tuple(notes)
+    materials, rules = list(snapshot.materials), list(snapshot.rules)
+    if snapshot.tissue_labelled:
+        listed = {material.label for material in materials}
+        for label in labels_present(snapshot.tissue):
+            if int(label) not in listed:
+                materials.append(default_material(int(label), snapshot.materials))
+                notes.append(
+                    f"label {label} of '{snapshot.tissue_name.name}' is not in the table and got "
+                    f"stiffness {materials[-1].stiffness:g}"
+                )
+    if snapshot.boundary_labelled:
+        listed = {0, *(rule.label for rule in rules)}
+        for label in labels_present(snapshot.boundary):
+            if int(label) not in listed:
+                rules.append(default_rule(int(label)))
+                notes.append(
+                    f"label {label} of '{snapshot.boundary_name.name}' is not in the table and was "
+                    "held fixed"
+                )
+    return replace(snapshot, materials=tuple(materials), rules=tuple(rules)), tuple(notes)
 
 
-def _multiscale(layer: Any) -> bool:
-    return bool(getattr(layer, "multiscale", False))
-
-
-def _check_picture(layer: Any, picture: npt.NDArray[Any]) -> tuple[str, ...]:
+def _check_picture(snapshot: Snapshot) -> tuple[str, ...]:
     """Refuse a picture of nothing; count the holes of another."""
-    if picture.dtype.kind != "f":
+    picture, named = snapshot.pictures.image, snapshot.image_name
+    if picture is None or named is None or picture.dtype.kind != "f":
         return ()
     bad = int((~np.isfinite(picture)).sum())
     if bad == picture.size:
-        raise ProblemError(
-            describe(layer), "is NaN everywhere in this slice. Choose another image or slice."
-        )
-    return (f"{bad} pixels of '{layer.name}' are NaN or infinite",) if bad else ()
+        raise LayerError(named, "is NaN everywhere in this slice. Choose another image or slice.")
+    return (f"{bad} pixels of '{named.name}' are NaN or infinite",) if bad else ()
 
 
-def _check_digits(layer: Any, stiffness: npt.NDArray[Any]) -> tuple[str, ...]:
+def _check_digits(layer: Named, stiffness: npt.NDArray[Any]) -> tuple[str, ...]:
     """Say so where single precision, which the solver works in, rounds whole numbers."""
     if stiffness.dtype.kind not in "iu":
         return ()
@@ -230,21 +176,53 @@ def _check_digits(layer: Any, stiffness: npt.NDArray[Any]) -> tuple[str, ...]:
     return (f"{rounded} whole numbers of '{layer.name}' above 2^24 were rounded",)
 
 
-def _observed(
-    request: Request,
-    own: Frame,
-    frame: Frame,
-    shape: tuple[int, int],
-    taken: dict[int, npt.NDArray[Any]],
-) -> tuple[FloatArray, FloatArray, int]:
-    check_place(request.boundary, own, request.layers[0], frame, shape)
-    y, c, out = arrow_observations(request.boundary, own, frame.spacing, shape)
-    if request.confidence is not None:
-        if request.confidence.rgb:
-            raise ProblemError("c", "is a colour image. Choose a grey image of values 0 to 1.")
-        sure = taken[id(request.confidence)].astype(np.float32)
+def _observed(snapshot: Snapshot) -> tuple[FloatArray, FloatArray, int]:
+    spacing = snapshot.frame.spacing
+    if snapshot.boundary_labelled:
+        return (*boundary_images(snapshot.boundary, snapshot.rules, spacing), 0)
+    y, c, out = arrow_observations(
+        snapshot.boundary, snapshot.boundary_frame, spacing, snapshot.shape
+    )
+    if snapshot.confidence is not None:
+        if snapshot.confidence.ndim != 2:
+            raise LayerError(
+                snapshot.confidence_name, "is a colour image. Choose a grey image of values 0 to 1."
+            )
+        sure = snapshot.confidence.astype(np.float32)
         c = np.where(c > 0, sure[..., None], np.float32(0))
     return y, c, out
+
+
+def _refuse_in_words(snapshot: Snapshot, m: npt.NDArray[Any], c: FloatArray) -> None:
+    """What the solver would refuse by its symbols, said of the layers."""
+    tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
+    if not m.any():
+        raise LayerError(
+            tissue,
+            "has stiffness 0 everywhere.",
+            f"There is no tissue in '{tissue.name}': all of it has stiffness 0. Give what is "
+            "tissue a stiffness above 0.",
+        )
+    somewhere = (c != 0).any(axis=-1)
+    if not somewhere.any():
+        if not snapshot.boundary_labelled and snapshot.confidence is None:
+            sentence = (
+                f"No arrow of '{boundary.name}' starts in this slice: add some, or choose a Labels "
+                "layer to paint on."
+            )
+        else:
+            sentence = (
+                f"Nothing in '{boundary.name}' counts: its confidence is 0 everywhere. Give "
+                "something a confidence above 0, up to 1 for certain."
+            )
+        raise LayerError(boundary, "says nothing of how tissue moves.", sentence)
+    if not (somewhere & (m != 0)).any():
+        raise LayerError(
+            boundary,
+            "lies outside all tissue.",
+            f"All of '{boundary.name}' lies where there is no tissue (stiffness 0). Paint it on "
+            f"tissue, or give that place of '{tissue.name}' a stiffness.",
+        )
 
 
 def _loose_pieces(problem: Problem) -> tuple[str, ...]:
@@ -257,9 +235,3 @@ def _loose_pieces(problem: Problem) -> tuple[str, ...]:
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
     return (f"{what} no boundary ({pixels} pixels): how it moves is not determined",)
-
-
-def _equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f")

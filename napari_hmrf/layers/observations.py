@@ -9,27 +9,34 @@ import numpy.typing as npt
 
 from napari_hmrf.annotation import BoundaryRule, boundary_images
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.apart import apart, one_per_cell
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.reading import copy_slice, naming
+from napari_hmrf.layers.naming import naming
+from napari_hmrf.layers.reading import copy_slice
 from napari_hmrf.layers.view import View
 
 FloatArray = npt.NDArray[np.float32]
 
 #: Arrows of a preview that fit beside each other across the image.
 PREVIEW_ACROSS = 40
+#: Of a slice this large, in pixels, every stroke would have to wait for its preview.
+PREVIEW_LARGEST = 2_000_000
 
 
 def arrow_observations(
-    layer: Any, own: Frame, spacing: tuple[float, float], shape: tuple[int, int]
+    vectors: npt.NDArray[np.float64],
+    own: Frame,
+    spacing: tuple[float, float],
+    shape: tuple[int, int],
 ) -> tuple[FloatArray, FloatArray, int]:
     """Displacement and confidence from arrows, each counting for the pixel it starts in.
 
     Parameters
     ----------
-    layer : napari.layers.Vectors
-        In the pixels of the image.
+    vectors : ndarray, shape (N, 2, D)
+        Of a Vectors layer, in the pixels of the image.
     own : Frame
-        Its slice.
+        The layer's slice.
     spacing : (float, float)
         Size of a pixel in (row, col) direction.
     shape : (int, int)
@@ -49,7 +56,6 @@ def arrow_observations(
         By the arrow's number, if it starts outside the grid, disagrees with another in its pixel,
         or holds NaN.
     """
-    vectors = np.asarray(layer.data, dtype=float)
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
         raise ProblemError("y", f"has NaN or infinity in vector {bad[0]}. Remove it.")
@@ -124,16 +130,8 @@ def preview_arrows(
     # An arrow shows what is believed: components without confidence are not drawn.
     steps = np.where(c > 0, y, 0) / np.array(spacing, dtype=np.float32)
     starts = np.argwhere(steps.any(axis=-1))
-    starts = starts[_spread(starts, max(1, max(labels.shape) // PREVIEW_ACROSS))]
-    return frame, np.stack([starts, steps[tuple(starts.T)]], axis=1).astype(np.float32)
-
-
-def _spread(pixels: npt.NDArray[np.intp], step: int) -> list[int]:
-    """Which pixels to keep so that no two are nearer than `step` rows and columns."""
-    free = np.ones(pixels.max(axis=0) + 1 if len(pixels) else (0, 0), dtype=bool)
-    kept = []
-    for number, (row, col) in enumerate(pixels):
-        if free[row, col]:
-            kept.append(number)
-            free[max(0, row - step + 1) : row + step, max(0, col - step + 1) : col + step] = False
-    return kept
+    across = max(size * step for size, step in zip(labels.shape, spacing, strict=True))
+    width = max(across / PREVIEW_ACROSS, *spacing)
+    starts = starts[one_per_cell(starts, width / 2, spacing)]
+    arrows = np.stack([starts, steps[tuple(starts.T)]], axis=1).astype(np.float32)
+    return frame, arrows[apart(arrows, width / 2, spacing)]

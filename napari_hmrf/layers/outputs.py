@@ -11,16 +11,21 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import arrows, count_folds, deformation_grid, magnitude
+from napari_hmrf.deformation import arrows, deformation_grid, magnitude, smallest_determinant
+from napari_hmrf.layers.apart import apart
+from napari_hmrf.layers.colours import ARROWS as ARROW_COLOUR
+from napari_hmrf.layers.colours import fold_colours
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import inverse_map_and_overlaps, resample
 
-Kind = Literal["image", "arrows", "grid", "magnitude", "labels"]
+Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
 #: The layers there can be, in the order they are stacked, lowest first.
-KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "grid", "arrows")
+KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "folds", "grid", "arrows")
+#: Those that fill their pixels, and so belong under what is painted.
+FILLING: tuple[Kind, ...] = ("image", "magnitude", "labels")
 
 #: What a file of a solution alone can show.
 RESTORED: tuple[Kind, ...] = ("arrows",)
@@ -79,12 +84,15 @@ class Outputs:
     overlaps : int
         Pixels at which one part of the tissue has moved onto another; only counted where there
         are pictures.
+    worst : (int, int), optional
+        Row and column of the worst of them.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
     overlaps: int = 0
+    worst: tuple[int, int] | None = None
 
 
 def result_layers(
@@ -103,7 +111,7 @@ def result_layers(
         Where it lies; by default as its `frame` says, or at the origin.
     pictures : Pictures, optional
         What to deform with it.
-    kinds : collection of {"image", "arrows", "grid", "magnitude", "labels"}
+    kinds : collection of {"image", "arrows", "grid", "magnitude", "labels", "folds"}
         The layers to make; those that lack their picture are left out.
     checkpoint : callable
         Called between the parts; raises to stop the work.
@@ -122,8 +130,13 @@ def result_layers(
         frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     checkpoint()
-    folds = count_folds(solution.displacement, solution.spacing, solution.tissue)
-    maker = _Maker(solution, frame, pictures or Pictures(), folds)
+    smallest = smallest_determinant(solution.displacement, solution.spacing, solution.tissue)
+    folded = smallest <= 0
+    worst = None
+    if folded.any():
+        row, col = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
+        worst = (int(row), int(col))
+    maker = _Maker(solution, frame, pictures or Pictures(), folded)
     # A file that is opened shows arrows, and need not wait for the compiler of the loops.
     overlaps = 0 if pictures is None else maker.count_overlaps()
     layers: dict[Kind, LayerData] = {}
@@ -131,14 +144,21 @@ def result_layers(
         checkpoint()
         if kind in kinds and (made := getattr(maker, kind)()) is not None:
             layers[kind] = made
-    return Outputs(solution, layers, folds, overlaps)
+    return Outputs(solution, layers, int(folded.sum()), overlaps, worst)
 
 
 class _Maker:
     """One method per kind of layer."""
 
-    def __init__(self, solution: Solution, frame: Frame, pictures: Pictures, folds: int) -> None:
+    def __init__(
+        self,
+        solution: Solution,
+        frame: Frame,
+        pictures: Pictures,
+        folded: npt.NDArray[np.bool_],
+    ) -> None:
         self._solution = solution
+        self._folded = folded
         self._frame = frame
         self._pictures = pictures
         self._field = (solution.displacement, solution.spacing)
@@ -146,7 +166,7 @@ class _Maker:
             "source": pictures.name,
             "slice": frame.slice_name,
             "unit": frame.unit,
-            "folds": folds,
+            "folds": int(folded.sum()),
             "provenance": asdict(solution.provenance),
         }
         if pictures.level is not None:
@@ -200,12 +220,22 @@ class _Maker:
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": 0.6}
         return self._vectors("grid", segments, "grid", look)
 
+    def folds(self) -> LayerData | None:
+        """Where the tissue folds over itself, before it moved."""
+        if not self._folded.any():
+            return None
+        look = {"colormap": fold_colours(), "opacity": 1.0}
+        folded = self._folded.astype(np.uint8)
+        return self._picture("folds", folded, "folds", look)._replace(kind="labels")
+
     def arrows(self) -> LayerData:
         """Where the tissue goes."""
-        found = arrows(*self._field, tissue=self._solution.tissue, about=ARROWS)
-        step = max(1.0, math.sqrt(self._solution.tissue.sum() / ARROWS))
-        look = {"vector_style": "arrow", "edge_color": "yellow", "edge_width": step / 10}
-        return self._vectors("arrows", found, "arrows", look)
+        solution = self._solution
+        found = arrows(*self._field, tissue=solution.tissue, about=ARROWS)
+        pixels = max(1.0, math.sqrt(solution.tissue.sum() / ARROWS))
+        chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
+        look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": pixels / 8}
+        return self._vectors("arrows", found[chosen], "arrows", look)
 
     @cached_property
     def _inverted(

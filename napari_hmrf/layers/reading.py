@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Vectors
 
-from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.view import describe, full_resolution
+from napari_hmrf.layers.naming import LayerError, full_resolution
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
     """Rows and columns of a layer's slice."""
     if isinstance(layer, Vectors):
-        raise ProblemError(
-            describe(layer),
+        raise LayerError(
+            layer,
             "has no pixels. Choose an image, or paint the tissue in a Labels layer.",
         )
     shape = full_resolution(layer).shape
@@ -33,9 +31,9 @@ def take_slice(
     check_place(layer, own, reference, frame, shape)
     own_shape = plane_shape(layer, own)
     if own_shape != shape:
-        raise ProblemError(
-            describe(layer),
-            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but {describe(reference)} "
+        raise LayerError(
+            layer,
+            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but '{reference.name}' "
             f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
         )
     return copy_slice(layer, own)
@@ -54,13 +52,13 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
     except Exception as error:
         # A lazy layer runs the code of whoever reads it, which may raise anything.
         reason = str(error).rstrip(".") or type(error).__name__
-        raise ProblemError(
-            describe(layer), f"could not be read: {reason}. Check the file it comes from."
+        raise LayerError(
+            layer, f"could not be read: {reason}. Check the file it comes from."
         ) from error
     hidden = int(np.ma.getmaskarray(picture).sum()) if isinstance(picture, np.ma.MaskedArray) else 0
     if hidden:
-        raise ProblemError(
-            describe(layer),
+        raise LayerError(
+            layer,
             f"is a masked array with {hidden} masked values in this slice, and a mask would be "
             "lost. Fill them with a value (0 is where there is no tissue).",
         )
@@ -72,20 +70,30 @@ def check_place(
 ) -> None:
     """Refuse a layer that does not lie where the reference does."""
     if not frame.same_place(own, shape):
-        raise ProblemError(
-            describe(layer),
-            f"lies elsewhere than {describe(reference)}: their scale, translation, rotation, "
+        raise LayerError(
+            layer,
+            f"lies elsewhere than '{reference.name}': their scale, translation, rotation, "
             "shear, affine or units differ. Give both the same transform, or resample one.",
         )
 
 
-@contextmanager
-def naming(**layers: Any) -> Iterator[None]:
-    """Let errors about y, c, m or the spacing name the layer these came from."""
-    try:
-        yield
-    except ProblemError as error:
-        layer = layers.get(error.field)
-        if layer is None:
-            raise
-        raise ProblemError(describe(layer), error.message) from error
+def nearest_paint(layer: Any, frame: Frame) -> str:
+    """The nearest slice of a Labels layer that holds paint, in words; "" if none does.
+
+    Only of arrays in memory: to look through a stack on a disk would take too long.
+    """
+    data = full_resolution(layer)
+    if not isinstance(data, np.ndarray):
+        return ""
+    others = [axis for axis in range(frame.ndim) if axis not in frame.plane]
+    for axis in others:
+        here, size = frame.index[axis], data.shape[axis]
+        for at in sorted(range(size), key=lambda at: abs(at - here)):
+            index = tuple(at if each == axis else where for each, where in enumerate(frame.index))
+            chosen = tuple(
+                slice(None) if each in frame.plane else index[each] for each in range(frame.ndim)
+            )
+            if data[chosen].any():
+                name = replace(frame, index=index).slice_name
+                return f"slice {at}" if len(others) == 1 else f"slice {name}"
+    return ""

@@ -1,4 +1,4 @@
-"""Which slice of a layer a viewer shows, and how layers are named and measured."""
+"""Which slice of a layer a viewer shows, and in what units it is measured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.naming import LayerError, full_resolution
 
 #: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
@@ -44,21 +44,6 @@ class View:
         )
 
 
-def describe(layer: Any) -> str:
-    """A layer as errors name it, such as "<Labels layer 'Tissue' (uint8, 300 x 300)>"."""
-    kind = layer.__class__.__name__  # not type(): napari hands plugins proxies
-    if kind == "Vectors":
-        return f"<Vectors layer '{layer.name}' ({len(layer.data)} vectors, {layer.ndim}-D)>"
-    data = full_resolution(layer)
-    size = " x ".join(str(extent) for extent in data.shape)
-    return f"<{kind} layer '{layer.name}' ({data.dtype}, {size})>"
-
-
-def full_resolution(layer: Any) -> Any:
-    """The data of an Image or Labels layer, the finest level of a multiscale one."""
-    return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
-
-
 def slice_shown(
     layer: Any, matrix: npt.NDArray[np.float64], view: View | None
 ) -> tuple[tuple[int, int], tuple[int, ...]]:
@@ -69,16 +54,16 @@ def slice_shown(
     missing = len(view.point) - ndim
     rows, cols = (axis - missing for axis in view.displayed[-2:])
     if min(rows, cols) < 0:
-        raise ProblemError(
-            describe(layer),
+        raise LayerError(
+            layer,
             f"has {ndim} axes, and not the one the viewer shows as world axis "
             f"{min(view.displayed[-2:])}. Show its own axes (the roll button below the canvas).",
         )
     others = [axis for axis in range(ndim) if axis not in (rows, cols)]
     size = np.abs(matrix[:-1, :-1]).max()
     if others and np.abs(matrix[np.ix_(others, [rows, cols])]).max() > 1e-9 * size:
-        raise ProblemError(
-            describe(layer),
+        raise LayerError(
+            layer,
             "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
             "others. Show the axes it was taken in, or resample it.",
         )
@@ -95,8 +80,8 @@ def slice_shown(
         for axis in others:
             index[axis] = round(float(pixel[axis]))
             if extents and not 0 <= index[axis] < extents[axis]:
-                raise ProblemError(
-                    describe(layer),
+                raise LayerError(
+                    layer,
                     f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
                     f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
                 )

@@ -10,29 +10,38 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QComboBox
 
 from napari_hmrf.annotation import Action, BoundaryRule
+from napari_hmrf.layers.defaults import default_rule
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 
-_ACTIONS: dict[Action, str] = {
-    "fixed": "fixed",
-    "move": "moves by",
-    "expand": "expands by",
-}
-_NAME, _DOES, _FIRST, _SECOND, _SURE_ROW, _SURE_COL = range(1, 7)
+_ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
+_NAME, _DOES, _ROWS, _COLS, _OUTWARD, _SURE = range(1, 7)
 
 
 class BoundaryTable(LabelTable):
-    """Label, name, action, amounts and confidences; `rows` are `BoundaryRule`s."""
+    """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
     def __init__(self) -> None:
         super().__init__(
             [
                 ("", "Label and colour; click a row to paint with it"),
                 ("Boundary", "Any name"),
-                ("Action", "Fixed: stays where it is.\nMoves by: (row, col).\nExpands by: outward"),
+                (
+                    "Action",
+                    (
+                        "Fixed: stays where it is.\nMoves: so far down and to the right.\n"
+                        "Expands: so far outward, along the normal of its outline"
+                    ),
+                ),
                 ("", ""),
                 ("", ""),
-                ("conf.\nrow", "Confidence in the row component: 0 unknown, 1 certain"),
-                ("conf.\ncol", "Confidence in the column component: 0 unknown, 1 certain"),
+                ("", ""),
+                (
+                    "confi-\ndence",
+                    (
+                        "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
+                        "1 / 0.5, for rows and columns apart"
+                    ),
+                ),
             ],
             stretch=_NAME,
         )
@@ -46,18 +55,21 @@ class BoundaryTable(LabelTable):
     @unit.setter
     def unit(self, unit: str) -> None:
         self._unit = unit
-        header = self.horizontalHeaderItem(_FIRST)
-        header.setText(f"row\n{unit}")
-        header.setToolTip(
-            f"Rows downward, in {unit}; or, for what expands, outward along the normal (negative: "
-            "inward)"
-        )
-        header = self.horizontalHeaderItem(_SECOND)
-        header.setText(f"col\n{unit}")
-        header.setToolTip(f"Columns to the right, in {unit}")
+        for column, title, tooltip in (
+            (_ROWS, "row ↓", "How far down, along the rows"),
+            (_COLS, "col →", "How far to the right, along the columns"),
+            (_OUTWARD, "out", "How far outward; negative: inward"),
+        ):
+            header = self.horizontalHeaderItem(column)
+            header.setText(f"{title}\n{unit}")
+            header.setToolTip(f"{tooltip}, in {unit}")
 
     def _default(self, label: int) -> BoundaryRule:
-        return BoundaryRule(label, "fixed", name=f"boundary {label}")
+        return default_rule(label)
+
+    def words(self, label: int) -> str:
+        """What a label's row says, in words."""
+        return _ACTIONS[self._rows[self.labels.index(label)].action]
 
     def _show(self, row: int, value: Any) -> None:
         self._text(row, _NAME, value.name, number=False)
@@ -74,31 +86,32 @@ class BoundaryTable(LabelTable):
             self.setCellWidget(row, _DOES, box)
         box.setCurrentIndex(list(_ACTIONS).index(value.action))
         amounts = {
-            "fixed": ("", ""),
-            "move": tuple(shown(part) for part in value.vector),
-            "expand": (shown(value.amount), ""),
+            "fixed": ("", "", ""),
+            "move": (*(shown(part) for part in value.vector), ""),
+            "expand": ("", "", shown(value.amount)),
         }[value.action]
-        for column, text in zip((_FIRST, _SECOND), amounts, strict=True):
-            item = self._text(row, column, text, f"in {self._unit}")
+        for column, text in zip((_ROWS, _COLS, _OUTWARD), amounts, strict=True):
+            item = self._text(row, column, text, f"in {self._unit}" if text else "")
             editable = Qt.ItemFlag.ItemIsEditable
             item.setFlags(item.flags() | editable if text else item.flags() & ~editable)
-        self._text(row, _SURE_ROW, shown(value.confidence[0]))
-        self._text(row, _SURE_COL, shown(value.confidence[1]))
+        self._text(row, _SURE, " / ".join(shown(part) for part in _apart(value.confidence)))
 
     def _parse(self, row: int, column: int, text: str, value: Any) -> BoundaryRule:
         rule: BoundaryRule = value
         if column == _NAME:
             return replace(rule, name=text)
+        if column == _SURE:
+            parts = [number(part) for part in text.split("/")]
+            if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
+                raise ValueError("Confidence must be a number from 0 to 1, or two: 1 / 0.5")
+            return replace(rule, confidence=(parts[0], parts[-1]))
         amount = number(text)
         if not math.isfinite(amount):
-            raise ValueError("not a number")
-        if column in (_SURE_ROW, _SURE_COL):
-            if not 0 <= amount <= 1:
-                raise ValueError("a confidence is from 0 to 1")
-            return replace(rule, confidence=_with(rule.confidence, column - _SURE_ROW, amount))
-        if rule.action == "expand":
+            raise ValueError(f"A distance must be a number, in {self._unit}")
+        if column == _OUTWARD:
             return replace(rule, amount=amount)
-        return replace(rule, vector=_with(rule.vector, column - _FIRST, amount))
+        rows, cols = rule.vector
+        return replace(rule, vector=(amount, cols) if column == _ROWS else (rows, amount))
 
     def _on_action(self, box: Any) -> None:
         if self._filling:
@@ -110,5 +123,6 @@ class BoundaryTable(LabelTable):
             self._replace(row, replace(self._rows[row], action=box.currentData()))
 
 
-def _with(pair: tuple[float, float], which: int, value: float) -> tuple[float, float]:
-    return (value, pair[1]) if which == 0 else (pair[0], value)
+def _apart(confidence: tuple[float, float]) -> tuple[float, ...]:
+    """Once, if rows and columns are equally sure."""
+    return confidence[:1] if confidence[0] == confidence[1] else confidence

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from magicgui.widgets import Container
-from napari.layers import Image, Vectors
+from napari.layers import Image, Labels, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.background import background_of
+from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
+from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
+from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.new_layers import layers_to_paint_on
 from napari_hmrf.widgets.settings import SolverSettings
+from napari_hmrf.widgets.words import WELCOME
 
 
 class Chooser(Container):
@@ -109,17 +115,54 @@ class Chooser(Container):
 
         Raises
         ------
-        ProblemError
+        HmrfError
             If no image is chosen, or it is not where the viewer looks.
         """
         if self.image is None:
-            raise ProblemError("image", "is missing. Choose one to paint on.")
+            raise HmrfError(WELCOME)
         tissue, boundary = layers_to_paint_on(self.image, self._view())
         self._viewer.add_layer(tissue)
         self._viewer.add_layer(boundary)
         self.tissue, self.boundary = tissue, boundary
         self._viewer.layers.selection = {tissue}
         tissue.selected_label, tissue.mode = 2, "paint"
+
+    def fill_background(self) -> int:
+        """Paint the dark surroundings of the image as no tissue, where nothing is painted yet.
+
+        Returns
+        -------
+        int
+            How many pixels that are now; Ctrl+Z on the layer takes them back.
+
+        Raises
+        ------
+        HmrfError
+            If there is no image, or no layer of tissue labels in its place.
+        """
+        image, tissue = self.image, self.tissue
+        if image is None:
+            raise HmrfError(WELCOME)
+        if not isinstance(tissue, Labels):
+            raise HmrfError("No tissue layer to paint on: press 'Make layers to paint on'.")
+        view = self._view()
+        frame = Frame.of(image, view)
+        shape = plane_shape(image, frame)
+        own = Frame.of(tissue, view)
+        labels = take_slice(tissue, own, image, frame, shape)
+        empty = background_of(copy_slice(image, frame)) & (labels == 0)
+        if not empty.any():
+            raise LayerError(image, "has no dark surroundings that are unpainted in this slice.")
+        pixels: list[Any] = list(own.index)
+        for axis, places in zip(own.plane, np.nonzero(empty), strict=True):
+            pixels[axis] = places
+        indices = tuple(np.broadcast_arrays(*pixels))
+        void = [row.label for row in self.materials if row.stiffness == 0 and row.label > 0]
+        label = void[0] if void else max([0, *(row.label for row in self.materials)]) + 1
+        if not void:
+            self.materials = (*self.materials, Material(label, "background", 0.0))
+        tissue.data_setitem(indices, label)
+        return int(empty.sum())
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
@@ -131,13 +174,15 @@ class Chooser(Container):
 
         Raises
         ------
-        ProblemError
+        HmrfError
             If a layer is missing.
         """
+        if not self._layers():
+            raise HmrfError(WELCOME)
         for what, layer in (("tissue", self.tissue), ("boundary", self.boundary)):
             if layer is None:
-                raise ProblemError(
-                    what, "no layer is chosen. Choose one, or press 'Make layers to paint on'."
+                raise HmrfError(
+                    f"No {what} layer is chosen: choose one, or press 'Make layers to paint on'."
                 )
         return Request(
             tissue=self.tissue,
@@ -154,6 +199,13 @@ class Chooser(Container):
 
     def _view(self) -> View:
         return View.of(self._viewer.dims)
+
+    def choose_another(self) -> None:
+        """Choose an image there is, in place of one that is gone."""
+        others = (self.tissue, self.confidence)
+        images = [layer for layer in self._face.image.offered if layer not in others]
+        if images:
+            self.image = images[0]
 
     def choose_by_role(self, layers: list[Any]) -> None:
         """Choose a sample's layers as they come, and the first image if none ever was chosen."""

@@ -9,28 +9,23 @@ from napari.utils.notifications import show_error
 from psygnal import Signal
 from qtpy.QtCore import QTimer
 
-from napari_hmrf.errors import Cancelled, HmrfError, ProblemError
-from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.inputs import Request, read_layers
-from napari_hmrf.layers.metadata import METADATA, role_of
-from napari_hmrf.layers.outputs import Outputs
-from napari_hmrf.layers.view import unit_symbol
+from napari_hmrf.errors import Cancelled, HmrfError
+from napari_hmrf.layers.inputs import Request, copy_layers
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.solution import Solution
 from napari_hmrf.widgets.chooser import Chooser
-from napari_hmrf.widgets.job import Job
+from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
 from napari_hmrf.widgets.life import Life
-from napari_hmrf.widgets.preview import BoundaryPreview
 from napari_hmrf.widgets.results import ResultLayers
-from napari_hmrf.widgets.words import report
+from napari_hmrf.widgets.watch import Watch
+from napari_hmrf.widgets.words import CANCELLED, CHANGED, MAKE, PAINT, READY, WELCOME
+from napari_hmrf.widgets.words import details as details_of
+from napari_hmrf.widgets.words import progress as progress_of
+from napari_hmrf.widgets.words import report as report_of
 
 #: How often a running job is asked how it is getting on, in milliseconds.
 _POLL = 30
-_WELCOME = "Choose an image and make layers to paint on, or open a sample (File > Open Sample)."
-_READY = "Press Deform."
-_PAINT = (
-    "Paint tissues in 'Tissue' and what holds or moves in 'Boundary' (click a table row to choose "
-    "the label), then press Deform."
-)
 _log = logging.getLogger("napari_hmrf")
 
 
@@ -58,22 +53,25 @@ class DeformTissue(Chooser):
         self._life = Life(self.native, self._on_closed)
         self._docked = False
         self._request: Request | None = None
-        self._bar: Any = None
-        self._status = self._undrawn = ""
-        self._solution: Solution | None = None
+        self._status = ""
+        self._done: Done | None = None
+        self._made_with: tuple[Any, ...] = ()
+        self._fresh = True
+        self._note = ""
         self._results = ResultLayers(self._viewer)
-        self._preview = BoundaryPreview(self._viewer)
+        self._watch = Watch(self, self._viewer, self._face)
         self._poll = QTimer(self.native)
         self._poll.setInterval(_POLL)
         self._poll.timeout.connect(self._on_poll)
-        self._drawing = QTimer(self.native)
-        self._drawing.setSingleShot(True)
-        self._drawing.setInterval(0)
-        self._drawing.timeout.connect(self._draw_preview)
-        self._connect()
+        face = self._face
+        face.make.changed.connect(self.make_layers)
+        face.tissue.background.clicked.connect(self._on_background)
+        face.footer.deform.changed.connect(self.deform)
+        face.footer.cancel.changed.connect(self._on_cancel)
+        self.native_parent_changed.connect(self._on_parent)
         self.reset_choices()
         self.choose_by_role(list(self._viewer.layers))
-        self._set_idle(_READY if self.tissue and self.boundary else _WELCOME)
+        self._say(self._invitation())
 
     # What there is to see
 
@@ -83,86 +81,225 @@ class DeformTissue(Chooser):
         return self._life.job is None
 
     @property
+    def away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+        return self._life.over or (self._docked and self.native.parent() is None)
+
+    @property
     def status(self) -> str:
         """The sentence at the bottom."""
         return self._status
 
     @property
+    def details(self) -> str:
+        """What ran to make the latest result, how long and how well."""
+        return "" if self._done is None else details_of(self._done)
+
+    @property
     def solution(self) -> Solution | None:
         """Of the latest result."""
-        return self._solution
+        return None if self._done is None else self._done.outputs.solution
 
     # What can be done
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer to paint on, on the pixels of the image."""
-        try:
-            self.add_layers()
-        except ProblemError as error:
-            self._refuse(str(error))
-        else:
-            self._say(_PAINT)
+        self._try(self.add_layers, PAINT)
+
+    def mark_background(self) -> None:
+        """Paint the dark surroundings of the image as no tissue, where nothing is painted yet."""
+        self._try(self.fill_background, "The dark surroundings of the image are now no tissue.")
 
     def deform(self) -> None:
         """Start; the layers are copied now, and the result appears when `finished` is emitted."""
-        if not self.idle or self._away:
+        if not self.idle or self.away:
             return
+        self._face.footer.start("Reading layers ...")
+        self._status = "Reading layers ..."
         for painted in (self._face.tissue.painted, self._face.boundary.painted):
             painted.look()
         try:
             request = self.request()
-            inputs = read_layers(request)
-            job = Job(
-                inputs,
-                self.settings.prior,
-                self.settings.optimizer,
-                self.settings.backend,
-                self.outputs,
-            )
+            made_with = (self.settings.prior, self.settings.optimizer)
+            snapshot = copy_layers(request)
+            work = deforming(snapshot, *made_with, self.settings.backend, self.outputs)
         except (HmrfError, ValueError) as error:
-            self._refuse(str(error))
+            self._refuse(error)
             self.finished.emit(None)
             return
-        self._request, self._life.job = request, job
-        self._bar = self._face.start()
-        self._poll.start()
+        self._made_with = made_with
+        self._note = ""
+        self._start(request, work)
 
-    def cancel(self, why: str = "Cancelled; nothing was changed.") -> None:
+    def cancel(self, why: str = CANCELLED) -> None:
         """Stop; nothing is changed, and the widget is idle at once, whatever the thread does."""
         if self._life.job is None:
             return
         self._life.job.cancel()
         self._set_idle(why)
+        self._watch.settle()
         self.finished.emit(None)
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
-        if not self._away:
+        if not self.away:
             super().reset_choices()
 
-    # Behind the face
+    def say(self, status: str) -> None:
+        """Say something at the bottom, unless there is something more important going on."""
+        if self.idle:
+            self._say(status)
 
-    def _connect(self) -> None:
-        face, events = self._face, self._viewer.layers.events
-        face.make.changed.connect(self.make_layers)
-        face.deform.changed.connect(self.deform)
-        face.cancel.changed.connect(self._on_cancel)
-        face.image.changed.connect(self._on_image)
-        face.boundary.edited.connect(self._on_boundary)
-        self.native_parent_changed.connect(self._on_parent)
-        events.inserted.connect(self._on_inserted)
-        events.removed.connect(self._on_removed)
-        events.renamed.connect(self.reset_choices)
-        self._viewer.dims.events.current_step.connect(self._on_boundary)
-        self._viewer.dims.events.order.connect(self._on_boundary)
+    def note(self, found: str) -> None:
+        """Say what was found in the paint, until the next result."""
+        self._note = found
+        self.say(found)
+
+    def hand_brush(self, layer: Any) -> None:
+        """Have a layer painted on next: seen, active, on the image as it was before it moved."""
+        if layer not in self._viewer.layers:
+            return
+        hidden = self._results.set_aside()
+        self._viewer.layers.selection.active = layer
+        layer.visible = True
+        layer.mode = "paint"
+        note = " What was deformed is hidden meanwhile." if hidden else ""
+        self.say(f"Painting label {layer.selected_label} in '{layer.name}'.{note}")
+
+    # How it goes on
+
+    def check(self) -> None:
+        """Say whether the latest result is still that of the layers, and draw what was ticked."""
+        if not self.idle or self.away:
+            return
+        if not self._viewer.layers:
+            self._done = None
+            self._face.energy.show_solution(None)
+            self._say(WELCOME)
+        if self._done is None:
+            if self._status in (WELCOME, MAKE, READY):
+                self._say(self._invitation())
+            return
+        fresh = self._is_fresh(self._done)
+        if fresh:
+            missing = set(self.outputs) - set(self._done.outputs.layers) - {"folds"}
+            wants_folds = "folds" in self.outputs and self._done.outputs.folds
+            if missing or (wants_folds and "folds" not in self._done.outputs.layers):
+                self._redraw(self._done)
+                return
+        if fresh != self._fresh:
+            self._fresh = fresh
+            self._say_result(self._done)
+
+    def _redraw(self, done: Done) -> None:
+        try:
+            request = self.request()
+        except HmrfError:
+            return
+        if request.image is None and self.outputs == ("image",):
+            return
+        self._face.footer.start("Drawing the result ...")
+        self._start(request, drawing(done, self.outputs))
+
+    def _start(self, request: Request, work: Work) -> None:
+        self._request, self._life.job = request, Job(work)
+        self._poll.start()
+
+    def _on_poll(self) -> None:
+        job = self._life.job
+        if job is None or self.away:
+            self._poll.stop()
+            return
+        if not job.done:
+            monitor = job.monitor
+            self._face.footer.progress(monitor.fraction)
+            # Qt may have answered whatever waited, a removal or Cancel among it.
+            if self._life.job is job:
+                self._say(progress_of(monitor, self._face.footer.seconds))
+            return
+        try:
+            self._show(job.result())
+        except Cancelled:
+            self._set_idle(CANCELLED)
+            self.finished.emit(None)
+        except HmrfError as error:
+            self._refuse(error)
+            self.finished.emit(None)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
+            _log.exception("the deformation failed")
+            self._refuse(error)
+            self.finished.emit(None)
+
+    def _show(self, done: Done) -> None:
+        request, outputs = self._request, done.outputs
+        assert request is not None
+        self._fresh = self._is_fresh(done)
+        for made in outputs.layers.values():
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self._fresh
+        self._done = done
+        self._watch.preview.hide()
+        shown = self._results.show(outputs, request.layers[0])
+        if request.image is not None and ("image" in shown or "labels" in shown):
+            request.tissue.visible = False  # it would tint what was deformed
+        self._face.energy.show_solution(outputs.solution)
+        self._set_idle("")
+        self._say_result(done)
+        self.finished.emit(outputs)
+
+    def _is_fresh(self, done: Done) -> bool:
+        try:
+            settings = (self.settings.prior, self.settings.optimizer)
+            return settings == self._made_with and done.snapshot.same_as(
+                copy_layers(self.request())
+            )
+        except Exception:  # noqa: BLE001 - a layer may read anything; the result is there
+            return False
+
+    def _say_result(self, done: Done) -> None:
+        if self._fresh:
+            self._say(report_of(done), details_of(done))
+        else:
+            self._say(f"{CHANGED} {self._note}".rstrip())
+
+    def _set_idle(self, status: str) -> None:
+        self._poll.stop()
+        self._life.job = self._request = None
+        self._face.footer.stop()
+        self._say(status)
+
+    def _refuse(self, error: Exception) -> None:
+        known = isinstance(error, HmrfError | ValueError)
+        failed = f"The deformation failed: {type(error).__name__}: {error}"
+        self._set_idle(str(error) if known else failed)
+        self._fresh = False
+        self._watch.settle()
+        show_error(error.sentence if isinstance(error, LayerError) else self._status)
+
+    def _try(self, action: Any, success: str) -> None:
+        try:
+            action()
+        except HmrfError as error:
+            if self.idle:
+                self._refuse(error)
+        else:
+            self.say(success)
+
+    def _say(self, status: str, details: str = "") -> None:
+        self._status = status
+        self._face.footer.say(status, details)
+
+    def _invitation(self) -> str:
+        if self.tissue is not None and self.boundary is not None:
+            return READY
+        return MAKE if self._viewer.layers else WELCOME
+
+    # What Qt and napari tell
 
     def _on_cancel(self) -> None:
         self.cancel()
 
-    @property
-    def _away(self) -> bool:
-        """Whether the window is gone, or the dock was closed."""
-        return self._life.over or (self._docked and self.native.parent() is None)
+    def _on_background(self, *_: Any) -> None:
+        self.mark_background()
 
     def _on_parent(self, *_: Any) -> None:
         """Napari closes a dock by taking the widget out of it."""
@@ -174,116 +311,12 @@ class DeformTissue(Chooser):
         elif self._docked:
             self.cancel()
 
-    def _on_poll(self) -> None:
-        job = self._life.job
-        if job is None or self._away:
-            self._poll.stop()
-            return
-        if not job.done:
-            monitor = job.monitor
-            self._face.progress(self._bar, monitor.fraction)
-            self._say(f"{monitor.message[0].upper()}{monitor.message[1:]} ...")
-            return
-        try:
-            self._show(job, job.result())
-        except Cancelled:
-            self._set_idle("Cancelled; nothing was changed.")
-            self.finished.emit(None)
-        except HmrfError as error:
-            self._refuse(str(error))
-            self.finished.emit(None)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
-            _log.exception("the deformation failed")
-            self._refuse(f"The deformation failed: {type(error).__name__}: {error}")
-            self.finished.emit(None)
-
-    def _show(self, job: Job, outputs: Outputs) -> None:
-        request = self._request
-        assert request is not None
-        changed = self._changed_since(job, request)
-        self._solution = outputs.solution
-        for made in outputs.layers.values():
-            made.attributes["metadata"][METADATA]["inputs_changed"] = changed
-        self._preview.hide()
-        self._results.show(outputs, request.layers[0])
-        self._face.draw_energy(outputs.solution, self._viewer)
-        self._set_idle(report(outputs, job.inputs, changed))
-        self.finished.emit(outputs)
-
-    def _changed_since(self, job: Job, started: Request) -> bool:
-        try:
-            now = self.request()
-            same_tables = (now.materials, now.rules) == (started.materials, started.rules)
-            return not (same_tables and read_layers(started).same_as(job.inputs))
-        except Exception:  # noqa: BLE001 - a layer may read anything; the result is there
-            return True
-
-    def _set_idle(self, status: str) -> None:
-        self._poll.stop()
-        self._life.job = self._request = None
-        self._face.stop(self._bar)
-        self._bar = None
-        self._say(status)
-
-    def _refuse(self, message: str) -> None:
-        self._set_idle(message)
-        show_error(message)
-
-    def _say(self, status: str) -> None:
-        self._status = status
-        self._face.say(status)
-
-    def _on_image(self, image: Any) -> None:
-        self._face.make.enabled = image is not None
-        self._on_boundary()
-
-    def _on_boundary(self, *_: Any) -> None:
-        if not self._away:
-            self._drawing.start()
-
-    def _draw_preview(self) -> None:
-        boundary = self._face.boundary
-        place = self.image if self.image is not None else self.tissue
-        try:
-            reference = None if place is None else Frame.of(place, self._view())
-            if reference is not None:
-                boundary.table.unit = unit_symbol(reference.unit)
-            layer = boundary.painted.layer
-            if layer is not None and boundary.preview.value:
-                self._preview.update(layer, self.rules, self._view(), reference)
-            else:
-                self._preview.remove()
-        except Exception as error:  # noqa: BLE001 - Qt calls this: nobody else would tell the user
-            if not isinstance(error, ProblemError):
-                _log.exception("the preview could not be drawn")
-            self._undrawn = str(error)
-            if self.idle:
-                self._say(self._undrawn)
-        else:
-            if self._undrawn and self._undrawn == self.status:
-                self._say("")
-            self._undrawn = ""
-
-    def _on_inserted(self, event: Any) -> None:
-        if not self._away:
-            self.reset_choices()
-            self.choose_by_role([event.value])
-            if role_of(event.value) and self.idle and self.tissue and self.boundary:
-                self._say(_READY)
-
-    def _on_removed(self, event: Any) -> None:
-        if self._away:
-            return
-        if self._request is not None and event.value in self._request.layers:
-            self.cancel(f"Cancelled: '{event.value.name}' was removed.")
-        self.reset_choices()
+    def layer_removed(self, layer: Any) -> None:
+        """A layer is gone: so is what was to be computed from it."""
+        if self._request is not None and layer in self._request.layers:
+            self.cancel(f"Cancelled: '{layer.name}' was removed.")
 
     def _on_closed(self) -> None:
         """The dock or the viewer is gone: listen to nothing any more."""
-        events = self._viewer.layers.events
-        events.inserted.disconnect(self._on_inserted)
-        events.removed.disconnect(self._on_removed)
-        events.renamed.disconnect(self.reset_choices)
-        self._viewer.dims.events.current_step.disconnect(self._on_boundary)
-        self._viewer.dims.events.order.disconnect(self._on_boundary)
+        self._watch.release()
         self._face.release()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from superqt import QCollapsible
 
 from napari_hmrf.solution import Solution
 
@@ -12,14 +13,43 @@ from napari_hmrf.solution import Solution
 _HEIGHT = 170
 
 
-def energy_canvas(text: str = "#dddddd") -> Any:
-    """Make a matplotlib canvas that is a Qt widget; matplotlib is imported only now.
+class EnergyPlot(QCollapsible):
+    """A plot that is drawn only once somebody opens it."""
 
-    Parameters
-    ----------
-    text : str
-        Colour of the words and lines.
-    """
+    def __init__(self) -> None:
+        super().__init__("Energy", expandedIcon="▾", collapsedIcon="▸")
+        self._canvas: Any = None
+        self._solution: Solution | None = None
+        self._ink = "#dddddd"
+        self.toggled.connect(self._on_toggled)
+
+    def show_solution(self, solution: Solution | None) -> None:
+        """Draw a solution's energies, or nothing."""
+        self._solution = solution
+        if self.isExpanded():
+            self._draw()
+
+    def show_theme(self, theme: str) -> None:
+        """Take the colour of words from one of napari's themes."""
+        from napari.utils.theme import get_theme
+
+        self._ink = get_theme(theme).text.as_hex()
+        if self._canvas is not None:
+            self._draw()
+
+    def _on_toggled(self, opened: bool) -> None:
+        if opened:
+            self._draw()
+
+    def _draw(self) -> None:
+        if self._canvas is None:
+            self._canvas = energy_canvas()
+            self.addWidget(self._canvas)
+        draw_energy(self._canvas, self._solution, self._ink)
+
+
+def energy_canvas() -> Any:
+    """Make a matplotlib canvas that is a Qt widget; matplotlib is imported only now."""
     from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
     from matplotlib.figure import Figure
 
@@ -30,16 +60,36 @@ def energy_canvas(text: str = "#dddddd") -> Any:
     canvas.setStyleSheet("background: transparent")
     canvas.setFixedHeight(_HEIGHT)
     canvas.setMinimumWidth(50)
-    canvas.text_colour = text
     return canvas
 
 
-def draw_energy(canvas: Any, solution: Solution) -> None:
-    """Draw a solution's energies, with a line where each level begins."""
+def draw_energy(canvas: Any, solution: Solution | None, colour: str) -> None:
+    """Draw a solution's energies, with a line where each level begins.
+
+    Parameters
+    ----------
+    canvas : FigureCanvasQTAgg
+        Of `energy_canvas`.
+    solution : Solution, optional
+        Without one the axes stay empty.
+    colour : str
+        Of words and lines.
+    """
     axes = canvas.figure.axes[0]
     axes.clear()
     axes.patch.set_alpha(0)
-    colour = canvas.text_colour
+    if solution is not None:
+        _draw_levels(axes, solution, colour)
+    axes.set_xlabel("sweep (levels on top, coarse to fine)", fontsize=7, color=colour)
+    axes.set_ylabel("mean energy (px²)", fontsize=7, color=colour)
+    axes.tick_params(labelsize=6, colors=colour, which="both")
+    for spine in axes.spines.values():
+        spine.set_color(colour)
+        spine.set_alpha(0.4)
+    canvas.draw_idle()
+
+
+def _draw_levels(axes: Any, solution: Solution, colour: str) -> None:
     sweeps = np.arange(1, len(solution.energy) + 1)
     positive = solution.energy > 0
     if positive.any():
@@ -62,10 +112,3 @@ def draw_energy(canvas: Any, solution: Solution) -> None:
             )
         begin += level.iterations
     axes.set_xlim(0.5, max(1.5, solution.iterations + 0.5))
-    axes.set_xlabel("sweep (levels on top, coarse to fine)", fontsize=7, color=colour)
-    axes.set_ylabel("mean energy (px²)", fontsize=7, color=colour)
-    axes.tick_params(labelsize=6, colors=colour, which="both")
-    for spine in axes.spines.values():
-        spine.set_color(colour)
-        spine.set_alpha(0.4)
-    canvas.draw_idle()

@@ -3,16 +3,77 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from concurrent.futures import Future
+from typing import NamedTuple
 
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import Cancelled
-from napari_hmrf.layers.inputs import Inputs
+from napari_hmrf.layers.inputs import Snapshot, prepare
 from napari_hmrf.layers.outputs import Kind, Outputs, result_layers
 from napari_hmrf.optimizers import Monitor, Optimizer
 from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.solution import Solution
 from napari_hmrf.solve import run_here
+
+Report = Callable[[Monitor], None]
+
+
+class Done(NamedTuple):
+    """What a job brings back: the layers to show, and what the user should know of them."""
+
+    outputs: Outputs
+    snapshot: Snapshot
+    ignored: int
+    notes: tuple[str, ...]
+
+
+Work = Callable[[Report, threading.Event], Done]
+
+
+def deforming(
+    snapshot: Snapshot,
+    prior: SeilerPrior,
+    optimizer: Optimizer,
+    backend: str,
+    kinds: Collection[Kind],
+) -> Work:
+    """Read the copies, solve, and draw the result."""
+
+    def work(report: Report, cancel: threading.Event) -> Done:
+        checkpoint = _checkpoint(cancel)
+        report(Monitor("reading what is painted", 0.0))
+        inputs = prepare(snapshot, complete=True, checkpoint=checkpoint)
+        solution = run_here(inputs.problem, prior, optimizer, backend, report, cancel)
+        report(Monitor("drawing the result", 1.0))
+        outputs = result_layers(solution, inputs.frame, inputs.pictures, kinds, checkpoint)
+        return Done(outputs, snapshot, inputs.ignored, inputs.notes)
+
+    return work
+
+
+def drawing(done: Done, kinds: Collection[Kind]) -> Work:
+    """Draw more layers of a result there is."""
+    solution: Solution = done.outputs.solution
+
+    def work(report: Report, cancel: threading.Event) -> Done:
+        report(Monitor("drawing the result", 1.0))
+        snapshot = done.snapshot
+        return done._replace(
+            outputs=result_layers(
+                solution, snapshot.frame, snapshot.pictures, kinds, _checkpoint(cancel)
+            )
+        )
+
+    return work
+
+
+def _checkpoint(cancel: threading.Event) -> Callable[[], None]:
+    def checkpoint() -> None:
+        if cancel.is_set():
+            raise Cancelled
+
+    return checkpoint
 
 
 class Job:
@@ -22,31 +83,17 @@ class Job:
     when it ends.
     """
 
-    def __init__(
-        self,
-        inputs: Inputs,
-        prior: SeilerPrior,
-        optimizer: Optimizer,
-        backend: str,
-        kinds: Collection[Kind],
-    ) -> None:
-        self.inputs = inputs
+    def __init__(self, work: Work) -> None:
         self._cancel = threading.Event()
         self._progress = _Progress()
         # The thread is given no reference to the job itself.
         cancel, progress = self._cancel, self._progress
 
-        def work() -> Outputs:
-            def checkpoint() -> None:
-                if cancel.is_set():
-                    raise Cancelled
+        def run() -> Done:
+            _checkpoint(cancel)()
+            return work(progress.report, cancel)
 
-            checkpoint()
-            solution = run_here(inputs.problem, prior, optimizer, backend, progress.report, cancel)
-            progress.report(Monitor("drawing the result", 1.0))
-            return result_layers(solution, inputs.frame, inputs.pictures, kinds, checkpoint)
-
-        self._future: Future[Outputs] = compute_thread.submit(work)
+        self._future: Future[Done] = compute_thread.submit(run)
 
     @property
     def monitor(self) -> Monitor:
@@ -60,7 +107,7 @@ class Job:
         """Whether there is a result, or an error."""
         return self._future.done()
 
-    def result(self) -> Outputs:
+    def result(self) -> Done:
         """The result, or the error raised; only when done."""
         return self._future.result(timeout=0)
 

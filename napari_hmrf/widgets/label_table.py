@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -26,11 +27,13 @@ class LabelTable(QTableWidget):
     Signals
     -------
     edited : the user, or a script, changed what the table says
-    picked : int, the label of a row that was clicked
+    picked : int, the label of a row that was clicked or added, to paint with
+    refused : str, why something typed was not taken
     """
 
     edited = Signal()
     picked = Signal(int)
+    refused = Signal(str)
 
     def __init__(self, headers: Sequence[tuple[str, str]], stretch: int) -> None:
         super().__init__(0, len(headers))
@@ -54,7 +57,7 @@ class LabelTable(QTableWidget):
         self._filling = False
         self._fit()
         self.itemChanged.connect(self._on_item)
-        self.currentCellChanged.connect(self._on_current)
+        self.cellClicked.connect(self._on_picked)
 
     # What a subclass says
 
@@ -67,7 +70,7 @@ class LabelTable(QTableWidget):
         raise NotImplementedError
 
     def _parse(self, row: int, column: int, text: str, value: Any) -> Any:
-        """The row's value after an edit; ValueError puts the old text back."""
+        """The row's value after an edit; ValueError, saying why, puts the old text back."""
         raise NotImplementedError
 
     # What is in it
@@ -99,13 +102,31 @@ class LabelTable(QTableWidget):
         """Add a row for the next free label."""
         label = max([0, *self.labels]) + 1
         self.ensure([label])
-        self.pick(label)
+        self.highlight(label)
+        self.picked.emit(label)
         return label
 
-    def pick(self, label: int) -> None:
-        """Select the row of a label, if it has one."""
-        if label in self.labels and self.currentRow() != self.labels.index(label):
-            self.setCurrentCell(self.labels.index(label), 1)
+    def words(self, label: int) -> str:
+        """What a label's row says, in words."""
+        raise NotImplementedError
+
+    def highlight(self, label: int | None) -> None:
+        """Select the row of a label, or none; that alone does not ask to paint with it."""
+        if label not in self.labels:
+            self.setCurrentCell(-1, -1)
+            self.clearSelection()
+            return
+        row = self.labels.index(label)
+        if row != self.currentRow() or not self.selectedIndexes():
+            self.setCurrentCell(row, max(1, self.currentColumn()))
+            self.selectRow(row)
+
+    def keyPressEvent(self, event: Any) -> None:
+        """The arrow keys pick rows as the mouse does."""
+        before = self.currentRow()
+        super().keyPressEvent(event)
+        if self.currentRow() != before:
+            self._on_picked(self.currentRow())
 
     def set_colours(self, colours: Mapping[int, Sequence[float]]) -> None:
         """Show each label's colour, RGBA from 0 to 1."""
@@ -152,6 +173,7 @@ class LabelTable(QTableWidget):
             self._show(row, value)
         if 0 <= current < len(self._rows):
             self.setCurrentCell(current, 1)
+            self.selectRow(current)
         self._fit()
         self._filling = False
 
@@ -160,7 +182,10 @@ class LabelTable(QTableWidget):
         rgba = self._colours.get(label)
         colour = QColor(0, 0, 0, 0) if rgba is None else QColor.fromRgbF(*(float(v) for v in rgba))
         pixels.fill(colour)
-        item.setIcon(QIcon(pixels))
+        icon = QIcon(pixels)
+        # Qt would tint the colour of the row that is selected.
+        icon.addPixmap(pixels, QIcon.Mode.Selected)
+        item.setIcon(icon)
 
     def _fit(self) -> None:
         """As high as a few rows: the dock is shared."""
@@ -179,21 +204,25 @@ class LabelTable(QTableWidget):
         row = item.row()
         try:
             value = self._parse(row, item.column(), item.text().strip(), self._rows[row])
-        except ValueError:
+        except ValueError as error:
             self._filling = True
             self._show(row, self._rows[row])
             self._filling = False
+            self.refused.emit(f"{error}; kept {item.text()}.")
         else:
             self._replace(row, value)
 
-    def _on_current(self, row: int, *_: int) -> None:
-        if not self._filling and 0 <= row < len(self._rows):
+    def _on_picked(self, row: int, *_: int) -> None:
+        if 0 <= row < len(self._rows):
             self.picked.emit(int(self._rows[row].label))
 
 
 def number(text: str) -> float:
-    """A number as people type it, with a point or a comma."""
-    return float(text.replace(",", "."))
+    """A number as people type it, with a point or a comma; NaN for anything else."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return math.nan
 
 
 def shown(value: float) -> str:

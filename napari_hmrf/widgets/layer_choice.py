@@ -32,10 +32,16 @@ class LayerChoice(ComboBox):
             return [(title(layer), layer) for layer in layers() if accept(layer)]
 
         super().__init__(choices=choices, nullable=True, **options)
+        self._layers, self._accept = layers, accept
         # A long name must not widen the dock.
         box = self.native
         box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         box.setMinimumContentsLength(8)
+
+    @property
+    def offered(self) -> list[Any]:
+        """The layers that can be chosen, lowest first."""
+        return [layer for layer in self._layers() if self._accept(layer)]
 
     def refresh(self) -> None:
         """Look again at what layers there are; a choice that is gone becomes none."""

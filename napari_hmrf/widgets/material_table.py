@@ -9,9 +9,8 @@ from typing import Any
 from qtpy.QtWidgets import QMenu, QPushButton
 
 from napari_hmrf.annotation import PRESETS, Material, Preset
+from napari_hmrf.layers.defaults import default_material
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
-
-UNPAINTED = "unpainted"
 
 
 class MaterialTable(LabelTable):
@@ -60,14 +59,20 @@ class MaterialTable(LabelTable):
         self.rows = [*others, *given.values()]
 
     def _default(self, label: int) -> Material:
-        # What is new behaves as what is unpainted, until told otherwise.
-        known = [row.stiffness for row in self._rows if row.stiffness > 0]
-        name = UNPAINTED if label == 0 else f"tissue {label}"
-        return Material(label, name, known[0] if known else 20.0)
+        return default_material(label, self._rows)
+
+    def words(self, label: int) -> str:
+        """What a label's row says, in words."""
+        return f"stiffness {shown(self._rows[self.labels.index(label)].stiffness)}"
 
     def _show(self, row: int, value: Any) -> None:
-        self._text(row, 1, value.name, number=False)
-        tip = "no tissue" if value.stiffness == 0 else ""
+        about = (
+            "Every pixel you do not paint has this stiffness; with 0 it is no tissue"
+            if value.label == 0
+            else ""
+        )
+        self._text(row, 1, value.name, about, number=False)
+        tip = "No tissue, such as air" if value.stiffness == 0 else about
         self._text(row, 2, shown(value.stiffness), tip)
 
     def _parse(self, row: int, column: int, text: str, value: Any) -> Material:
@@ -76,7 +81,7 @@ class MaterialTable(LabelTable):
             return replace(material, name=text)
         stiffness = number(text)
         if not (math.isfinite(stiffness) and stiffness >= 0):
-            raise ValueError("a stiffness is 0 or more")
+            raise ValueError("Stiffness must be a number, 0 or more")
         return replace(material, stiffness=stiffness)
 
 

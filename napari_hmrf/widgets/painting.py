@@ -11,6 +11,7 @@ from napari.layers import Labels
 from psygnal import Signal
 from qtpy.QtCore import QTimer
 
+from napari_hmrf.annotation import labels_present
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
@@ -25,7 +26,7 @@ _EVENTS = ("data", "set_data", "labels_update", "paint", "colormap")
 
 
 class PaintedLabels:
-    """A Labels layer beside its table: new labels get rows, clicked rows are painted with.
+    """A Labels layer beside its table: new labels get rows, rows that are picked their label.
 
     The table is kept in the layer's metadata, so that it goes where the layer goes.
 
@@ -39,6 +40,10 @@ class PaintedLabels:
 
     #: The paint or the table changed.
     changed = Signal()
+    #: A row was picked, to paint with in the layer.
+    picked = Signal(object)
+    #: What new labels were painted, in words.
+    found = Signal(str)
 
     def __init__(self, role: Role, table: LabelTable, view: Callable[[], View | None]) -> None:
         self._role = role
@@ -46,6 +51,7 @@ class PaintedLabels:
         self._view = view
         self._layer: Any = None
         self._loading = False
+        self._active = False
         self._timer = QTimer(table)
         self._timer.setSingleShot(True)
         self._timer.setInterval(_PAUSE)
@@ -70,11 +76,12 @@ class PaintedLabels:
         if hasattr(self._table, "unit") and self._role == TISSUE:
             self._table.unit = str(known_of(self._layer).get("unit", ""))
         self._table.rows = rows_of(self._layer, self._role) or ()
+        self._look(quietly=True)
         self._loading = False
         for name in _EVENTS:
             getattr(self._layer.events, name).connect(self._on_painted)
         self._layer.events.selected_label.connect(self._on_selected)
-        self.look()
+        self._on_edited()
 
     def release(self) -> None:
         """Stop listening to the layer."""
@@ -87,32 +94,44 @@ class PaintedLabels:
 
     def look(self) -> None:
         """Give new labels their rows and all rows their colours; now, not after a pause."""
+        if self._layer is not None:
+            self._look()
+            self.changed.emit()
+
+    def _look(self, quietly: bool = False) -> None:
         self._timer.stop()
-        if self._layer is None:
-            return
-        labels = labels_in(self._layer, self._view())
+        labels = {int(label) for label in labels_in(self._layer, self._view())}
         if self._role == BOUNDARY:
-            labels = labels[labels > 0]
-        self._table.ensure(int(label) for label in labels)
+            labels = {label for label in labels if label > 0}
+        new = sorted(labels - set(self._table.labels))
+        self._table.ensure(new)
+        if new and not quietly:
+            said = " and ".join(f"label {label} ({self._table.words(label)})" for label in new[:3])
+            self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
         colours = {}
         for label in self._table.labels:
             colour = self._layer.get_color(label)
             if colour is not None and label != 0:
                 colours[label] = tuple(float(part) for part in colour)
         self._table.set_colours(colours)
-        self.changed.emit()
+
+    def mark(self, active: Any) -> None:
+        """Highlight the row that is painted with, if the layer is the active one; else none."""
+        self._active = self._layer is not None and active is self._layer
+        self._table.highlight(int(self._layer.selected_label) if self._active else None)
 
     def _on_painted(self) -> None:
         # Restarted at every stroke: looking at a large image takes longer than a stroke.
         self._timer.start()
 
     def _on_selected(self) -> None:
-        if self._layer is not None:
-            self._table.pick(int(self._layer.selected_label))
+        if self._active:
+            self._table.highlight(int(self._layer.selected_label))
 
     def _on_picked(self, label: int) -> None:
         if self._layer is not None and not self._loading:
             self._layer.selected_label = label
+            self.picked.emit(self._layer)
 
     def _on_edited(self) -> None:
         if self._layer is None or self._loading:
@@ -129,6 +148,4 @@ def labels_in(layer: Any, view: View | None) -> npt.NDArray[Any]:
         picture = copy_slice(layer, Frame.of(layer, view))
     except ProblemError:
         return np.zeros(0, dtype=int)
-    if picture.dtype.kind == "u" and picture.dtype.itemsize <= 2:
-        return np.flatnonzero(np.bincount(picture.ravel()))
-    return np.unique(picture)
+    return labels_present(picture)

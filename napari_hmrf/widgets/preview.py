@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.layers.colours import PREVIEW
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.observations import preview_arrows
+from napari_hmrf.layers.observations import PREVIEW_LARGEST, preview_arrows
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.view import View, layer_extents
 from napari_hmrf.widgets.results import same_selection, update_layer
@@ -37,6 +38,11 @@ class BoundaryPreview:
         """The Vectors layer, if there is one in the viewer."""
         there = self._layer is not None and self._layer in self._viewer.layers
         return self._layer if there else None
+
+    @staticmethod
+    def too_large(boundary: Any) -> bool:
+        """Whether arrows for a slice would take longer than a stroke of the brush."""
+        return math.prod(layer_extents(boundary)[-2:]) > PREVIEW_LARGEST
 
     def update(
         self,
@@ -78,12 +84,18 @@ class BoundaryPreview:
                 return
             update_layer(layer, made)
             layer.visible = True
+            self._raise_above(boundary)
         else:
             self.remove()
             self._layer = Layer.create(*made)
             with same_selection(self._viewer):
                 self._viewer.add_layer(self._layer)
         self._shown = made.data
+
+    def _raise_above(self, boundary: Any) -> None:
+        layers = self._viewer.layers
+        if boundary in layers and layers.index(self._layer) < layers.index(boundary):
+            layers.move(layers.index(self._layer), len(layers))
 
     def hide(self) -> None:
         """Make way for the result; the next edit shows the preview again."""

@@ -10,13 +10,16 @@ from typing import Any
 from napari.layers import Layer
 
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.outputs import Kind, LayerData, Outputs
+from napari_hmrf.layers.outputs import FILLING, Kind, LayerData, Outputs
 
 _PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 
 
 class ResultLayers:
     """The layers that hold the results of one widget, by what they show and of which slice.
+
+    What fills its pixels lies directly above what was deformed, so that paint stays above it;
+    lines and arrows lie on top.
 
     Parameters
     ----------
@@ -28,6 +31,7 @@ class ResultLayers:
         # By the source itself, not its id: that is given to another layer when the source is gone.
         self._layers: weakref.WeakKeyDictionary[Any, dict[tuple[Kind, str], weakref.ref[Any]]]
         self._layers = weakref.WeakKeyDictionary()
+        self._aside: list[weakref.ref[Any]] = []
 
     def show(self, outputs: Outputs, source: Any) -> dict[Kind, Any]:
         """Update the layers of the same source and slice; make those that are not there.
@@ -44,6 +48,8 @@ class ResultLayers:
         """
         shown: dict[Kind, Any] = {}
         known = self._layers.setdefault(source, {})
+        layers = self._viewer.layers
+        above = layers.index(source) + 1 if source in layers else len(layers)
         with same_selection(self._viewer):
             for kind, made in outputs.layers.items():
                 where = str(made.attributes["metadata"][METADATA]["slice"])
@@ -51,12 +57,33 @@ class ResultLayers:
                 layer = self._existing(known.get(key))
                 if layer is None or not _fits(layer, made):
                     layer = Layer.create(made.data, made.attributes, made.kind)
-                    self._viewer.add_layer(layer)
+                    layers.insert(above if kind in FILLING else len(layers), layer)
+                    if kind == "magnitude":
+                        layer.colorbar.visible = True
                     known[key] = weakref.ref(layer)
                 else:
                     update_layer(layer, made)
+                if kind in FILLING:
+                    above = layers.index(layer) + 1
                 shown[kind] = layer
+        for reference in self._aside:
+            if (layer := reference()) is not None:
+                layer.visible = True
+        self._aside.clear()
         return shown
+
+    def set_aside(self) -> bool:
+        """Hide what covers the image, until the next result; whether there was anything.
+
+        Paint says where tissue is before it moves, so it must be put on the image as it was.
+        """
+        for known in self._layers.values():
+            for (kind, _), reference in known.items():
+                layer = reference()
+                if kind in FILLING and layer is not None and layer.visible:
+                    layer.visible = False
+                    self._aside.append(reference)
+        return bool(self._aside)
 
     def _existing(self, reference: weakref.ref[Any] | None) -> Any:
         layer = None if reference is None else reference()

@@ -23,6 +23,11 @@ Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
 
 
+#: Beside the box that turns the preview on.
+PREVIEW = "Preview arrows while painting"
+NO_PREVIEW = "No preview: the slice is too large"
+
+
 def _is_preview(layer: Any) -> bool:
     return known_of(layer).get("kind") == "preview"
 
@@ -63,6 +68,11 @@ class TissueSection(Container):
         )
         self.append(self._choice)
         self._table = MaterialTable()
+        self._background = QPushButton("Background is no tissue")
+        self._background.setToolTip(
+            "Paints what is dark around the image with a label of stiffness 0, as far as it is "
+            "unpainted; undo with Ctrl+Z on the layer"
+        )
         self._painted = PaintedLabels(TISSUE, self._table, view)
         self._rows = [
             _add_below(self, self._table),
@@ -70,6 +80,7 @@ class TissueSection(Container):
                 self,
                 _add_button(self._table, "Add tissue", "Add a label to paint with"),
                 preset_button(self._table),
+                self._background,
             ),
         ]
         self._choice.changed.connect(self._on_choice)
@@ -90,6 +101,11 @@ class TissueSection(Container):
     def painted(self) -> PaintedLabels:
         """What keeps layer and table in step."""
         return self._painted
+
+    @property
+    def background(self) -> QPushButton:
+        """The button that tells air from tissue."""
+        return self._background
 
     @property
     def materials(self) -> tuple[Material, ...]:
@@ -126,7 +142,7 @@ class BoundarySection(Container):
         )
         self._preview = CheckBox(
             value=True,
-            text="Preview arrows while painting",
+            text=PREVIEW,
             tooltip="A layer of its own shows what the boundary will do",
         )
         self.extend([self._choice, self._confidence])

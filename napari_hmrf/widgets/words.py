@@ -1,47 +1,86 @@
-"""What the widget says about a result."""
+"""What the widget says about a result, and while there is none yet."""
 
 from __future__ import annotations
 
-from napari_hmrf.layers.inputs import Inputs
-from napari_hmrf.layers.outputs import Outputs
+import numpy as np
+
+from napari_hmrf.layers.view import unit_symbol
+from napari_hmrf.optimizers import Monitor
+from napari_hmrf.widgets.job import Done
+
+WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
+MAKE = "Press 'Make layers to paint on', or choose a tissue and a boundary layer."
+READY = "Press Deform."
+PAINT = (
+    "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
+    "paint with its label. Then press Deform."
+)
+CHANGED = "Changed since the last result: press Deform."
+CANCELLED = "Cancelled; nothing was changed."
+COMPILING = "Compiling for the first time: up to a minute, once."
+
+#: So few folded pixels are noise of the rounding, and nothing to warn of.
+_HANDFUL = 5
 
 
-def report(outputs: Outputs, inputs: Inputs, changed: bool = False) -> str:
-    """One paragraph: what ran, how long, how well, and what to beware of.
+def report(done: Done) -> str:
+    """What came out, and what to beware of; for people.
 
     Parameters
     ----------
-    outputs : Outputs
-    inputs : Inputs
-        What it was computed from.
-    changed : bool
-        Whether the layers say something else by now.
+    done : Done
     """
-    solution = outputs.solution
+    outputs, frame = done.outputs, done.snapshot.frame
+    where = f"Slice {frame.slice_name}: tissue" if frame.slice_name else "Tissue"
+    parts = [f"{where} moved up to {_farthest(done)}."]
+    if outputs.folds > _HANDFUL and outputs.worst is not None:
+        row, col = outputs.worst
+        parts.append(
+            f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
+            "pushed through itself (it folds), which no tissue does. Let it move less or over a "
+            "wider boundary; tick 'folds' to see where."
+        )
+    if outputs.overlaps > _HANDFUL:
+        parts.append(
+            f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
+            "and hides it; parts do not feel each other across a gap."
+        )
+    if done.ignored:
+        what = "1 boundary pixel" if done.ignored == 1 else f"{done.ignored} boundary pixels"
+        parts.append(f"{what} outside tissue {'was' if done.ignored == 1 else 'were'} ignored.")
+    parts += [f"{note[0].upper()}{note[1:]}." for note in done.notes]
+    return " ".join(parts)
+
+
+def details(done: Done) -> str:
+    """What ran, how long and how well; for those who want to know."""
+    solution = done.outputs.solution
     run = solution.provenance
     seconds = f"{run.seconds:.2g} s"
     if run.preparation_seconds >= 0.1:
         seconds += f" (after {run.preparation_seconds:.1f} s of preparation)"
-    where = f"Slice {inputs.frame.slice_name}: " if inputs.frame.slice_name else ""
-    parts = [
-        f"{where}{solution.iterations} sweeps in {seconds} on {run.renderer}.",
-        f"Mean energy {solution.mean_energy:.3g} pixels².",
-    ]
-    if changed:
-        parts.append("Inputs changed since start: deform again to see them.")
-    if outputs.folds:
-        share = f"{outputs.folds} pixel{'s' if outputs.folds > 1 else ''}"
-        parts.append(
-            f"Warning: the tissue folds over itself at {share}; smaller motion or a wider "
-            "boundary avoids this."
-        )
-    if outputs.overlaps:
-        share = f"{outputs.overlaps} pixel{'s' if outputs.overlaps > 1 else ''}"
-        parts.append(
-            f"Warning: at {share} one part of the tissue has moved onto another and hides it; "
-            "parts do not feel each other across a gap."
-        )
-    if inputs.ignored:
-        parts.append(f"{inputs.ignored} boundary pixels outside tissue were ignored.")
-    parts += [f"{note[0].upper()}{note[1:]}." for note in inputs.notes]
-    return " ".join(parts)
+    folds = f", {done.outputs.folds} folded pixels" if done.outputs.folds else ""
+    return (
+        f"{solution.iterations} sweeps in {seconds} on {run.renderer}; mean energy "
+        f"{solution.mean_energy:.3g} px²{folds}."
+    )
+
+
+def progress(monitor: Monitor, seconds: float) -> str:
+    """What is going on, after so many seconds of it."""
+    if monitor.message.startswith("preparing"):
+        return COMPILING if seconds > 1 else "Preparing ..."
+    return f"{monitor.message[0].upper()}{monitor.message[1:]} ..."
+
+
+def _farthest(done: Done) -> str:
+    """The longest displacement, in pixels and in the unit of the image."""
+    solution = done.outputs.solution
+    squares = (solution.displacement.astype(np.float32) ** 2).sum(axis=-1)
+    length = float(np.sqrt(squares.max()))
+    at = np.unravel_index(int(squares.argmax()), squares.shape)
+    pixels = float(np.linalg.norm(solution.displacement[at] / np.array(solution.spacing)))
+    unit = unit_symbol(done.snapshot.frame.unit)
+    if unit == "px" and all(size == 1 for size in solution.spacing):
+        return f"{pixels:.1f} px"
+    return f"{pixels:.1f} px ({length:.3g} {unit})"

@@ -1,0 +1,161 @@
+"""What happens in the viewer and the tables, and what the widget does about it."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Any
+
+from qtpy.QtCore import QTimer
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import role_of
+from napari_hmrf.layers.view import View, unit_symbol
+from napari_hmrf.widgets.face import Face
+from napari_hmrf.widgets.preview import BoundaryPreview
+from napari_hmrf.widgets.sections import NO_PREVIEW, PREVIEW
+from napari_hmrf.widgets.words import READY
+
+if TYPE_CHECKING:
+    from napari_hmrf.widgets.deform import DeformTissue
+
+#: How long after the last change it is asked what that means for the result, in milliseconds.
+_PAUSE = 300
+
+
+_log = logging.getLogger("napari_hmrf")
+
+
+class Watch:
+    """Listens for a widget, until it is released; draws the preview of its boundary.
+
+    Parameters
+    ----------
+    widget : DeformTissue
+    viewer : napari.Viewer or ViewerModel
+    face : Face
+        Of the widget.
+    """
+
+    def __init__(self, widget: DeformTissue, viewer: Any, face: Face) -> None:
+        self._widget = widget
+        self._viewer = viewer
+        self._face = face
+        self.preview = BoundaryPreview(viewer)
+        self._undrawn = ""
+        self._drawing = _timer(widget.native, 0, self._draw_preview)
+        self._checking = _timer(widget.native, _PAUSE, widget.check)
+        face.image.changed.connect(self._on_image)
+        face.boundary.edited.connect(self._on_edited)
+        face.tissue.edited.connect(self._on_edited)
+        face.settings.changed.connect(self._check_soon)
+        for check in face.checks:
+            check.changed.connect(self._check_soon)
+        for section in (face.tissue, face.boundary):
+            section.painted.picked.connect(widget.hand_brush)
+            section.painted.found.connect(widget.note)
+            section.table.refused.connect(widget.say)
+        self._events = [
+            (viewer.layers.events.inserted, self._on_inserted),
+            (viewer.layers.events.removed, self._on_removed),
+            (viewer.layers.events.renamed, widget.reset_choices),
+            (viewer.layers.selection.events.active, self._on_active),
+            (viewer.dims.events.current_step, self._on_edited),
+            (viewer.dims.events.order, self._on_edited),
+            (viewer.events.theme, self._on_theme),
+        ]
+        for event, answer in self._events:
+            event.connect(answer)
+        self._on_theme()
+
+    def release(self) -> None:
+        """Listen no more."""
+        for event, answer in self._events:
+            event.disconnect(answer)
+        self._events = []
+
+    def settle(self) -> None:
+        """Forget what has changed so far: there is something else to read at the bottom."""
+        self._checking.stop()
+
+    def _on_edited(self, *_: Any) -> None:
+        if not self._widget.away:
+            self._drawing.start()
+            self._mark()
+            self._check_soon()
+
+    def _on_image(self, image: Any) -> None:
+        self._face.make.enabled = image is not None
+        self._on_edited()
+
+    def _check_soon(self, *_: Any) -> None:
+        if not self._widget.away:
+            self._checking.start()
+
+    def _on_inserted(self, event: Any) -> None:
+        widget = self._widget
+        if widget.away:
+            return
+        widget.reset_choices()
+        widget.choose_by_role([event.value])
+        if role_of(event.value) and widget.tissue and widget.boundary:
+            widget.say(READY)
+
+    def _on_removed(self, event: Any) -> None:
+        widget = self._widget
+        if widget.away:
+            return
+        was_image = widget.image is event.value
+        widget.reset_choices()
+        if was_image:
+            widget.choose_another()
+        self._check_soon()
+        widget.layer_removed(event.value)
+
+    def _on_active(self, *_: Any) -> None:
+        if not self._widget.away:
+            self._mark()
+
+    def _mark(self) -> None:
+        active = self._viewer.layers.selection.active
+        for section in (self._face.tissue, self._face.boundary):
+            section.painted.mark(active)
+
+    def _on_theme(self, *_: Any) -> None:
+        theme = getattr(self._viewer, "theme", None)
+        if theme is not None and not self._widget.away:
+            self._face.energy.show_theme(str(theme))
+
+    def _draw_preview(self) -> None:
+        widget, boundary = self._widget, self._face.boundary
+        view = View.of(self._viewer.dims)
+        place = widget.image if widget.image is not None else widget.tissue
+        try:
+            reference = None if place is None else Frame.of(place, view)
+            if reference is not None:
+                boundary.table.unit = unit_symbol(reference.unit)
+            layer = boundary.painted.layer
+            too_large = layer is not None and self.preview.too_large(layer)
+            boundary.preview.enabled = not too_large
+            boundary.preview.text = NO_PREVIEW if too_large else PREVIEW
+            if layer is not None and boundary.preview.value and not too_large:
+                self.preview.update(layer, widget.rules, view, reference)
+            else:
+                self.preview.remove()
+        except Exception as error:  # noqa: BLE001 - Qt calls this: nobody else would tell the user
+            if not isinstance(error, ProblemError):
+                _log.exception("the preview could not be drawn")
+            self._undrawn = str(error)
+            widget.say(self._undrawn)
+        else:
+            if self._undrawn and self._undrawn == widget.status:
+                widget.say(READY)
+            self._undrawn = ""
+
+
+def _timer(parent: Any, milliseconds: int, answer: Any) -> QTimer:
+    timer = QTimer(parent)
+    timer.setSingleShot(True)
+    timer.setInterval(milliseconds)
+    timer.timeout.connect(answer)
+    return timer
