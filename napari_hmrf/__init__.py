@@ -20,13 +20,14 @@ from napari_hmrf.deformation import (
 from napari_hmrf.errors import (
     BackendError,
     Cancelled,
+    ConvergenceError,
     FileFormatError,
     HmrfError,
     ProblemError,
 )
-from napari_hmrf.optimizers import ICM, Monitor
+from napari_hmrf.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
-from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solve import solve
@@ -39,9 +40,12 @@ __all__ = [
     "PHANTOM_NAMES",
     "BackendError",
     "Cancelled",
+    "ConvergenceError",
+    "ElasticPrior",
     "FileFormatError",
     "HmrfError",
     "Monitor",
+    "Multigrid",
     "Phantom",
     "Problem",
     "ProblemError",

@@ -33,6 +33,10 @@ class BackendError(HmrfError, RuntimeError):
     """A backend is missing, cannot start, or gave a result that must not be trusted."""
 
 
+class ConvergenceError(HmrfError, ArithmeticError):
+    """An iteration ended without a field that could be trusted; no result exists."""
+
+
 class FileFormatError(HmrfError, ValueError):
     """A file is not a valid saved solution."""
 

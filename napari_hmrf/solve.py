@@ -20,8 +20,8 @@ import numpy as np
 from napari_hmrf.backends import BACKEND_NAMES, Backend, open_backend
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError, Cancelled
-from napari_hmrf.optimizers import ICM, Monitor, Optimizer
-from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
+from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution
 
@@ -41,7 +41,7 @@ class CancelFlag(Protocol):
 
 def solve(
     problem: Problem,
-    prior: SeilerPrior | None = None,
+    prior: Prior | None = None,
     optimizer: Optimizer | None = None,
     backend: str = "auto",
     progress: Progress | None = None,
@@ -54,10 +54,11 @@ def solve(
     Parameters
     ----------
     problem : Problem
-    prior : SeilerPrior, optional
+    prior : SeilerPrior or ElasticPrior, optional
         The energy; by default the paper's, centred.
-    optimizer : ICM, optional
-        The schedule; by default the paper's: 70 sweeps on each level.
+    optimizer : ICM or Multigrid, optional
+        The schedule; by default the paper's (70 sweeps on each level) for the paper's prior, and
+        multigrid for elastic tissue.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
         and logs once which.
@@ -74,6 +75,10 @@ def solve(
     ------
     BackendError
         If the backend is missing or cannot be trusted.
+    ProblemError
+        If the prior finds no single answer: some tissue could still move freely.
+    ConvergenceError
+        If an iteration does not converge.
     Cancelled
         If `cancel` was set before the work was done.
 
@@ -107,7 +112,7 @@ def solve(
 
 def run_here(
     problem: Problem,
-    prior: SeilerPrior | None,
+    prior: Prior | None,
     optimizer: Optimizer | None,
     backend: str,
     progress: Progress | None,
@@ -118,7 +123,7 @@ def run_here(
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     begun = time.perf_counter()
     prior = (prior or SeilerPrior()).resolved(problem)
-    optimizer = optimizer or ICM()
+    optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
@@ -136,7 +141,11 @@ def run_here(
         )
     report(Monitor("preparing (the first run compiles its kernels, once)", 0.0))
     started = time.perf_counter()
-    device, reason = open_backend(backend, checkpoint)
+    if backend == "auto" and isinstance(prior, ElasticPrior):
+        device, _ = open_backend("cpu", checkpoint)
+        reason = "the shaders have no multigrid yet"
+    else:
+        device, reason = open_backend(backend, checkpoint)
     try:
         _announce(device.renderer, reason)
         _prepare(device, prior, optimizer)
@@ -188,7 +197,7 @@ class _Either:
         return any(flag.is_set() for flag in self._flags)
 
 
-def _prepare(device: Backend[Any], prior: SeilerPrior, optimizer: Optimizer) -> None:
+def _prepare(device: Backend[Any], prior: Prior, optimizer: Optimizer) -> None:
     """Compile what a schedule needs by running it on the smallest problem, once per process."""
     rehearsal = optimizer.rehearsal()
     key = (device.name, device.renderer, prior.kernels, repr(rehearsal))

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.coarsening import ElasticLevel
 from napari_hmrf.hierarchy import Level
+from napari_hmrf.priors.elastic import ElementShape
 
 FloatArray = npt.NDArray[np.float32]
 EnergyArray = npt.NDArray[np.float64]
@@ -128,6 +130,16 @@ class Backend(Protocol[FieldType]):
         self, displacement: FieldType, stiffness: FieldType, observation: FieldType, rule: SiteRule
     ) -> float:
         """U_total of a displacement, in pixels squared."""
+        ...
+
+    def elastic_level(self, level: ElasticLevel, shape: ElementShape) -> Any:
+        """Bring one level of an elastic model to the device, with the steps of multigrid on it.
+
+        Raises
+        ------
+        BackendError
+            If this backend has none.
+        """
         ...
 
     def release(self, *fields: FieldType) -> None:

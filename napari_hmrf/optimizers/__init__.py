@@ -2,5 +2,6 @@
 
 from napari_hmrf.optimizers.base import LevelRun, Monitor, Optimizer, Outcome
 from napari_hmrf.optimizers.icm import ICM
+from napari_hmrf.optimizers.multigrid import Multigrid
 
-__all__ = ["ICM", "LevelRun", "Monitor", "Optimizer", "Outcome"]
+__all__ = ["ICM", "LevelRun", "Monitor", "Multigrid", "Optimizer", "Outcome"]

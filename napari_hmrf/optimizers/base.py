@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.base import Backend
-from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 
 
@@ -63,9 +63,7 @@ class Outcome:
 class Optimizer(Protocol):
     """A schedule of named kernels on the levels of the hierarchy."""
 
-    def run(
-        self, problem: Problem, prior: SeilerPrior, backend: Backend[Any], report: Report
-    ) -> Outcome:
+    def run(self, problem: Problem, prior: Prior, backend: Backend[Any], report: Report) -> Outcome:
         """Run the schedule; on the compute thread only."""
         ...
 

@@ -12,7 +12,7 @@ import numpy as np
 from napari_hmrf.backends.base import Backend, FloatArray, SiteRule
 from napari_hmrf.hierarchy import Level, levels, nearest_pixels
 from napari_hmrf.optimizers.base import LevelRun, Monitor, Outcome, Report
-from napari_hmrf.priors import SeilerPrior, line_weights
+from napari_hmrf.priors import Prior, SeilerPrior, line_weights
 from napari_hmrf.problem import Problem
 
 #: Sweeps between two looks at the mean energy, and between two reports of progress.
@@ -69,10 +69,10 @@ class ICM:
         """Return one sweep on each level, with the same kernels."""
         return replace(self, iterations=1, tolerance=None)
 
-    def run(
-        self, problem: Problem, prior: SeilerPrior, backend: Backend[Any], report: Report
-    ) -> Outcome:
+    def run(self, problem: Problem, prior: Prior, backend: Backend[Any], report: Report) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
+        if not isinstance(prior, SeilerPrior):
+            raise ValueError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
         rule = SiteRule(
             blanket=prior.conditional == "blanket",
             relaxation=prior.relaxation,

@@ -22,9 +22,11 @@ from napari_hmrf.backends.opengl.totals import (
     SiteTotals,
     Totals,
 )
+from napari_hmrf.coarsening import ElasticLevel
 from napari_hmrf.errors import BackendError
 from napari_hmrf.hierarchy import Level
 from napari_hmrf.priors import line_weights
+from napari_hmrf.priors.elastic import ElementShape
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32, observation 16,
 # displacement 2 x 8, energy 4; a third more for the coarser levels.
@@ -161,6 +163,12 @@ class OpenGLBackend:
         self._run(program, inputs, [totals.share()], shape, bands=bands)
         totals.add()
         return float(totals.read()[0])
+
+    def elastic_level(self, level: ElasticLevel, shape: ElementShape) -> Any:
+        """Refuse: the shaders have no multigrid yet."""
+        raise BackendError(
+            'elastic tissue is solved by the compiled loops only, so far. Take backend="cpu".'
+        )
 
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""

@@ -1,0 +1,9 @@
+"""What is known of tissue before anything is observed: the energies, as the equations say them."""
+
+from napari_hmrf.priors.elastic import ElasticPrior
+from napari_hmrf.priors.seiler import LINES, SeilerPrior, SiteParabola, line_weights
+
+#: What `solve` takes.
+Prior = SeilerPrior | ElasticPrior
+
+__all__ = ["LINES", "ElasticPrior", "Prior", "SeilerPrior", "SiteParabola", "line_weights"]

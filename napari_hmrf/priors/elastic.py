@@ -1,0 +1,201 @@
+"""Linear elasticity on the pixel grid: its energy, in NumPy and float64, and its oracle.
+
+Every 2 x 2 block of tissue sites is an *element*, a clique of four sites, within which displacement
+is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the energy
+
+    U = 1/2 integral of  lambda (e_rr + e_cc)^2 + 2 mu (e_rr^2 + e_cc^2) + mu (gamma_rc)^2
+
+so that the most probable field is the finite-element solution, with the pixels as its mesh.
+
+An element's displacement is described by three differences per component, which is also how the
+kernels see it (from differences of displacement, never from an assembled stencil):
+
+    along rows     D_r = (d10 - d00) + (d11 - d01)
+    along columns  D_c = (d01 - d00) + (d11 - d10)
+    the twist      D_x = (d11 - d01) - (d10 - d00)
+
+The mean strains follow from D_r and D_c; the integral of what the twist adds separates from them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.held import check_held
+from napari_hmrf.problem import Problem
+
+Float64Array = npt.NDArray[np.float64]
+Plane = Literal["stress", "strain"]
+
+#: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
+POISSON_RANGE = (0.0, 0.499)
+
+
+class Lame(NamedTuple):
+    """Lame's parameters of the elements, (H - 1, W - 1), relative to the stiffest; 0 in void."""
+
+    first: Float64Array
+    shear: Float64Array
+
+
+class ElementShape(NamedTuple):
+    """What the size of a pixel makes of an element's differences (area times squared lengths).
+
+    Attributes
+    ----------
+    rows, cols : float
+        Of the squares of D_r and D_c.
+    mixed : float
+        Of their products.
+    twist_rows, twist_cols : float
+        Of the square of D_x, by its strain along rows and along columns.
+    twist_volume : float
+        1 where the twist counts as a change of volume, 0 where it does not.
+    """
+
+    rows: float
+    cols: float
+    mixed: float
+    twist_rows: float
+    twist_cols: float
+    twist_volume: float
+
+
+class Differences(NamedTuple):
+    """D_r, D_c and D_x of every element, each (2, H - 1, W - 1) with the component first."""
+
+    rows: Float64Array
+    cols: Float64Array
+    twist: Float64Array
+
+
+@dataclass(frozen=True)
+class ElasticPrior:
+    """Plane linear elasticity.
+
+    Parameters
+    ----------
+    poisson : float
+        Poisson's ratio, 0 to 0.499: how much tissue bulges when compressed. 0.5 would be
+        incompressible; soft tissue is 0.45 to 0.499.
+    plane : {"stress", "strain"}
+        ``"stress"``: a thin slice, free to bulge out of the image. ``"strain"``: a slice held
+        between its neighbours. There the twist of an element is not counted as a change of
+        volume (selective reduced integration); counted, it would lock nearly incompressible
+        tissue.
+    penalty : float
+        K of eq. 19, the force with which a site of complete confidence is held at what was
+        observed, relative to the stiffest tissue. Only ``inf``, held exactly wherever c > 0, is
+        supported so far.
+    """
+
+    poisson: float = 0.45
+    plane: Plane = "stress"
+    penalty: float = math.inf
+
+    def __post_init__(self) -> None:
+        low, high = POISSON_RANGE
+        if not low <= self.poisson <= high:
+            raise ValueError(f"poisson must lie between {low} and {high}, not {self.poisson!r}")
+        if self.plane not in get_args(Plane):
+            raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
+        if self.penalty != math.inf:
+            raise ValueError(
+                f"penalty must be inf for now (boundaries are held exactly), not {self.penalty!r}"
+            )
+
+    @property
+    def kernels(self) -> str:
+        """Which kernels it takes."""
+        return "elastic"
+
+    def resolved(self, problem: Problem) -> ElasticPrior:
+        """Return this prior, once it is sure that the problem has one answer.
+
+        Raises
+        ------
+        ProblemError
+            Naming a piece of tissue that could still move freely.
+        """
+        check_held(problem)
+        return self
+
+    def lame(self, problem: Problem) -> Lame:
+        """Lame's parameters of each element, from its sites' mean stiffness; 0 if one is void."""
+        m = problem.m.astype(np.float64) / float(problem.m.max())
+        corners = (m[:-1, :-1], m[:-1, 1:], m[1:, :-1], m[1:, 1:])
+        whole = np.logical_and.reduce([corner > 0 for corner in corners])
+        young = np.where(whole, sum(corners) / 4, 0.0)
+        nu = self.poisson
+        shear = young / (2 * (1 + nu))
+        if self.plane == "stress":
+            return Lame(young * nu / (1 - nu**2), shear)
+        return Lame(young * nu / ((1 + nu) * (1 - 2 * nu)), shear)
+
+    def shape(self, spacing: tuple[float, ...]) -> ElementShape:
+        """The constants of an element of this size of pixel; only the pixel's shape matters."""
+        row, col = spacing
+        volume = 1.0 if self.plane == "stress" else 0.0
+        return ElementShape(
+            col / row / 4, row / col / 4, 0.25, col / row / 12, row / col / 12, volume
+        )
+
+    def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
+        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``."""
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        (first, shear), k = self.lame(problem), self.shape(problem.spacing)
+        (rr, rc), (cr, cc), (xr, xc) = differences(d)
+        stretch = k.rows * rr**2 + k.cols * cc**2
+        volume = first * (stretch + 2 * k.mixed * rr * cc)
+        strain = 2 * shear * stretch
+        slide = shear * (k.cols * cr**2 + k.rows * rc**2 + 2 * k.mixed * cr * rc)
+        own = k.twist_volume * first + 2 * shear
+        twist = (k.twist_rows * own + k.twist_cols * shear) * xr**2
+        twist += (k.twist_cols * own + k.twist_rows * shear) * xc**2
+        return float((volume + strain + slide + twist).sum() / 2)
+
+    def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        return element_forces(self.lame(problem), self.shape(problem.spacing), d)
+
+
+def differences(d: Float64Array) -> Differences:
+    """The differences of every element of a displacement (H, W, 2)."""
+    d = np.moveaxis(d, -1, 0)
+    d00, d01, d10, d11 = d[:, :-1, :-1], d[:, :-1, 1:], d[:, 1:, :-1], d[:, 1:, 1:]
+    left, right = d10 - d00, d11 - d01
+    return Differences(left + right, (d01 - d00) + (d11 - d10), right - left)
+
+
+def element_forces(lame: Lame, k: ElementShape, d: Float64Array) -> Float64Array:
+    """What all elements together pull at each site: the stiffness matrix times d, (H, W, 2)."""
+    first, shear = lame
+    (rr, rc), (cr, cc), (xr, xc) = differences(d)
+    own = k.twist_volume * first + 2 * shear
+    pulls = np.array(
+        [
+            [
+                k.rows * (first + 2 * shear) * rr + k.mixed * first * cc,
+                shear * (k.cols * cr + k.mixed * rc),
+                (k.twist_rows * own + k.twist_cols * shear) * xr,
+            ],
+            [
+                shear * (k.rows * rc + k.mixed * cr),
+                k.cols * (first + 2 * shear) * cc + k.mixed * first * rr,
+                (k.twist_cols * own + k.twist_rows * shear) * xc,
+            ],
+        ]
+    )
+    total = np.zeros((2, *d.shape[:2]))
+    along_rows, along_cols, twist = pulls.swapaxes(0, 1)
+    total[:, :-1, :-1] += -along_rows - along_cols + twist
+    total[:, :-1, 1:] += -along_rows + along_cols - twist
+    total[:, 1:, :-1] += along_rows - along_cols - twist
+    total[:, 1:, 1:] += along_rows + along_cols + twist
+    return np.moveaxis(total, 0, -1)
