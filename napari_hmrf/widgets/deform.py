@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from typing import Any
 
 from napari.utils.notifications import show_error
@@ -58,6 +59,7 @@ class DeformTissue(Chooser):
         self._made_with: tuple[Any, ...] = ()
         self._fresh = True
         self._note = ""
+        self._stage = ("", 0.0)
         self._results = ResultLayers(self._viewer)
         self._watch = Watch(self, self._viewer, self._face)
         self._poll = QTimer(self.native)
@@ -212,10 +214,12 @@ class DeformTissue(Chooser):
             return
         if not job.done:
             monitor = job.monitor
+            if monitor.message != self._stage[0]:
+                self._stage = (monitor.message, time.monotonic())
             self._face.footer.progress(monitor.fraction)
             # Qt may have answered whatever waited, a removal or Cancel among it.
             if self._life.job is job:
-                self._say(progress_of(monitor, self._face.footer.seconds))
+                self._say(progress_of(monitor, time.monotonic() - self._stage[1]))
             return
         try:
             self._show(job.result())

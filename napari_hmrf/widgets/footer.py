@@ -43,11 +43,6 @@ class Footer:
         self._activity: Any = None
         self._started = self._told = 0.0
 
-    @property
-    def seconds(self) -> float:
-        """Since the work started."""
-        return time.monotonic() - self._started
-
     def build(self) -> QWidget:
         """Put it together."""
         footer = QWidget()

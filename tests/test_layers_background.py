@@ -1,0 +1,43 @@
+"""Which part of an image is the air around it."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf.layers.background import background_of
+from napari_hmrf.phantoms import sample
+
+
+def head(dtype=np.float32, low=0.0, high=1.0):
+    """A bright disc with a dark hole that does not reach the edge, in noise."""
+    row, col = np.indices((60, 80))
+    radius = np.hypot(row - 30, col - 40)
+    inside = radius < 25
+    noise = np.random.default_rng(0).normal(0, 0.05, inside.shape)
+    bright = inside & (radius > 6)
+    return (low + (high - low) * np.clip(bright + noise, 0, 1)).astype(dtype), inside
+
+
+@pytest.mark.parametrize(
+    ("dtype", "low", "high"), [(np.float32, 0, 1), (np.int16, -1000, 300), (np.uint8, 3, 250)]
+)
+def test_air_is_the_dark_that_reaches_the_edge(dtype, low, high):
+    picture, inside = head(dtype, low, high)
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+
+
+def test_colours_and_holes_in_the_numbers_do_not_matter():
+    picture, inside = head()
+    np.testing.assert_array_equal(background_of(np.stack([picture] * 3, axis=-1)), ~inside)
+    picture[0, :9] = np.nan
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+
+
+def test_the_sample_brain_lies_in_air():
+    found = background_of(sample("mass-effect").image)
+    void = ~sample("mass-effect").problem.tissue
+    assert (found != void).mean() < 0.01
+
+
+@pytest.mark.parametrize("value", [0.0, 7.0, np.nan])
+def test_an_image_of_one_value_has_no_background(value):
+    assert not background_of(np.full((5, 6), value)).any()
