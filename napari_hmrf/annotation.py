@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.label_images import labels_present, values_at
 
 FloatArray = npt.NDArray[np.float32]
 Action = Literal["fixed", "move", "expand"]
@@ -25,8 +26,6 @@ Action = Literal["fixed", "move", "expand"]
 _SMOOTHING = 1.5
 #: A part so many times longer than it is thick is a line, whatever the brush: it has no inside.
 _LINE = 8.0
-#: Label values that span less than this are looked up in a table.
-_TABLE = 2**16
 #: Pixels that touch at a corner belong together, as in a ring one pixel wide.
 _EIGHT = np.ones((3, 3), dtype=bool)
 
@@ -161,38 +160,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     present = labels_present(image)
     _require("m", "stiffness", present, table)
     values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
-    if _close(present):
-        by_value: FloatArray = np.zeros(int(present[-1]) - int(present[0]) + 1, dtype=np.float32)
-        by_value[present.astype(np.int64) - int(present[0])] = values
-        return np.asarray(by_value[_offsets(image, int(present[0]))])
-    return np.asarray(values[np.searchsorted(present, image)])
-
-
-def labels_present(labels: npt.ArrayLike) -> npt.NDArray[Any]:
-    """List the values in a label image, in order.
-
-    As `numpy.unique`, without sorting every pixel where values lie close together.
-    """
-    image = np.asarray(labels)
-    if image.dtype.kind == "b" or not image.size:
-        return np.unique(image)
-    ends = np.array([image.min(), image.max()])
-    if not _close(ends):
-        return np.unique(image)
-    there = np.zeros(int(ends[1]) - int(ends[0]) + 1, dtype=bool)
-    there[_offsets(image, int(ends[0]))] = True
-    return (np.flatnonzero(there) + int(ends[0])).astype(image.dtype)
-
-
-def _close(values: npt.NDArray[Any]) -> bool:
-    """Whether a table over the range of these sorted values is small."""
-    return bool(
-        values.size and values.dtype.kind in "iu" and int(values[-1]) - int(values[0]) < _TABLE
-    )
-
-
-def _offsets(image: npt.NDArray[Any], lowest: int) -> npt.NDArray[Any]:
-    return image if lowest == 0 else image.astype(np.int64) - lowest
+    return values_at(image, present, values)
 
 
 def boundary_images(

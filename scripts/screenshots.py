@@ -51,8 +51,6 @@ def main() -> None:
     wait_until(lambda: widget.idle)
     if widget.solution is None:
         raise RuntimeError(f"there is no result: {widget.status}")
-    for layer in viewer.layers:
-        layer.visible = not isinstance(layer, napari.layers.Labels)
     take(viewer, "result")
     viewer.close()
 

@@ -83,6 +83,19 @@ def test_the_first_image_that_comes_is_chosen(widget):
     assert widget.image is first
 
 
+def test_in_place_of_an_image_that_is_gone_comes_the_next(widget):
+    viewer = viewer_of(widget)
+    first = viewer.add_image(np.zeros((20, 24)), name="first")
+    assert widget.image is first
+    viewer.layers.remove(first)
+    assert widget.image is None
+    second = viewer.add_image(np.zeros((20, 24)), name="second")
+    third = viewer.add_image(np.zeros((20, 24)), name="third")
+    assert widget.image is second
+    viewer.layers.remove(second)
+    assert widget.image is third
+
+
 def test_a_result_of_before_is_not_taken_for_an_image(widget):
     viewer = viewer_of(widget)
     viewer.add_image(np.zeros((20, 24)), metadata={METADATA: {"kind": "magnitude"}})

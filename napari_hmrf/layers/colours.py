@@ -9,7 +9,8 @@ PREVIEW = "magenta"
 #: Of the arrows of a result: seen on black, grey and white.
 ARROWS = "#ff6000"
 #: Of boundary labels 1, 2, ...; napari's own would repeat the colours of the tissues.
-_BOUNDARY = ("#ff9f1c", "#ff4fd8", "#7ee081", "#ff5a5f", "#f4f482", "#a78bfa")
+#: The first two, which hold and push in new layers, differ from the arrows on them.
+_BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")
 
 
 def boundary_colours() -> Any:

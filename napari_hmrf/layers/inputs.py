@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.annotation import boundary_images, labels_present, stiffness_image
+from napari_hmrf.annotation import boundary_images, stiffness_image
+from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import LayerError, Named, naming

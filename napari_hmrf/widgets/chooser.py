@@ -201,11 +201,13 @@ class Chooser(Container):
         return View.of(self._viewer.dims)
 
     def choose_another(self) -> None:
-        """Choose an image there is, in place of one that is gone."""
+        """Choose an image there is, or else the next that comes, in place of one that is gone."""
         others = (self.tissue, self.confidence)
         images = [layer for layer in self._face.image.offered if layer not in others]
         if images:
             self.image = images[0]
+        else:
+            self._image_chosen = False
 
     def choose_by_role(self, layers: list[Any]) -> None:
         """Choose a sample's layers as they come, and the first image if none ever was chosen."""

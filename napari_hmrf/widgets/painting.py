@@ -11,8 +11,8 @@ from napari.layers import Labels
 from psygnal import Signal
 from qtpy.QtCore import QTimer
 
-from napari_hmrf.annotation import labels_present
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
 from napari_hmrf.layers.reading import copy_slice

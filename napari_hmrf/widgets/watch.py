@@ -44,6 +44,7 @@ class Watch:
         self.preview = BoundaryPreview(viewer)
         self._undrawn = ""
         self._drawing = _timer(widget.native, 0, self._draw_preview)
+        self._fitting = _timer(widget.native, 50, self._fit_view)
         self._checking = _timer(widget.native, _PAUSE, widget.check)
         face.image.changed.connect(self._on_image)
         face.boundary.edited.connect(self._on_edited)
@@ -98,8 +99,15 @@ class Watch:
             return
         widget.reset_choices()
         widget.choose_by_role([event.value])
+        if role_of(event.value) and len(self._viewer.layers) == 1:
+            self._fitting.start()
         if role_of(event.value) and widget.tissue and widget.boundary:
             widget.say(READY)
+
+    def _fit_view(self) -> None:
+        """Show the whole of a sample; napari fitted its first layer before it knew the canvas."""
+        if not self._widget.away:
+            self._viewer.reset_view()
 
     def _on_removed(self, event: Any) -> None:
         widget = self._widget
