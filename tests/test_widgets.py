@@ -420,7 +420,7 @@ def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample
     assert arrows[:, 1, 1].max() < 3.1 / 2.0 + 0.1  # 3 mm are 1.5 pixels
 
 
-def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, run):
+def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, run, wait_for):
     viewer = viewer_of(widget)
     small_sample(viewer, (5, 20, 24), scale=(4.0, 1.0, 1.0), axis_labels=("z", "y", "x"))
     viewer.dims.set_current_step(0, 3)
@@ -431,6 +431,11 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     deformed = viewer.layers["MR deformed (z = 3)"]
     assert deformed.data.shape == (1, 20, 24)
     assert deformed.data_to_world((0, 0, 0)) == (12, 0, 0)
+    said = widget.status
+    viewer.dims.set_current_step(0, 1)
+    wait_for(lambda: widget.status.startswith("Another slice than the one deformed"))
+    viewer.dims.set_current_step(0, 3)
+    wait_for(lambda: widget.status == said)
     viewer.dims.set_current_step(0, 1)
     run(widget)
     assert "MR arrows (z = 1)" in names(viewer)
@@ -568,6 +573,65 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     assert [entry for entry in state(viewer) if entry[0] != "boundary preview"] == before
 
 
+def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_for):
+    small_sample(viewer_of(docked))
+    docked.native.show()
+
+    def places():
+        QApplication.processEvents()
+        button, bar = docked._face.footer.deform.native, docked._face.footer._bar
+        return [button.mapTo(docked.native, button.rect().topLeft()), button.size(), bar.height()]
+
+    before = places()
+    docked.deform()
+    assert not docked.idle
+    assert docked._face.footer._bar.maximum() == 0  # nobody knows how long preparing takes
+    assert places() == before
+    busy_thread.set()
+    wait_for(lambda: docked.idle, 60_000)
+    assert places() == before
+    docked.say("word " * 300)
+    assert places() == before
+    assert not docked._face.energy.isExpanded()
+
+
+def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
+    from napari_hmrf.optimizers import Monitor
+    from napari_hmrf.widgets.words import progress
+
+    preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
+    assert progress(preparing, 0.1) == "Preparing ..."
+    assert progress(preparing, 3.0) == "Compiling for the first time: up to a minute, once."
+    assert progress(Monitor("level 3", 0.4), 9.0) == "Level 3 ..."
+
+
+def test_the_energy_is_drawn_in_the_colours_of_the_theme(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    plot = widget._face.energy
+    plot.expand(animate=False)
+    run(widget)
+    colours = []
+    for theme in ("light", "dark"):
+        viewer.theme = theme
+        colours.append(plot._canvas.figure.axes[0].xaxis.label.get_color())
+    assert colours[0] != colours[1]
+    assert plot._canvas.figure.axes[0].lines
+
+
+def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
+    widget, small_sample, busy_thread, wait_for
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.layers["Tissue"].data.fill(0)
+    widget.deform()
+    assert not widget.idle  # it is the compute thread that finds out
+    busy_thread.set()
+    wait_for(lambda: widget.idle)
+    assert widget.status.startswith("There is no tissue in 'Tissue'")
+
+
 # Cancel, removal, closing
 
 
@@ -576,7 +640,7 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
-    QApplication.processEvents()
+    wait_for(lambda: "boundary preview" in names(viewer))
     before = state(viewer)
     widget.deform()
     assert not widget.idle

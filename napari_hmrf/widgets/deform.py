@@ -14,16 +14,18 @@ from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.inputs import Request, copy_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.optimizers import ICM
+from napari_hmrf.priors import SeilerPrior
 from napari_hmrf.solution import Solution
 from napari_hmrf.widgets.chooser import Chooser
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
+from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.watch import Watch
-from napari_hmrf.widgets.words import CANCELLED, CHANGED, MAKE, PAINT, READY, WELCOME
+from napari_hmrf.widgets.words import CANCELLED, MAKE, PAINT, READY, WELCOME
 from napari_hmrf.widgets.words import details as details_of
 from napari_hmrf.widgets.words import progress as progress_of
-from napari_hmrf.widgets.words import report as report_of
 
 #: How often a running job is asked how it is getting on, in milliseconds.
 _POLL = 30
@@ -55,10 +57,8 @@ class DeformTissue(Chooser):
         self._docked = False
         self._request: Request | None = None
         self._status = ""
-        self._done: Done | None = None
-        self._made_with: tuple[Any, ...] = ()
-        self._fresh = True
-        self._note = ""
+        self._latest = Latest()
+        self._solving_with: tuple[Any, ...] = ()
         self._stage = ("", 0.0)
         self._results = ResultLayers(self._viewer)
         self._watch = Watch(self, self._viewer, self._face)
@@ -95,12 +95,14 @@ class DeformTissue(Chooser):
     @property
     def details(self) -> str:
         """What ran to make the latest result, how long and how well."""
-        return "" if self._done is None else details_of(self._done)
+        done = self._latest.done
+        return "" if done is None else details_of(done)
 
     @property
     def solution(self) -> Solution | None:
         """Of the latest result."""
-        return None if self._done is None else self._done.outputs.solution
+        done = self._latest.done
+        return None if done is None else done.outputs.solution
 
     # What can be done
 
@@ -122,15 +124,15 @@ class DeformTissue(Chooser):
             painted.look()
         try:
             request = self.request()
-            made_with = (self.settings.prior, self.settings.optimizer)
+            solver = self._solver
             snapshot = copy_layers(request)
-            work = deforming(snapshot, *made_with, self.settings.backend, self.outputs)
+            work = deforming(snapshot, *solver, self.settings.backend, self.outputs)
         except (HmrfError, ValueError) as error:
             self._refuse(error)
             self.finished.emit(None)
             return
-        self._made_with = made_with
-        self._note = ""
+        self._solving_with = solver
+        self._latest.note = ""
         self._start(request, work)
 
     def cancel(self, why: str = CANCELLED) -> None:
@@ -154,7 +156,7 @@ class DeformTissue(Chooser):
 
     def note(self, found: str) -> None:
         """Say what was found in the paint, until the next result."""
-        self._note = found
+        self._latest.note = found
         self.say(found)
 
     def hand_brush(self, layer: Any) -> None:
@@ -175,33 +177,29 @@ class DeformTissue(Chooser):
         if not self.idle or self.away:
             return
         if not self._viewer.layers:
-            self._done = None
+            self._latest.forget()
             self._face.energy.show_solution(None)
             self._say(WELCOME)
-        if self._done is None:
+        if self._latest.done is None:
             if self._status in (WELCOME, MAKE, READY):
                 self._say(self._invitation())
             return
-        fresh = self._is_fresh(self._done)
-        if fresh:
-            missing = set(self.outputs) - set(self._done.outputs.layers) - {"folds"}
-            wants_folds = "folds" in self.outputs and self._done.outputs.folds
-            if missing or (wants_folds and "folds" not in self._done.outputs.layers):
-                self._redraw(self._done)
-                return
-        if fresh != self._fresh:
-            self._fresh = fresh
-            self._say_result(self._done)
+        news = self._compare()
+        if self._latest.fresh and self._latest.lacks(self.outputs):
+            self._face.footer.start("Drawing the result ...")
+            self._start(self.request(), drawing(self._latest.done, self.outputs))
+        elif news:
+            self._say(*self._latest.words)
 
-    def _redraw(self, done: Done) -> None:
+    def _compare(self) -> bool:
         try:
-            request = self.request()
-        except HmrfError:
-            return
-        if request.image is None and self.outputs == ("image",):
-            return
-        self._face.footer.start("Drawing the result ...")
-        self._start(request, drawing(done, self.outputs))
+            return self._latest.compare(self.request(), self._solver)
+        except Exception:  # noqa: BLE001 - a layer may read anything; the result is there
+            return self._latest.outdate()
+
+    @property
+    def _solver(self) -> tuple[SeilerPrior, ICM]:
+        return self.settings.prior, self.settings.optimizer
 
     def _start(self, request: Request, work: Work) -> None:
         self._request, self._life.job = request, Job(work)
@@ -237,33 +235,18 @@ class DeformTissue(Chooser):
     def _show(self, done: Done) -> None:
         request, outputs = self._request, done.outputs
         assert request is not None
-        self._fresh = self._is_fresh(done)
+        self._latest.done, self._latest.settings = done, self._solving_with
+        self._compare()
         for made in outputs.layers.values():
-            made.attributes["metadata"][METADATA]["inputs_changed"] = not self._fresh
-        self._done = done
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
         self._watch.preview.hide()
         shown = self._results.show(outputs, request.layers[0])
         if request.image is not None and ("image" in shown or "labels" in shown):
             request.tissue.visible = False  # it would tint what was deformed
         self._face.energy.show_solution(outputs.solution)
         self._set_idle("")
-        self._say_result(done)
+        self._say(*self._latest.words)
         self.finished.emit(outputs)
-
-    def _is_fresh(self, done: Done) -> bool:
-        try:
-            settings = (self.settings.prior, self.settings.optimizer)
-            return settings == self._made_with and done.snapshot.same_as(
-                copy_layers(self.request())
-            )
-        except Exception:  # noqa: BLE001 - a layer may read anything; the result is there
-            return False
-
-    def _say_result(self, done: Done) -> None:
-        if self._fresh:
-            self._say(report_of(done), details_of(done))
-        else:
-            self._say(f"{CHANGED} {self._note}".rstrip())
 
     def _set_idle(self, status: str) -> None:
         self._poll.stop()
@@ -275,7 +258,7 @@ class DeformTissue(Chooser):
         known = isinstance(error, HmrfError | ValueError)
         failed = f"The deformation failed: {type(error).__name__}: {error}"
         self._set_idle(str(error) if known else failed)
-        self._fresh = False
+        self._latest.outdate()
         self._watch.settle()
         show_error(error.sentence if isinstance(error, LayerError) else self._status)
 

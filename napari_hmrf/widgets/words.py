@@ -16,6 +16,7 @@ PAINT = (
     "paint with its label. Then press Deform."
 )
 CHANGED = "Changed since the last result: press Deform."
+OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 CANCELLED = "Cancelled; nothing was changed."
 COMPILING = "Compiling for the first time: up to a minute, once."
 
