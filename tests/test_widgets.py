@@ -432,11 +432,13 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     assert deformed.data.shape == (1, 20, 24)
     assert deformed.data_to_world((0, 0, 0)) == (12, 0, 0)
     said = widget.status
+    viewer.layers["Boundary"].data[1] = 0
     viewer.dims.set_current_step(0, 1)
     wait_for(lambda: widget.status.startswith("Another slice than the one deformed"))
     viewer.dims.set_current_step(0, 3)
     wait_for(lambda: widget.status == said)
     viewer.dims.set_current_step(0, 1)
+    viewer.layers["Boundary"].data[1] = viewer.layers["Boundary"].data[3]
     run(widget)
     assert "MR arrows (z = 1)" in names(viewer)
     assert "MR arrows (z = 3)" in names(viewer)

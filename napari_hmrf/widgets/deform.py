@@ -184,18 +184,12 @@ class DeformTissue(Chooser):
             if self._status in (WELCOME, MAKE, READY):
                 self._say(self._invitation())
             return
-        news = self._compare()
+        news = self._latest.compare(self.request, self._solver)
         if self._latest.fresh and self._latest.lacks(self.outputs):
             self._face.footer.start("Drawing the result ...")
             self._start(self.request(), drawing(self._latest.done, self.outputs))
         elif news:
             self._say(*self._latest.words)
-
-    def _compare(self) -> bool:
-        try:
-            return self._latest.compare(self.request(), self._solver)
-        except Exception:  # noqa: BLE001 - a layer may read anything; the result is there
-            return self._latest.outdate()
 
     @property
     def _solver(self) -> tuple[SeilerPrior, ICM]:
@@ -236,7 +230,7 @@ class DeformTissue(Chooser):
         request, outputs = self._request, done.outputs
         assert request is not None
         self._latest.done, self._latest.settings = done, self._solving_with
-        self._compare()
+        self._latest.compare(self.request, self._solver)
         for made in outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
         self._watch.preview.hide()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from qtpy.QtWidgets import QVBoxLayout, QWidget
 from superqt import QCollapsible
 
 from napari_hmrf.solution import Solution
@@ -18,6 +19,11 @@ class EnergyPlot(QCollapsible):
 
     def __init__(self) -> None:
         super().__init__("Energy", expandedIcon="▾", collapsedIcon="▸")
+        # Its place is kept from the start: how far it opens is asked before the plot is there.
+        self._place = QWidget()
+        self._place.setFixedHeight(_HEIGHT)
+        QVBoxLayout(self._place).setContentsMargins(0, 0, 0, 0)
+        self.addWidget(self._place)
         self._canvas: Any = None
         self._solution: Solution | None = None
         self._ink = "#dddddd"
@@ -44,7 +50,7 @@ class EnergyPlot(QCollapsible):
     def _draw(self) -> None:
         if self._canvas is None:
             self._canvas = energy_canvas()
-            self.addWidget(self._canvas)
+            self._place.layout().addWidget(self._canvas)
         draw_energy(self._canvas, self._solution, self._ink)
 
 
@@ -58,7 +64,6 @@ def energy_canvas() -> Any:
     figure.add_subplot()
     canvas = FigureCanvasQTAgg(figure)
     canvas.setStyleSheet("background: transparent")
-    canvas.setFixedHeight(_HEIGHT)
     canvas.setMinimumWidth(50)
     return canvas
 

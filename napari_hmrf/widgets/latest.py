@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
+from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, copy_layers
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.widgets.job import Done
@@ -38,26 +39,27 @@ class Latest:
         """The layers it came from are gone."""
         self.done = None
 
-    def compare(self, request: Request, settings: tuple[Any, ...]) -> bool:
+    def compare(self, request: Callable[[], Request], settings: tuple[Any, ...]) -> bool:
         """Look whether a solve would give the same now; whether the answer is another than before.
 
-        Raises
-        ------
-        HmrfError
-            If the layers cannot be read.
+        Layers that cannot be read, for whatever reason, would not give the same.
         """
         assert self.done is not None
         before = (self.fresh, self.here)
-        now = copy_layers(request)
-        self.here = now.frame.index == self.done.snapshot.frame.index
-        self.fresh = settings == self.settings and self.done.snapshot.same_as(now)
+        self.fresh, self.here = False, True
+        try:
+            now = request()
+            index = Frame.of(now.layers[0], now.view).index
+            self.here = index == self.done.snapshot.frame.index
+            if self.here and settings == self.settings:
+                self.fresh = self.done.snapshot.same_as(copy_layers(now))
+        except Exception:  # noqa: BLE001 - a layer may raise anything; the result is there
+            self.fresh = False
         return (self.fresh, self.here) != before
 
-    def outdate(self) -> bool:
-        """There is nothing to compare with any more; whether that is news."""
-        before = (self.fresh, self.here)
+    def outdate(self) -> None:
+        """There is nothing to compare with any more."""
         self.fresh, self.here = False, True
-        return (self.fresh, self.here) != before
 
     def lacks(self, kinds: Collection[Kind]) -> bool:
         """Whether it could show more than it does."""
