@@ -54,13 +54,48 @@ void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 f
         counted * (ratio.y * (ratio.y * near + far) + (ratio.x * far + near));
 }
 
-/// Add the clique of a line that the site, where the displacement is d, is the middle of.
-void add_line(inout Evidence evidence, ivec2 site, vec2 d, ivec2 line, vec2 weight, vec2 ratio)
+/// The displacements of a site and of the eight sites around it, each row from left to right.
+struct Around {
+    vec2 above[3];
+    vec2 here[3];
+    vec2 below[3];
+};
+
+/// Read what lies around both sites of a pair.
+void look_around(ivec2 pair, out Around first, out Around second)
 {
-    ivec2 size = textureSize(displacement, 0);
-    vec2 s = texelFetch(displacement, clamped(site - line, size), 0).xy - d;
-    vec2 u = texelFetch(displacement, clamped(site + line, size), 0).xy - d;
-    add_middle(evidence, weight, ratio, s, u);
+    ivec2 last = textureSize(displacement, 0) - 1;
+    ivec2 before = max(pair - 1, 0);
+    ivec2 after = min(pair + 1, last);
+    vec2 left = texelFetch(displacement, before, 0).zw;
+    vec4 both = texelFetch(displacement, ivec2(pair.x, before.y), 0);
+    vec2 right = texelFetch(displacement, ivec2(after.x, before.y), 0).xy;
+    first.above = vec2[3](left, both.xy, both.zw);
+    second.above = vec2[3](both.xy, both.zw, right);
+    left = texelFetch(displacement, ivec2(before.x, pair.y), 0).zw;
+    both = texelFetch(displacement, pair, 0);
+    right = texelFetch(displacement, ivec2(after.x, pair.y), 0).xy;
+    first.here = vec2[3](left, both.xy, both.zw);
+    second.here = vec2[3](both.xy, both.zw, right);
+    left = texelFetch(displacement, ivec2(before.x, after.y), 0).zw;
+    both = texelFetch(displacement, ivec2(pair.x, after.y), 0);
+    right = texelFetch(displacement, after, 0).xy;
+    first.below = vec2[3](left, both.xy, both.zw);
+    second.below = vec2[3](both.xy, both.zw, right);
+}
+
+/// What the four cliques that a site is the middle of say.
+Evidence centred(ivec2 site, Around near)
+{
+    vec2 d = near.here[1];
+    vec4 ratios_0 = texelFetch(straight, site, 0);
+    vec4 ratios_1 = texelFetch(diagonal, site, 0);
+    Evidence evidence = Evidence(vec2(0.0), vec2(0.0), 0.0);
+    add_middle(evidence, weights[0], ratios_0.xy, near.above[1] - d, near.below[1] - d);
+    add_middle(evidence, weights[1], ratios_0.zw, near.here[0] - d, near.here[2] - d);
+    add_middle(evidence, weights[2], ratios_1.xy, near.above[0] - d, near.below[2] - d);
+    add_middle(evidence, weights[3], ratios_1.zw, near.above[2] - d, near.below[0] - d);
+    return evidence;
 }
 
 /// The observation energy of a site (eqs. 17 and 18); observation is (y, p = K c).

@@ -4,6 +4,11 @@
 // two components are in (row, col) order, as the arrays of the package are. All lengths are in
 // pixels of the finest level, all values float32.
 //
+// Fields of two components, displacement and stiffness, keep two sites in a texel, because reading
+// a texel costs the same however much is in it: texel (j, i) is the pair of the sites (2j, i) in
+// .xy and (2j + 1, i) in .zw. Everything else has a texel for each site. A level with an odd number
+// of columns gets one more, of void.
+//
 // Border rule: none of its own. A kernel clamps every coordinate it reads with `clamped`, since a
 // read outside of a texture is undefined, and asks `in_image` where outside must count as void.
 
@@ -24,4 +29,23 @@ ivec2 clamped(ivec2 site, ivec2 size)
 bool in_image(ivec2 site, ivec2 size)
 {
     return all(greaterThanEqual(site, ivec2(0))) && all(lessThan(site, size));
+}
+
+/// How many sites a field of pairs has.
+ivec2 sites_of(sampler2D pairs)
+{
+    return textureSize(pairs, 0) * ivec2(2, 1);
+}
+
+/// The value of a field of pairs at a site that lies in it.
+vec2 value_at(sampler2D pairs, ivec2 site)
+{
+    vec4 pair = texelFetch(pairs, ivec2(site.x / 2, site.y), 0);
+    return site.x % 2 == 0 ? pair.xy : pair.zw;
+}
+
+/// The first site of a pair; the second is `HORIZONTAL` away.
+ivec2 first_of(ivec2 pair)
+{
+    return ivec2(2 * pair.x, pair.y);
 }

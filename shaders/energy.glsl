@@ -1,24 +1,21 @@
-// Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
+// Each pair's share of U_total (eq. 7): the cliques its sites are the middle of, and their data
+// terms.
 //
-//     share = sum over the four lines of V(s, t, u) + p_row |y_row - d_row| + p_col |y_col - d_col|
+//     share = sum over the four lines of V(s, t, u) + p_row |y_row - d_row| + p_col |y_col - d_col|,
+//             of both sites
 //
-// Inputs:  displacement  d, pixels
+// Inputs:  displacement  d, pixels; pairs
 //          straight, diagonal  stiffness ratios (ratios.glsl); the lines' weights: cliques.glsl
 //          observation   (y in pixels, p = K c in energy per pixel)
-// Outputs: share         pixels squared
+// Outputs: share         pixels squared; one value for a pair
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
-
-void kernel(ivec2 site)
+void kernel(ivec2 pair)
 {
-    vec2 d = texelFetch(displacement, site, 0).xy;
-    vec4 ratios_0 = texelFetch(straight, site, 0);
-    vec4 ratios_1 = texelFetch(diagonal, site, 0);
-
-    Evidence evidence = Evidence(vec2(0.0), vec2(0.0), 0.0);
-    add_line(evidence, site, d, VERTICAL, weights[0], ratios_0.xy);
-    add_line(evidence, site, d, HORIZONTAL, weights[1], ratios_0.zw);
-    add_line(evidence, site, d, DIAGONAL, weights[2], ratios_1.xy);
-    add_line(evidence, site, d, ANTIDIAGONAL, weights[3], ratios_1.zw);
-    share = evidence.energy + observed(d, texelFetch(observation, site, 0));
+    Around first, second;
+    look_around(pair, first, second);
+    ivec2 site = first_of(pair);
+    share = centred(site, first).energy + observed(first.here[1], texelFetch(observation, site, 0));
+    site += HORIZONTAL;
+    share += centred(site, second).energy + observed(second.here[1], texelFetch(observation, site, 0));
 }

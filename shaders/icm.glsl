@@ -8,13 +8,13 @@
 // each of the steps e, the earlier one of equals; with STEPS 0 the exact minimiser,
 // d = y + soft(q - y, g p / 2A), q = d + g b/A.
 //
-// Inputs:  displacement  d, pixels
+// Inputs:  displacement  d, pixels; pairs
 //          straight, diagonal  stiffness ratios (ratios.glsl); the lines' weights: cliques.glsl
 //          observation   (y in pixels, p = K c in energy per pixel)
 //          relaxation    g, in (0, 1]
 //          steps         e, pixels
-// Outputs: moved         the new d, pixels
-//          share         the site's share of U_total *before* it moved, pixels squared
+// Outputs: moved         the new d, pixels; pairs
+//          share         the pair's share of U_total *before* it moved, pixels squared
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
 uniform float relaxation;
@@ -60,7 +60,7 @@ vec2 best(vec2 d, vec2 curvature, vec2 slope, vec4 seen)
 void add_ends(
     inout Evidence evidence, ivec2 site, vec2 d, ivec2 line, vec2 weight, sampler2D ratios, bool second)
 {
-    ivec2 size = textureSize(displacement, 0);
+    ivec2 size = sites_of(displacement);
     for (int end = -1; end <= 1; end += 2) {
         ivec2 middle = site + end * line;
         vec4 both = texelFetch(ratios, clamped(middle, size), 0);
@@ -68,33 +68,37 @@ void add_ends(
         // Seen from the middle the site lies behind, at its end s, where it came from `end` > 0.
         ratio = end > 0 ? ratio : ratio.yx;
         ratio = in_image(middle, size) ? ratio : vec2(0.0);
-        vec2 d_t = texelFetch(displacement, clamped(middle, size), 0).xy;
-        vec2 d_far = texelFetch(displacement, clamped(middle + end * line, size), 0).xy;
+        vec2 d_t = value_at(displacement, clamped(middle, size));
+        vec2 d_far = value_at(displacement, clamped(middle + end * line, size));
         add_end(evidence, weight, ratio, d - d_t, d_far - d_t);
     }
 }
 #endif
 
-void kernel(ivec2 site)
+/// Where a site moves to, and what it gives to U_total before that.
+vec2 move(ivec2 site, Around near, out float energy)
 {
-    vec2 d = texelFetch(displacement, site, 0).xy;
+    vec2 d = near.here[1];
     vec4 seen = texelFetch(observation, site, 0);
-    vec4 ratios_0 = texelFetch(straight, site, 0);
-    vec4 ratios_1 = texelFetch(diagonal, site, 0);
-
-    Evidence evidence = Evidence(vec2(0.0), vec2(0.0), 0.0);
-    add_line(evidence, site, d, VERTICAL, weights[0], ratios_0.xy);
-    add_line(evidence, site, d, HORIZONTAL, weights[1], ratios_0.zw);
-    add_line(evidence, site, d, DIAGONAL, weights[2], ratios_1.xy);
-    add_line(evidence, site, d, ANTIDIAGONAL, weights[3], ratios_1.zw);
-    share = evidence.energy + observed(d, seen);
+    Evidence evidence = centred(site, near);
+    energy = evidence.energy + observed(d, seen);
 #if BLANKET
     add_ends(evidence, site, d, VERTICAL, weights[0], straight, false);
     add_ends(evidence, site, d, HORIZONTAL, weights[1], straight, true);
     add_ends(evidence, site, d, DIAGONAL, weights[2], diagonal, false);
     add_ends(evidence, site, d, ANTIDIAGONAL, weights[3], diagonal, true);
 #endif
-
     vec2 chosen = best(d, evidence.curvature / relaxation, evidence.slope, seen);
-    moved = mix(chosen, vec2(0.0), lessThanEqual(abs(chosen), vec2(FLUSH)));
+    return mix(chosen, vec2(0.0), lessThanEqual(abs(chosen), vec2(FLUSH)));
+}
+
+void kernel(ivec2 pair)
+{
+    Around first, second;
+    look_around(pair, first, second);
+    ivec2 site = first_of(pair);
+    vec2 energy;
+    moved.xy = move(site, first, energy.x);
+    moved.zw = move(site + HORIZONTAL, second, energy.y);
+    share = energy.x + energy.y;
 }

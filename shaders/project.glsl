@@ -3,15 +3,30 @@
 //     values(site) = finest(2^level site + 2^(level - 1)), the pixel nearest to the site's centre;
 //                    half-way between two, the later one
 //
-// Inputs:  finest  any unit: stiffness (m, 1/m) or observation (y, p)
+// Inputs:  finest  any unit: with PAIRS stiffness (m, 1/m), pairs, otherwise observation (y, p)
 //          level   the scale level n >= 0
-// Outputs: values  the same unit
-// Border rule: a site whose centre lies beyond the image takes the last row or column.
+//          size    (cols, rows) of the image
+// Outputs: values  the same unit, in pairs or not as `finest` is
+// Border rule: a site whose centre lies beyond the image takes the last row or column. A site all
+// of which lies beyond it, the one more of an odd number of columns, is void and gets 0.
 
 uniform int level;
+uniform ivec2 size;
 
-void kernel(ivec2 site)
+/// The pixel that a site takes its value from.
+ivec2 nearest(ivec2 site)
 {
-    ivec2 pixel = (site << level) + ((1 << level) >> 1);
-    values = texelFetch(finest, clamped(pixel, textureSize(finest, 0)), 0);
+    return clamped((site << level) + ((1 << level) >> 1), size);
+}
+
+void kernel(ivec2 texel)
+{
+#if PAIRS
+    ivec2 site = first_of(texel);
+    values = vec4(value_at(finest, nearest(site)), value_at(finest, nearest(site + HORIZONTAL)));
+    values.zw = in_image((site + HORIZONTAL) << level, size) ? values.zw : vec2(0.0);
+#else
+    values = texelFetch(finest, nearest(texel), 0);
+    values = in_image(texel << level, size) ? values : vec4(0.0);
+#endif
 }

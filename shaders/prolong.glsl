@@ -3,15 +3,16 @@
 //     fine(site) = sum of w coarse(k) / sum of w over the four nearest coarse sites k in tissue,
 //                  w = (3/4 or 1/4 for the row) (3/4 or 1/4 for the column)
 //
-// Inputs:  coarse            d, pixels
-//          coarse_stiffness  (m, 1/m), any unit, 0 in void
-//          stiffness         (m, 1/m) of the finer level
-// Outputs: fine              d, pixels; 0 in void, and where no coarse neighbour is tissue
-// Border rule: the coarse border site is repeated outwards.
+// Inputs:  coarse            d, pixels; pairs
+//          coarse_stiffness  (m, 1/m), any unit, 0 in void; pairs
+//          stiffness         (m, 1/m) of the finer level; pairs
+// Outputs: fine              d, pixels; 0 in void, and where no coarse neighbour is tissue; pairs
+// Border rule: the coarse border site is repeated outwards. Void beside it comes to the same, since
+// all weights of that column are then smaller by the same factor.
 
-void kernel(ivec2 site)
+vec2 interpolated(ivec2 site)
 {
-    ivec2 size = textureSize(coarse, 0);
+    ivec2 size = sites_of(coarse);
     ivec2 near = clamped(site / 2, size);
     ivec2 far = clamped(near + 2 * (site % 2) - 1, size);
     float total = 0.0;
@@ -19,10 +20,16 @@ void kernel(ivec2 site)
     for (int k = 0; k < 4; ++k) {
         ivec2 from = ivec2(k % 2 == 0 ? near.x : far.x, k < 2 ? near.y : far.y);
         float weight = (k % 2 == 0 ? 0.75 : 0.25) * (k < 2 ? 0.75 : 0.25);
-        weight = texelFetch(coarse_stiffness, from, 0).x > 0.0 ? weight : 0.0;
+        weight = value_at(coarse_stiffness, from).x > 0.0 ? weight : 0.0;
         total += weight;
-        sum += weight * texelFetch(coarse, from, 0).xy;
+        sum += weight * value_at(coarse, from);
     }
-    bool tissue = texelFetch(stiffness, site, 0).x > 0.0;
-    fine = tissue && total > 0.0 ? sum / max(total, 0.0625) : vec2(0.0);
+    bool tissue = value_at(stiffness, site).x > 0.0;
+    return tissue && total > 0.0 ? sum / max(total, 0.0625) : vec2(0.0);
+}
+
+void kernel(ivec2 pair)
+{
+    ivec2 site = first_of(pair);
+    fine = vec4(interpolated(site), interpolated(site + HORIZONTAL));
 }

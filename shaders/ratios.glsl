@@ -3,7 +3,7 @@
 //     straight = (m_t/m_s, m_t/m_u) of the vertical line, then of the horizontal line
 //     diagonal = (m_t/m_s, m_t/m_u) of the diagonal, then of the antidiagonal
 //
-// Inputs:  stiffness  (m, 1/m), any unit, both 0 in void
+// Inputs:  stiffness  (m, 1/m), any unit, both 0 in void; pairs
 // Outputs: straight, diagonal  no unit; both ratios of a clique are 0 where it does not exist
 // Border rule: outside the image is void, so a clique that leaves the image does not exist.
 //
@@ -12,8 +12,8 @@
 /// 1/m, or 0 in void and outside the image.
 float inverse_stiffness(ivec2 site)
 {
-    ivec2 size = textureSize(stiffness, 0);
-    float inverse = texelFetch(stiffness, clamped(site, size), 0).y;
+    ivec2 size = sites_of(stiffness);
+    float inverse = value_at(stiffness, clamped(site, size)).y;
     return in_image(site, size) ? inverse : 0.0;
 }
 
@@ -26,7 +26,7 @@ vec2 ratios_of(ivec2 site, ivec2 line, float m)
 
 void kernel(ivec2 site)
 {
-    float m = texelFetch(stiffness, clamped(site, textureSize(stiffness, 0)), 0).x;
+    float m = value_at(stiffness, site).x;
     straight = vec4(ratios_of(site, VERTICAL, m), ratios_of(site, HORIZONTAL, m));
     diagonal = vec4(ratios_of(site, DIAGONAL, m), ratios_of(site, ANTIDIAGONAL, m));
 }

@@ -1,6 +1,6 @@
-// A kernel as a compute shader: one invocation per site, in groups of GROUP_COLS x GROUP_ROWS.
+// A kernel as a compute shader: one invocation per texel, in groups of GROUP_COLS x GROUP_ROWS.
 //
-// `origin` is where the grid of sites lies in the written textures, `grid` its size and
+// `origin` is where the grid of texels lies in the written textures, `grid` its size and
 // `first_row` where the dispatched range of rows begins.
 // Border rule: invocations beyond the grid do nothing.
 
@@ -16,10 +16,10 @@ vec4 texel(vec4 value) { return value; }
 
 void main()
 {
-    ivec2 site = ivec2(gl_GlobalInvocationID.xy) + ivec2(0, first_row);
-    if (any(greaterThanEqual(site, grid))) {
+    ivec2 at = ivec2(gl_GlobalInvocationID.xy) + ivec2(0, first_row);
+    if (any(greaterThanEqual(at, grid))) {
         return;
     }
-    kernel(site);
-    STORE_OUTPUTS(site + origin)
+    kernel(at);
+    STORE_OUTPUTS(at + origin)
 }

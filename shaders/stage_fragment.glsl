@@ -1,7 +1,7 @@
-// A kernel as a fragment shader: the rasteriser calls it once per site of the viewport.
+// A kernel as a fragment shader: the rasteriser calls it once per texel of the viewport.
 //
 // `origin` is the viewport's corner, so that a kernel can write to a part of a texture.
-// Border rule: the viewport is the grid of sites.
+// Border rule: the viewport is the grid of texels.
 
 uniform ivec2 origin;
 

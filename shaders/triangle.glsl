@@ -1,4 +1,6 @@
-// The vertex shader of every fragment kernel: one triangle that covers the whole viewport.
+// The vertex shader of every fragment kernel: one triangle that covers the whole viewport, half-way
+// into the picture. A kernel that is drawn with a mask runs only where the mask is deeper: it is 1
+// in tissue and 0 in void.
 //
 // Border rule: the triangle's corners lie outside, the rasteriser cuts it to the viewport.
 

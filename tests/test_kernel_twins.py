@@ -15,7 +15,7 @@ from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.backends import SiteRule
 from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.opengl import OpenGLBackend
-from napari_hmrf.backends.opengl.programs import find_bands
+from napari_hmrf.backends.opengl.fields import as_given, as_stored, pairs, singles
 from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.priors import line_weights
 
@@ -161,7 +161,7 @@ def test_a_site_takes_the_best_candidate_everywhere(stage, shape, ratio, spacing
 @pytest.mark.parametrize("spacing", SPACINGS)
 @pytest.mark.parametrize("ratio", RATIOS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_each_sites_share_of_the_energy_is_that_of_the_equations(stage, shape, ratio, spacing):
+def test_each_pairs_share_of_the_energy_is_that_of_the_equations(stage, shape, ratio, spacing):
     given = example(shape, ratio, spacing)
     prior = SeilerPrior(penalty=PENALTY)
     weights = {"weights": line_weights(spacing).astype(np.float32)}
@@ -174,37 +174,62 @@ def test_each_sites_share_of_the_energy_is_that_of_the_equations(stage, shape, r
             around = [backend.upload(given.displacement).texture]
             stiffness = backend.upload(given.stiffness)
             around += backend._ratios(stiffness)
-            bands = backend._bands(stiffness)
+            mask = backend._mask(stiffness)
             around += [backend.upload(given.observation).texture]
             icm = backend._program("icm", {"BLANKET": 0, "STEPS": 0, **square})
             icm.set({**weights, **moving})
             energy = backend._program("energy", square)
             energy.set(weights)
-            moved, first, second = (backend._pool.take(shape, k) for k in (2, 1, 1))
-            backend._run(icm, around, [moved, first], shape, bands=bands)
-            backend._run(energy, around, [second], shape, bands=bands)
+            grid = pairs(shape)
+            moved, first, second = (backend._pool.take(grid, k) for k in (4, 1, 1))
+            backend._run(icm, around, [moved, first], grid, mask=mask)
+            backend._run(energy, around, [second], grid, mask=mask)
             backend._pace.wait()
             return [
-                np.frombuffer(texture.read(), np.float32).reshape(shape)
+                np.frombuffer(texture.read(), np.float32).reshape(grid)
                 for texture in (first, second)
             ]
         finally:
             backend.close()
 
     of_sweep, of_energy = on_compute_thread(shares)
-    expected = prior.site_energy(given.problem, given.displacement * given.problem.unit)
+    of_sites = prior.site_energy(given.problem, given.displacement * given.problem.unit)
+    expected = np.add.reduceat(of_sites, range(0, shape[1], 2), axis=1)
     np.testing.assert_allclose(of_energy, expected, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(of_sweep, of_energy, rtol=1e-6)
 
 
-def test_bands_hold_all_tissue_and_little_else():
-    tissue = np.zeros((37, 20), bool)
-    tissue[3, 5], tissue[15, 9], tissue[36, 0] = True, True, True
-    assert find_bands(tissue)[:, 0].tolist() == [[5, 10], [0, 0], [0, 1]]
+@pytest.mark.parametrize("components", [2, 4])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_fields_are_given_back_as_they_came_whatever_their_width(shape, components):
+    values = np.random.default_rng(0).normal(size=(*shape, components)).astype(np.float32)
+    stored = as_stored(values)
+    assert stored.shape[1] % 2 == 0
+    assert not stored[:, shape[1] :].any()  # the one column more is void
+    np.testing.assert_array_equal(as_given(stored.tobytes(), shape, components), values)
+
+
+def test_the_mask_shows_every_pair_with_tissue_and_no_other():
+    require_opengl("fragment")
+    tissue = np.zeros((7, 9), np.float32)
+    tissue[0, 3], tissue[2, 6], tissue[6, 8] = 1, 0.5, 1e-30
+
+    def shown():
+        backend = OpenGLBackend(lambda: None, "fragment")
+        try:
+            stiffness = backend.upload(np.repeat(tissue[..., None], 2, axis=-1))
+            mask = backend._mask(stiffness)
+            return np.frombuffer(mask.read(), np.float32).reshape(7, 5)
+        finally:
+            backend.close()
+
+    expected = np.zeros((7, 5))
+    expected[0, 1] = expected[2, 3] = expected[6, 4] = 1
+    np.testing.assert_array_equal(on_compute_thread(shown), expected)
 
 
 def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
-    # Only bands with tissue are drawn: whatever a texture held before must not be counted.
+    # Only tissue is drawn: whatever a texture held before must not be counted.
     rows, cols = np.mgrid[:70, :50]
     disc = np.hypot(rows - 35, cols - 25) < 20
     full = Problem(np.ones((70, 50, 2)), np.ones((70, 50, 2)) * disc[..., None], np.ones((70, 50)))
@@ -268,7 +293,7 @@ def test_an_atlas_that_is_full_is_read_and_filled_again(stage, shape, monkeypatc
     def job(backend):
         if isinstance(backend, OpenGLBackend):
             backend._keeps_shares = False
-            monkeypatch.setattr(the_device(), "largest", max(shape))
+            monkeypatch.setattr(the_device(), "largest", max(singles(shape)))
         return swept(backend, given, rule, sweeps=30)
 
     loops, shaders = with_backends(stage, job)

@@ -12,7 +12,7 @@ from napari_hmrf.backends.opengl.source import KERNELS, STAGES, compose, vertice
 from napari_hmrf.resources import resource_folder
 
 FILES = sorted(resource_folder("shaders").glob("*.glsl"))
-SHARED = {"common", "cliques", "stage_fragment", "stage_compute", "triangle", "bands"}
+SHARED = {"common", "cliques", "stage_fragment", "stage_compute", "triangle"}
 
 
 def defines(name: str) -> dict[str, int]:
@@ -105,10 +105,9 @@ def test_a_compilers_message_gets_the_files_name(log):
 
 
 def test_the_vertex_shader_needs_nothing():
-    for kernel in KERNELS.values():
-        text = vertices(kernel).text
-        assert "#version 330" in text
-        assert ("uniform sampler2D bands" in text) == kernel.tissue_only
+    text = vertices().text
+    assert text.startswith("#version 330")
+    assert "uniform" not in text
 
 
 @pytest.mark.parametrize(
@@ -117,7 +116,7 @@ def test_the_vertex_shader_needs_nothing():
         (("icn", "fragment", {}), ["icn", "icm"]),
         (("sum", "geometry", {"BLOCK": 8}), ["geometry", "compute"]),
         (("sum", "fragment", {}), ["sum", "BLOCK"]),
-        (("project", "fragment", {"BLOCK": 8}), ["project", "BLOCK"]),
+        (("project", "fragment", {"BLOCK": 8}), ["project", "PAIRS", "BLOCK"]),
     ],
 )
 def test_a_wrong_request_is_named(arguments, words):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -12,14 +11,22 @@ import numpy as np
 from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, FloatArray, SiteRule
 from napari_hmrf.backends.opengl.context import is_software_renderer
 from napari_hmrf.backends.opengl.device import the_device
+from napari_hmrf.backends.opengl.fields import (
+    GLField,
+    Pool,
+    as_given,
+    as_stored,
+    pairs,
+    singles,
+)
 from napari_hmrf.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.backends.opengl.programs import Bands, Program, find_bands
+from napari_hmrf.backends.opengl.programs import Program
 from napari_hmrf.backends.opengl.source import STAGES, Stage
 from napari_hmrf.backends.opengl.totals import (
     BLOCK,
-    KEPT_SITES,
+    KEPT_SHARES,
     BlockTotals,
-    SiteTotals,
+    PairTotals,
     Totals,
 )
 from napari_hmrf.coarsening import ElasticLevel
@@ -28,22 +35,9 @@ from napari_hmrf.hierarchy import Level
 from napari_hmrf.priors import line_weights
 from napari_hmrf.priors.elastic import ElementShape
 
-# Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32, observation 16,
-# displacement 2 x 8, energy 4; a third more for the coarser levels.
+# Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
+# observation 16, displacement 2 x 8, energy 2; a third more for the coarser levels.
 _BYTES_PER_SITE = 76 * 4 / 3
-
-
-@dataclass(eq=False)
-class GLField:
-    """A float32 texture, (W, H) texels of C components."""
-
-    shape: tuple[int, ...]
-    components: int
-    texture: Any
-    #: Of stiffness: the ratios of each site's cliques, computed when first needed.
-    ratios: list[Any] = field(default_factory=list)
-    #: Of stiffness: where there is tissue, found when first needed.
-    bands: Bands | None = None
 
 
 class OpenGLBackend:
@@ -76,17 +70,18 @@ class OpenGLBackend:
         # A software renderer dispatches while the interpreter, and with it the window, waits.
         longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
         self._pace = Pace(self._device.finish, checkpoint, longest)
-        self._pool = _Pool(self._device.texture)
+        self._pool = Pool(self._device.texture)
         self._keeps_shares = software
         self._targets: dict[tuple[int, ...], Any] = {}
-        self._drawn: dict[tuple[int, ...], Bands | None] = {}
+        self._masks: list[Any] = []
+        self._drawn: dict[tuple[int, ...], Any] = {}
 
     def upload(self, values: FloatArray) -> GLField:
         """Copy values of shape (H, W, C) into a texture."""
         height, width, components = values.shape
         self._refuse_too_large(height, width)
         made = self._field((height, width), components)
-        made.texture.write(np.ascontiguousarray(values, "<f4").tobytes())
+        made.texture.write(as_stored(values))
         self._device.check("uploading an image")
         return made
 
@@ -103,16 +98,21 @@ class OpenGLBackend:
     def project(self, finest: GLField, level: Level) -> GLField:
         """Project by nearest neighbour from level 0."""
         made = self._field(level.shape, finest.components)
-        program = self._program("project")
-        program.set({"level": np.array([level.number], np.int32)})
-        self._run(program, [finest.texture], [made.texture], level.shape)
+        program = self._program("project", {"PAIRS": int(finest.components == 2)})
+        program.set(
+            {
+                "level": np.array([level.number], np.int32),
+                "size": np.array(finest.shape[::-1], np.int32),
+            }
+        )
+        self._run(program, [finest.texture], [made.texture], made.grid)
         return made
 
     def prolong(self, coarse: GLField, coarse_stiffness: GLField, stiffness: GLField) -> GLField:
         """Project displacement one level down, linearly."""
         made = self._field(stiffness.shape, 2)
         inputs = [coarse.texture, coarse_stiffness.texture, stiffness.texture]
-        self._run(self._program("prolong"), inputs, [made.texture], stiffness.shape)
+        self._run(self._program("prolong"), inputs, [made.texture], made.grid)
         return made
 
     def relax(
@@ -124,7 +124,6 @@ class OpenGLBackend:
         sweeps: int,
     ) -> tuple[GLField, EnergyArray]:
         """Move all sites at once, `sweeps` times."""
-        shape = displacement.shape
         defines = {
             "BLANKET": int(rule.blanket),
             "SQUARE": _is_square(rule),
@@ -139,28 +138,28 @@ class OpenGLBackend:
             }
         )
         around = [*self._ratios(stiffness), observation.texture]
-        bands = self._bands(stiffness)
-        source, target = displacement.texture, self._pool.take(shape, 2)
-        totals = self._totals(shape, sweeps)
+        mask = self._mask(stiffness)
+        grid = displacement.grid
+        source, target = displacement.texture, self._pool.take(grid, 4)
+        totals = self._totals(grid, sweeps)
         for _ in range(sweeps):
-            self._run(program, [source, *around], [target, totals.share()], shape, bands=bands)
+            self._run(program, [source, *around], [target, totals.share()], grid, mask=mask)
             totals.add()
             source, target = target, source
         energies = totals.read()
-        self._pool.give(shape, 2, target)
-        return GLField(shape, 2, source), energies
+        self._pool.give(grid, 4, target)
+        return GLField(displacement.shape, 2, source), energies
 
     def energy(
         self, displacement: GLField, stiffness: GLField, observation: GLField, rule: SiteRule
     ) -> float:
         """U_total."""
-        shape = displacement.shape
         program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
-        bands = self._bands(stiffness)
-        totals = self._totals(shape, 1)
-        self._run(program, inputs, [totals.share()], shape, bands=bands)
+        mask = self._mask(stiffness)
+        totals = self._totals(displacement.grid, 1)
+        self._run(program, inputs, [totals.share()], displacement.grid, mask=mask)
         totals.add()
         return float(totals.read()[0])
 
@@ -173,23 +172,24 @@ class OpenGLBackend:
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""
         for released in fields:
-            self._pool.give(released.shape, released.components, released.texture)
+            self._pool.give(released.grid, 4, released.texture, _use(released.components))
             for ratios in released.ratios:
-                self._pool.give(released.shape, 4, ratios)
+                self._pool.give(singles(released.shape), 4, ratios, use="singles")
             released.ratios.clear()
 
     def close(self) -> None:
         """Free every texture; the context and the compiled kernels stay for the next solve."""
-        self._device.free((*self._targets.values(), *self._pool.all))
+        self._device.free((*self._targets.values(), *self._pool.all, *self._masks))
         self._targets.clear()
+        self._masks.clear()
         self._drawn.clear()
-        self._pool = _Pool(self._device.texture)
+        self._pool = Pool(self._device.texture)
 
     def _read(self, field: GLField) -> FloatArray:
         self._wait()
-        values = np.frombuffer(field.texture.read(), np.float32)
+        stored = field.texture.read()
         self._device.check("reading an image")
-        return values.reshape(*field.shape, field.components)
+        return as_given(stored, field.shape, field.components)
 
     def _program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
         return self._device.program(name, self._stage, defines)
@@ -201,50 +201,52 @@ class OpenGLBackend:
         outputs: Sequence[Any],
         grid: tuple[int, ...],
         first_row: int = 0,
-        bands: Bands | None = None,
+        mask: Any = None,
     ) -> None:
-        """Run a kernel over a grid, in as many strips as its size asks for."""
-        target = self._target(outputs) if self._stage == "fragment" else None
+        """Run a kernel over a grid of texels, in as many strips as its size asks for."""
+        target = self._target(outputs, mask) if self._stage == "fragment" else None
         for rows in self._pace.strips(grid):
-            program.run(inputs, outputs, target, grid, first_row, rows, bands)
+            program.run(inputs, outputs, target, grid, first_row, rows)
 
-    def _target(self, outputs: Sequence[Any]) -> Any:
+    def _target(self, outputs: Sequence[Any], mask: Any) -> Any:
         """Make the framebuffer that draws into these textures, or return it."""
-        key = tuple(texture.glo for texture in outputs)
+        key = tuple(texture.glo for texture in (*outputs, mask) if texture is not None)
         if key not in self._targets:
-            self._targets[key] = self._device.ctx.framebuffer(list(outputs))
+            self._targets[key] = self._device.framebuffer(outputs, mask)
         return self._targets[key]
 
     def _ratios(self, stiffness: GLField) -> list[Any]:
         """Return the stiffness ratios of a level; they are the same in all of its sweeps."""
         if not stiffness.ratios:
-            shape = stiffness.shape
-            stiffness.ratios += [self._pool.take(shape, 4), self._pool.take(shape, 4)]
-            self._run(self._program("ratios"), [stiffness.texture], stiffness.ratios, shape)
+            grid = singles(stiffness.shape)
+            made = [self._pool.take(grid, 4, use="singles") for _ in range(2)]
+            stiffness.ratios += made
+            self._run(self._program("ratios"), [stiffness.texture], made, grid)
         return stiffness.ratios
 
-    def _bands(self, stiffness: GLField) -> Bands | None:
+    def _mask(self, stiffness: GLField) -> Any:
         """Return where a level has tissue, for the stage that makes use of it."""
-        if self._stage == "fragment" and stiffness.bands is None:
-            spans = find_bands(self._read(stiffness)[..., 0] > 0)
-            texture = self._pool.take(spans.shape[:2], 2, use="bands")
-            texture.write(spans.tobytes())
-            stiffness.bands = Bands(texture, len(spans))
-        if self._drawn.get(stiffness.shape) is not stiffness.bands:
+        if self._stage == "fragment" and stiffness.mask is None:
+            tissue = np.zeros(singles(stiffness.shape), bool)
+            tissue[:, : stiffness.shape[1]] = self._read(stiffness)[..., 0] > 0
+            stiffness.mask = self._device.mask(tissue[:, ::2] | tissue[:, 1::2])
+            self._masks.append(stiffness.mask)
+        if self._drawn.get(stiffness.grid) is not stiffness.mask:
             # Other tissue on the same grid: what it left must not show up in this one's void.
-            self._drawn[stiffness.shape] = stiffness.bands
-            self._pool.blank(stiffness.shape)
-        return stiffness.bands
+            self._drawn[stiffness.grid] = stiffness.mask
+            self._pool.blank(stiffness.grid)
+        return stiffness.mask
 
     def _field(self, shape: tuple[int, ...], components: int) -> GLField:
-        return GLField(shape, components, self._pool.take(shape, components))
+        grid = pairs(shape) if components == 2 else singles(shape)
+        return GLField(shape, components, self._pool.take(grid, 4, _use(components)))
 
-    def _totals(self, shape: tuple[int, ...], sweeps: int) -> Totals:
+    def _totals(self, grid: tuple[int, ...], sweeps: int) -> Totals:
         wait = self._wait
-        if self._keeps_shares and math.prod(shape) <= KEPT_SITES:
-            return SiteTotals(self._pool, wait, shape, sweeps)
+        if self._keeps_shares and math.prod(grid) <= KEPT_SHARES:
+            return PairTotals(self._pool, wait, grid, sweeps)
         program, largest = self._program("sum", {"BLOCK": BLOCK}), self._device.largest
-        return BlockTotals(program, self._run, self._pool, wait, shape, sweeps, largest)
+        return BlockTotals(program, self._run, self._pool, wait, grid, sweeps, largest)
 
     def _wait(self) -> None:
         self._pace.wait()
@@ -267,37 +269,6 @@ def _is_square(rule: SiteRule) -> int:
     return int(np.array_equal(rule.weights, line_weights((1.0, 1.0))))
 
 
-class _Pool:
-    """The textures of one backend: those in use, and those waiting to be used again."""
-
-    def __init__(self, make: Callable[[tuple[int, ...], int], Any]) -> None:
-        self._make = make
-        self._spare: dict[tuple[tuple[int, ...], int, str], list[Any]] = {}
-        self.all: list[Any] = []
-
-    def take(self, shape: tuple[int, ...], components: int, use: str = "sites") -> Any:
-        """Return a texture; of ``sites`` it holds 0 where the level has no tissue.
-
-        Kernels that run on tissue only rely on that, so that what holds anything else must not
-        come back as sites.
-        """
-        spare = self._spare.get((shape, components, use))
-        if spare:
-            return spare.pop()
-        made = self._make(shape, components)
-        made.write(np.zeros((*shape, components), np.float32).tobytes())
-        self.all.append(made)
-        return made
-
-    def give(
-        self, shape: tuple[int, ...], components: int, texture: Any, use: str = "sites"
-    ) -> None:
-        """Take a texture back for others of the same use."""
-        self._spare.setdefault((shape, components, use), []).append(texture)
-
-    def blank(self, shape: tuple[int, ...]) -> None:
-        """Fill the waiting ``sites`` of a level with 0."""
-        for (size, components, use), waiting in self._spare.items():
-            if size == shape and use == "sites":
-                for texture in waiting:
-                    texture.write(np.zeros((*size, components), np.float32).tobytes())
+def _use(components: int) -> str:
+    """What the texture of a field is used for: only one in pairs may come back as displacement."""
+    return "pairs" if components == 2 else "singles"

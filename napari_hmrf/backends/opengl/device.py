@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.backends.opengl.context import (
     COMPUTE_VERSION,
@@ -49,7 +50,8 @@ class Device:
         self.finish = self._opened.finish
         info = self.ctx.info
         self.renderer = f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
-        self.largest = int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
+        largest = int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
+        self.largest = largest // 2 * 2  # an odd number of columns gets one more
         self.lost = False
         self._programs: dict[Any, Program] = {}
         self._checked: set[str] = set()
@@ -57,6 +59,10 @@ class Device:
         # been released since. So one that stays is put to use before any other is released.
         self._home = self.ctx.simple_framebuffer((1, 1))
         self._home.use()
+        # What is drawn lies half-way into the picture: it shows where a mask is deeper, and
+        # everywhere in a framebuffer that has none.
+        self.ctx.enable_only(self.ctx.DEPTH_TEST)
+        self.ctx.depth_func = "<"
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -81,10 +87,10 @@ class Device:
         return self._programs[key]
 
     def texture(self, shape: tuple[int, ...], components: int) -> Any:
-        """Allocate a float32 texture for a grid of (H, W) sites, or say why it cannot be."""
+        """Allocate a float32 texture of (rows, cols) texels, or say why it cannot be."""
         height, width = shape
         size = height * width * components * 4
-        what = f"an image of {height} x {width} sites ({size / 2**20:.0f} MiB)"
+        what = f"an image of {height} x {width} texels ({size / 2**20:.0f} MiB)"
         if not 0 < max(shape) <= self.largest or min(shape) < 1:
             raise BackendError(
                 f"{self.renderer} takes images of up to {self.largest} x {self.largest}, not "
@@ -104,6 +110,23 @@ class Device:
             )
         texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
         return texture
+
+    def mask(self, shown: npt.NDArray[np.bool_]) -> Any:
+        """Make the depth image that lets a pass run on the texels, (rows, cols), that are shown."""
+        self.check("computing")
+        try:
+            made = self.ctx.depth_texture(shown.shape[::-1])
+            made.write(shown.astype(np.float32))
+        except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
+            self.lose(f"making a mask of {shown.shape[0]} x {shown.shape[1]} texels: {error}")
+        self.check("making a mask")
+        return made
+
+    def framebuffer(self, textures: Sequence[Any], mask: Any = None) -> Any:
+        """Make what draws into textures, where a mask shows them."""
+        made = self.ctx.framebuffer(list(textures), mask)
+        made.depth_mask = False
+        return made
 
     def free(self, objects: Iterable[Any]) -> None:
         """Release textures and framebuffers; nothing to do if they went with the context."""
@@ -175,7 +198,7 @@ class Device:
             made += [self.texture((rows, cols), components) for components in (4, 2, 1)]
             outputs, target = made[1:], None
             if stage == "fragment":
-                target = self.ctx.framebuffer(outputs)
+                target = self.framebuffer(outputs)
                 made.append(target)
             program.run(made[:1], outputs, target, (rows, cols))
             self.finish()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,37 +12,6 @@ from napari_hmrf.backends.opengl.source import GROUP, KERNELS, Stage, compose, v
 from napari_hmrf.errors import BackendError
 
 Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]
-
-
-#: Rows of sites in a band.
-BAND_ROWS = 16
-
-
-@dataclass(frozen=True, eq=False)
-class Bands:
-    """Where a level has tissue: the first and past-last column of each band of rows.
-
-    Attributes
-    ----------
-    texture : moderngl.Texture
-        Two components, one column, a row for each band.
-    count : int
-        How many bands there are.
-    """
-
-    texture: Any
-    count: int
-
-
-def find_bands(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
-    """Find the columns between which each band of rows has tissue; shape (bands, 1, 2)."""
-    rows, _ = tissue.shape
-    found = np.zeros((-(-rows // BAND_ROWS), 1, 2), np.float32)
-    for band in range(len(found)):
-        used = np.flatnonzero(tissue[band * BAND_ROWS : (band + 1) * BAND_ROWS].any(axis=0))
-        if len(used):
-            found[band, 0] = used[0], used[-1] + 1
-    return found
 
 
 class Program(Protocol):
@@ -61,24 +29,22 @@ class Program(Protocol):
         grid: tuple[int, ...],
         first_row: int = 0,
         rows: tuple[int, int] | None = None,
-        bands: Bands | None = None,
     ) -> None:
-        """Run the kernel once at each site; returns before the device has done it.
+        """Run the kernel once for each texel; returns before the device has done it.
 
         Parameters
         ----------
         inputs, outputs : sequence of moderngl.Texture
             In the kernel's order. No texture may be both.
         target : moderngl.Framebuffer or None
-            Of the outputs; for the fragment stage.
+            Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), the kernel is
+            run in tissue only, and other texels keep what they hold.
         grid : (int, int)
-            How many (rows, cols) of sites there are.
+            How many (rows, cols) of texels there are.
         first_row : int
             Row of the outputs at which the grid begins.
         rows : (int, int), optional
             The range of the grid's rows to run; by default all.
-        bands : Bands, optional
-            Where the grid has tissue, for kernels that run there only; by default everywhere.
         """
         ...
 
@@ -102,20 +68,18 @@ def compile_program(
         if stage == "compute":
             program = ctx.compute_shader(source.text)
         else:
-            program = ctx.program(
-                vertex_shader=vertices(KERNELS[name]).text, fragment_shader=source.text
-            )
+            program = ctx.program(vertex_shader=vertices().text, fragment_shader=source.text)
     except Exception as error:
         raise BackendError(
             f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
             f"report this with what follows\n{source.explain(str(error))}"
         ) from error
-    for unit, texture in enumerate((*KERNELS[name].inputs, "bands")):
+    for unit, texture in enumerate(KERNELS[name].inputs):
         if texture in program:
             program[texture].value = unit
     if stage == "compute":
         return _Compute(ctx, program)
-    return _Bands(ctx, program) if KERNELS[name].tissue_only else _Fragment(ctx, program)
+    return _Fragment(ctx, program)
 
 
 class _Compiled:
@@ -159,7 +123,6 @@ class _Fragment(_Compiled):
         grid: tuple[int, ...],
         first_row: int = 0,
         rows: tuple[int, int] | None = None,
-        bands: Bands | None = None,
     ) -> None:
         for unit, texture in enumerate(inputs):
             texture.use(unit)
@@ -168,30 +131,15 @@ class _Fragment(_Compiled):
         target.viewport = (0, first_row, width, height)
         target.use()
         if rows is None:
-            self._draw(inputs, grid, bands)
+            self._vertices.render(vertices=3)
             return
         target.scissor = (0, first_row + rows[0], width, rows[1] - rows[0])
-        self._draw(inputs, grid, bands)
-        target.scissor = None
-
-    def _draw(self, inputs: Sequence[Any], grid: tuple[int, ...], bands: Bands | None) -> None:
         self._vertices.render(vertices=3)
+        target.scissor = None
 
     def release(self) -> None:
         self._vertices.release()
         super().release()
-
-
-class _Bands(_Fragment):
-    """A fragment shader over the bands of rows that hold tissue."""
-
-    def _draw(self, inputs: Sequence[Any], grid: tuple[int, ...], bands: Bands | None) -> None:
-        if bands is None:
-            raise ValueError("this kernel is drawn where there is tissue, and needs to know where")
-        bands.texture.use(len(inputs))
-        self._place("grid", *reversed(grid))
-        self._place("band_rows", BAND_ROWS)
-        self._vertices.render(mode=self._ctx.TRIANGLE_STRIP, vertices=4, instances=bands.count)
 
 
 class _Compute(_Compiled):
@@ -205,7 +153,6 @@ class _Compute(_Compiled):
         grid: tuple[int, ...],
         first_row: int = 0,
         rows: tuple[int, int] | None = None,
-        bands: Bands | None = None,
     ) -> None:
         for unit, texture in enumerate(inputs):
             texture.use(unit)

@@ -1,8 +1,9 @@
 """From the kernels' text to the shaders' text: one file per kernel, two stages.
 
-A kernel is a function ``kernel(ivec2 site)`` that reads textures and assigns its outputs. The same
-text becomes a fragment shader (OpenGL 3.3, outputs are render targets) or a compute shader
-(OpenGL 4.3, outputs are images). Needs no OpenGL: it is text in, text out.
+A kernel is a function ``kernel(ivec2)`` that reads textures and assigns its outputs, the values of
+one texel: those of a site or of a pair of sites (``common.glsl``). The same text becomes a fragment
+shader (OpenGL 3.3, outputs are render targets) or a compute shader (OpenGL 4.3, images). Needs no
+OpenGL: it is text in, text out.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Stage = Literal["fragment", "compute"]
 STAGES: tuple[str, ...] = get_args(Stage)
 Define = int
 
-#: Sites of a compute work group, (rows, cols).
+#: Texels of a compute work group, (rows, cols).
 GROUP = (8, 8)
 
 _VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
@@ -48,9 +49,6 @@ class Kernel:
         Names that must be given a value to compile it.
     cliques : bool
         Whether it needs ``cliques.glsl``.
-    tissue_only : bool
-        Whether its outputs are 0 wherever there is no tissue, so that the fragment stage, given
-        the bands of rows that hold tissue, need not run it elsewhere.
     """
 
     name: str
@@ -58,7 +56,6 @@ class Kernel:
     outputs: Mapping[str, int]
     defines: tuple[str, ...] = ()
     cliques: bool = False
-    tissue_only: bool = False
 
 
 _SITE = ("displacement", "straight", "diagonal", "observation")
@@ -67,18 +64,17 @@ _SITE = ("displacement", "straight", "diagonal", "observation")
 KERNELS: Mapping[str, Kernel] = {
     kernel.name: kernel
     for kernel in (
-        Kernel("project", ("finest",), {"values": 4}),
-        Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 2}),
+        Kernel("project", ("finest",), {"values": 4}, ("PAIRS",)),
+        Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 4}),
         Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
         Kernel(
             "icm",
             _SITE,
-            {"moved": 2, "share": 1},
+            {"moved": 4, "share": 1},
             ("BLANKET", "SQUARE", "STEPS"),
             cliques=True,
-            tissue_only=True,
         ),
-        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True, tissue_only=True),
+        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
         Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
     )
@@ -162,10 +158,9 @@ def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None
     return _joined(_VERSIONS[stage], head, files)
 
 
-def vertices(kernel: Kernel) -> Source:
-    """The vertex shader that a kernel's fragment shader is drawn with."""
-    name = "bands" if kernel.tissue_only else "triangle"
-    return _joined(_VERSIONS["vertex"], [], [name])
+def vertices() -> Source:
+    """The vertex shader that every fragment shader is drawn with."""
+    return _joined(_VERSIONS["vertex"], [], ["triangle"])
 
 
 def _outputs(kernel: Kernel, stage: Stage) -> list[str]:

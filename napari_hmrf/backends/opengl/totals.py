@@ -13,12 +13,12 @@ import numpy as np
 from napari_hmrf.backends.base import EnergyArray
 from napari_hmrf.backends.opengl.programs import Program
 
-#: Rows and columns of sites whose energies one invocation of the sum adds up.
+#: Rows and columns of shares that one invocation of the sum adds up.
 BLOCK = 8
 
-#: Up to this many sites a software renderer keeps the shares of every sweep, as they are: to it a
-#: pass costs at least 30 microseconds and reading a small image one.
-KEPT_SITES = 2**17
+#: Up to this many shares a software renderer keeps those of every sweep, as they are: to it a pass
+#: costs at least 30 microseconds and reading a small image one.
+KEPT_SHARES = 2**16
 
 # How many sweeps are kept before they are read.
 _KEPT_SWEEPS = 16
@@ -28,14 +28,14 @@ Run = Callable[[Program, list[Any], list[Any], tuple[int, ...], int], None]
 
 
 class Textures(Protocol):
-    """Where textures come from and go back to; (H, W) and components."""
+    """Where textures come from and go back to; (rows, cols) of texels and components."""
 
-    def take(self, shape: tuple[int, ...], components: int, use: str = "sites") -> Any:
-        """Return a texture; of ``sites`` it holds 0 where the level has no tissue."""
+    def take(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
+        """Return a texture; of ``pairs`` it holds 0 where the level has no tissue."""
         ...
 
     def give(
-        self, shape: tuple[int, ...], components: int, texture: Any, use: str = "sites"
+        self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
         """Take a texture back for others of the same use."""
         ...
@@ -45,7 +45,7 @@ class Totals(Protocol):
     """U_total of one sweep after the other."""
 
     def share(self) -> Any:
-        """The texture that the next sweep writes the sites' shares to."""
+        """The texture that the next sweep writes the shares of its pairs of sites to."""
         ...
 
     def add(self) -> None:
@@ -58,7 +58,7 @@ class Totals(Protocol):
 
 
 class BlockTotals:
-    """The device adds up blocks of sites; the blocks of a sweep fill one strip of an atlas.
+    """The device adds up blocks of shares; the blocks of a sweep fill one strip of an atlas.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ class BlockTotals:
     textures : Textures
     wait : callable
         Waits for the device.
-    shape : (int, int)
-        The level's grid.
+    grid : (int, int)
+        How many (rows, cols) of shares there are.
     sweeps : int
         How many there will be.
     largest : int
@@ -83,18 +83,18 @@ class BlockTotals:
         run: Run,
         textures: Textures,
         wait: Callable[[], None],
-        shape: tuple[int, ...],
+        grid: tuple[int, ...],
         sweeps: int,
         largest: int,
     ) -> None:
         self._program, self._run, self._textures, self._wait = program, run, textures, wait
-        self._shape = shape
-        self._blocks = tuple(-(-size // BLOCK) for size in shape)
+        self._grid = grid
+        self._blocks = tuple(-(-size // BLOCK) for size in grid)
         rows, cols = self._blocks
         self._strips = max(1, min(sweeps, largest // rows))
         self._atlas_shape = (rows * self._strips, cols)
         self._atlas = textures.take(self._atlas_shape, 1, use="atlas")
-        self._share = textures.take(shape, 1)
+        self._share = textures.take(grid, 1)
         self._used = 0
         self._energies: list[float] = []
 
@@ -114,7 +114,7 @@ class BlockTotals:
         """Add the blocks up in double precision."""
         self._flush()
         self._textures.give(self._atlas_shape, 1, self._atlas, use="atlas")
-        self._textures.give(self._shape, 1, self._share)
+        self._textures.give(self._grid, 1, self._share)
         return np.array(self._energies)
 
     def _flush(self) -> None:
@@ -124,25 +124,27 @@ class BlockTotals:
         self._used = 0
 
 
-class SiteTotals:
-    """Every sweep has a texture of its own; the host adds the sites up.
+class PairTotals:
+    """Every sweep has a texture of its own; the host adds the shares up.
 
     Parameters
     ----------
     textures : Textures
     wait : callable
         Waits for the device.
-    shape : (int, int)
-        The level's grid.
+    grid : (int, int)
+        How many (rows, cols) of shares there are.
     sweeps : int
         How many there will be.
     """
 
     def __init__(
-        self, textures: Textures, wait: Callable[[], None], shape: tuple[int, ...], sweeps: int
+        self, textures: Textures, wait: Callable[[], None], grid: tuple[int, ...], sweeps: int
     ) -> None:
-        self._textures, self._wait, self._shape = textures, wait, shape
-        self._shares = [textures.take(shape, 1) for _ in range(max(1, min(sweeps, _KEPT_SWEEPS)))]
+        self._textures, self._wait, self._grid = textures, wait, grid
+        kept = max(1, min(sweeps, _KEPT_SWEEPS))
+        self._shares = [textures.take(grid, 1) for _ in range(kept)]
+        self._read = np.empty((kept, *grid), np.float32)
         self._used = 0
         self._energies: list[float] = []
 
@@ -157,15 +159,16 @@ class SiteTotals:
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the sites of a row up, and the rows in double precision."""
+        """Add the shares of a row up, and the rows in double precision."""
         self._flush()
         for share in reversed(self._shares):
-            self._textures.give(self._shape, 1, share)
+            self._textures.give(self._grid, 1, share)
         return np.array(self._energies)
 
     def _flush(self) -> None:
         self._wait()
-        for share in self._shares[: self._used]:
-            rows = np.frombuffer(share.read(), np.float32).reshape(self._shape).sum(axis=1)
-            self._energies.append(float(rows.sum(dtype=np.float64)))
+        for sweep in range(self._used):
+            self._shares[sweep].read_into(self._read, write_offset=sweep * self._read[0].nbytes)
+        rows = self._read[: self._used].sum(axis=2)
+        self._energies += rows.sum(axis=1, dtype=np.float64).tolist()
         self._used = 0
