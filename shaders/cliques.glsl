@@ -32,13 +32,12 @@ struct Evidence {
 void add_middle(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 s, vec2 u)
 {
     float exists = ratio.x > 0.0 ? 1.0 : 0.0;
-    vec2 steep = 1.0 + ratio;
+    vec2 steep = exists + ratio;
     vec2 first = ratio.y * s + u;
     vec2 second = ratio.x * u + s;
-    vec2 counted = weight * exists;
-    evidence.curvature += counted * (steep.y * steep.y + steep.x * steep.x);
-    evidence.slope += counted * (steep.y * first + steep.x * second);
-    vec2 energy = counted * (first * first + second * second);
+    evidence.curvature += weight * (steep.y * steep.y + steep.x * steep.x);
+    evidence.slope += weight * (steep.y * first + steep.x * second);
+    vec2 energy = weight * exists * (first * first + second * second);
     evidence.energy += energy.x + energy.y;
 }
 

@@ -1,7 +1,8 @@
 // A kernel as a fragment shader: the rasteriser calls it once per texel of the viewport.
 //
-// `origin` is the viewport's corner, so that a kernel can write to a part of a texture.
-// Border rule: the viewport is the grid of texels.
+// `origin` is where texel (0, 0) lies in the written textures; the viewport is the window of texels
+// that is run.
+// Border rule: nothing outside of the viewport is run.
 
 uniform ivec2 origin;
 

@@ -174,7 +174,7 @@ def test_each_pairs_share_of_the_energy_is_that_of_the_equations(stage, shape, r
             around = [backend.upload(given.displacement).texture]
             stiffness = backend.upload(given.stiffness)
             around += backend._ratios(stiffness)
-            mask = backend._mask(stiffness)
+            tissue = backend._tissue(stiffness)
             around += [backend.upload(given.observation).texture]
             icm = backend._program("icm", {"BLANKET": 0, "STEPS": 0, **square})
             icm.set({**weights, **moving})
@@ -182,8 +182,8 @@ def test_each_pairs_share_of_the_energy_is_that_of_the_equations(stage, shape, r
             energy.set(weights)
             grid = pairs(shape)
             moved, first, second = (backend._pool.take(grid, k) for k in (4, 1, 1))
-            backend._run(icm, around, [moved, first], grid, mask=mask)
-            backend._run(energy, around, [second], grid, mask=mask)
+            backend._run(icm, around, [moved, first], grid, tissue=tissue)
+            backend._run(energy, around, [second], grid, tissue=tissue)
             backend._pace.wait()
             return [
                 np.frombuffer(texture.read(), np.float32).reshape(grid)
@@ -209,7 +209,7 @@ def test_fields_are_given_back_as_they_came_whatever_their_width(shape, componen
     np.testing.assert_array_equal(as_given(stored.tobytes(), shape, components), values)
 
 
-def test_the_mask_shows_every_pair_with_tissue_and_no_other():
+def test_the_mask_shows_every_pair_with_tissue_and_no_other_within_its_window():
     require_opengl("fragment")
     tissue = np.zeros((7, 9), np.float32)
     tissue[0, 3], tissue[2, 6], tissue[6, 8] = 1, 0.5, 1e-30
@@ -218,14 +218,16 @@ def test_the_mask_shows_every_pair_with_tissue_and_no_other():
         backend = OpenGLBackend(lambda: None, "fragment")
         try:
             stiffness = backend.upload(np.repeat(tissue[..., None], 2, axis=-1))
-            mask = backend._mask(stiffness)
-            return np.frombuffer(mask.read(), np.float32).reshape(7, 5)
+            found = backend._tissue(stiffness)
+            return np.frombuffer(found.mask.read(), np.float32).reshape(7, 5), found.window
         finally:
             backend.close()
 
     expected = np.zeros((7, 5))
     expected[0, 1] = expected[2, 3] = expected[6, 4] = 1
-    np.testing.assert_array_equal(on_compute_thread(shown), expected)
+    mask, window = on_compute_thread(shown)
+    np.testing.assert_array_equal(mask, expected)
+    assert window == (0, 1, 7, 5)
 
 
 def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):

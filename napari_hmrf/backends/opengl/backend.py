@@ -14,13 +14,16 @@ from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.backends.opengl.fields import (
     GLField,
     Pool,
+    Tissue,
     as_given,
     as_stored,
     pairs,
+    pairs_with_tissue,
     singles,
+    window_around,
 )
 from napari_hmrf.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.backends.opengl.programs import Program
+from napari_hmrf.backends.opengl.programs import Program, Window
 from napari_hmrf.backends.opengl.source import STAGES, Stage
 from napari_hmrf.backends.opengl.totals import (
     BLOCK,
@@ -72,9 +75,9 @@ class OpenGLBackend:
         self._pace = Pace(self._device.finish, checkpoint, longest)
         self._pool = Pool(self._device.texture)
         self._keeps_shares = software
-        self._targets: dict[tuple[int, ...], Any] = {}
+        self._targets: dict[tuple[Any, ...], Any] = {}
         self._masks: list[Any] = []
-        self._drawn: dict[tuple[int, ...], Any] = {}
+        self._drawn: dict[tuple[int, ...], Tissue | None] = {}
 
     def upload(self, values: FloatArray) -> GLField:
         """Copy values of shape (H, W, C) into a texture."""
@@ -138,12 +141,12 @@ class OpenGLBackend:
             }
         )
         around = [*self._ratios(stiffness), observation.texture]
-        mask = self._mask(stiffness)
+        tissue = self._tissue(stiffness)
         grid = displacement.grid
         source, target = displacement.texture, self._pool.take(grid, 4)
         totals = self._totals(grid, sweeps)
         for _ in range(sweeps):
-            self._run(program, [source, *around], [target, totals.share()], grid, mask=mask)
+            self._run(program, [source, *around], [target, totals.share()], grid, tissue=tissue)
             totals.add()
             source, target = target, source
         energies = totals.read()
@@ -157,9 +160,9 @@ class OpenGLBackend:
         program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
-        mask = self._mask(stiffness)
+        tissue = self._tissue(stiffness)
         totals = self._totals(displacement.grid, 1)
-        self._run(program, inputs, [totals.share()], displacement.grid, mask=mask)
+        self._run(program, inputs, [totals.share()], displacement.grid, tissue=tissue)
         totals.add()
         return float(totals.read()[0])
 
@@ -201,17 +204,20 @@ class OpenGLBackend:
         outputs: Sequence[Any],
         grid: tuple[int, ...],
         first_row: int = 0,
-        mask: Any = None,
+        tissue: Tissue | None = None,
     ) -> None:
         """Run a kernel over a grid of texels, in as many strips as its size asks for."""
-        target = self._target(outputs, mask) if self._stage == "fragment" else None
-        for rows in self._pace.strips(grid):
-            program.run(inputs, outputs, target, grid, first_row, rows)
+        window = Window(0, 0, *grid) if tissue is None else tissue.window
+        target = self._target(outputs, tissue) if self._stage == "fragment" else None
+        for rows in self._pace.strips(window.size):
+            part = window if rows is None else window.strip(*rows)
+            program.run(inputs, outputs, target, part, first_row)
 
-    def _target(self, outputs: Sequence[Any], mask: Any) -> Any:
+    def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
         """Make the framebuffer that draws into these textures, or return it."""
-        key = tuple(texture.glo for texture in (*outputs, mask) if texture is not None)
+        key = (*outputs, tissue)
         if key not in self._targets:
+            mask = None if tissue is None else tissue.mask
             self._targets[key] = self._device.framebuffer(outputs, mask)
         return self._targets[key]
 
@@ -224,18 +230,17 @@ class OpenGLBackend:
             self._run(self._program("ratios"), [stiffness.texture], made, grid)
         return stiffness.ratios
 
-    def _mask(self, stiffness: GLField) -> Any:
-        """Return where a level has tissue, for the stage that makes use of it."""
-        if self._stage == "fragment" and stiffness.mask is None:
-            tissue = np.zeros(singles(stiffness.shape), bool)
-            tissue[:, : stiffness.shape[1]] = self._read(stiffness)[..., 0] > 0
-            stiffness.mask = self._device.mask(tissue[:, ::2] | tissue[:, 1::2])
-            self._masks.append(stiffness.mask)
-        if self._drawn.get(stiffness.grid) is not stiffness.mask:
+    def _tissue(self, stiffness: GLField) -> Tissue | None:
+        """Find where a level has tissue, for the stage that makes use of it."""
+        if self._stage == "fragment" and stiffness.tissue is None:
+            shown = pairs_with_tissue(self._read(stiffness)[..., 0])
+            stiffness.tissue = Tissue(self._device.mask(shown), window_around(shown))
+            self._masks.append(stiffness.tissue.mask)
+        if self._drawn.get(stiffness.grid) is not stiffness.tissue:
             # Other tissue on the same grid: what it left must not show up in this one's void.
-            self._drawn[stiffness.grid] = stiffness.mask
+            self._drawn[stiffness.grid] = stiffness.tissue
             self._pool.blank(stiffness.grid)
-        return stiffness.mask
+        return stiffness.tissue
 
     def _field(self, shape: tuple[int, ...], components: int) -> GLField:
         grid = pairs(shape) if components == 2 else singles(shape)

@@ -19,7 +19,7 @@ from napari_hmrf.backends.opengl.context import (
     is_software_renderer,
     open_context,
 )
-from napari_hmrf.backends.opengl.programs import Program, compile_program
+from napari_hmrf.backends.opengl.programs import Program, Window, compile_program
 from napari_hmrf.backends.opengl.source import Stage
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError
@@ -200,7 +200,7 @@ class Device:
             if stage == "fragment":
                 target = self.framebuffer(outputs)
                 made.append(target)
-            program.run(made[:1], outputs, target, (rows, cols))
+            program.run(made[:1], outputs, target, Window(0, 0, rows, cols))
             self.finish()
             answers = [
                 np.frombuffer(output.read(), np.float32).reshape(rows, cols, -1)

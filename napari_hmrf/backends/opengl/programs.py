@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,24 @@ from napari_hmrf.backends.opengl.source import GROUP, KERNELS, Stage, compose, v
 from napari_hmrf.errors import BackendError
 
 Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]
+
+
+class Window(NamedTuple):
+    """A rectangle of a grid's texels: rows ``top`` to ``bottom``, columns ``left`` to ``right``."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """How many rows and columns it has."""
+        return self.bottom - self.top, self.right - self.left
+
+    def strip(self, begin: int, end: int) -> Window:
+        """Return some of its rows, counted from its top."""
+        return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
 class Program(Protocol):
@@ -26,11 +44,10 @@ class Program(Protocol):
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         target: Any,
-        grid: tuple[int, ...],
+        window: Window,
         first_row: int = 0,
-        rows: tuple[int, int] | None = None,
     ) -> None:
-        """Run the kernel once for each texel; returns before the device has done it.
+        """Run the kernel once for each texel of a window; returns before the device has done it.
 
         Parameters
         ----------
@@ -39,12 +56,10 @@ class Program(Protocol):
         target : moderngl.Framebuffer or None
             Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), the kernel is
             run in tissue only, and other texels keep what they hold.
-        grid : (int, int)
-            How many (rows, cols) of texels there are.
+        window : Window
+            The texels to run.
         first_row : int
-            Row of the outputs at which the grid begins.
-        rows : (int, int), optional
-            The range of the grid's rows to run; by default all.
+            Row of the outputs in which the grid of texels begins.
         """
         ...
 
@@ -109,7 +124,7 @@ class _Compiled:
 
 
 class _Fragment(_Compiled):
-    """A fragment shader over a full-screen triangle."""
+    """A fragment shader over a triangle that fills the window."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         super().__init__(ctx, program)
@@ -120,22 +135,16 @@ class _Fragment(_Compiled):
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         target: Any,
-        grid: tuple[int, ...],
+        window: Window,
         first_row: int = 0,
-        rows: tuple[int, int] | None = None,
     ) -> None:
         for unit, texture in enumerate(inputs):
             texture.use(unit)
-        height, width = grid
+        rows, cols = window.size
         self._place("origin", 0, first_row)
-        target.viewport = (0, first_row, width, height)
+        target.viewport = (window.left, first_row + window.top, cols, rows)
         target.use()
-        if rows is None:
-            self._vertices.render(vertices=3)
-            return
-        target.scissor = (0, first_row + rows[0], width, rows[1] - rows[0])
         self._vertices.render(vertices=3)
-        target.scissor = None
 
     def release(self) -> None:
         self._vertices.release()
@@ -143,25 +152,23 @@ class _Fragment(_Compiled):
 
 
 class _Compute(_Compiled):
-    """A compute shader over work groups that cover the grid."""
+    """A compute shader over work groups that cover the window."""
 
     def run(
         self,
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         target: Any,
-        grid: tuple[int, ...],
+        window: Window,
         first_row: int = 0,
-        rows: tuple[int, int] | None = None,
     ) -> None:
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         for unit, texture in enumerate(outputs):
             texture.bind_to_image(unit, read=False, write=True)
-        height, width = grid
-        begin, end = rows or (0, height)
+        rows, cols = window.size
         self._place("origin", 0, first_row)
-        self._place("grid", width, end)
-        self._place("first_row", begin)
-        self._program.run(-(-width // GROUP[1]), -(-(end - begin) // GROUP[0]))
+        self._place("begin", window.left, window.top)
+        self._place("end", window.right, window.bottom)
+        self._program.run(-(-cols // GROUP[1]), -(-rows // GROUP[0]))
         self._ctx.memory_barrier()
