@@ -419,7 +419,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(opengl, monkeypatch, file, righ
         on_compute_thread(lambda: the_device().release())
         shaders = solve(problem, prior, CLOSED_FORM, backend="opengl:fragment")
     except BackendError as error:
-        assert "not numbers" in str(error)  # so wrong that solve() itself has noticed
+        assert "not numbers" in str(error)  # noqa: PT017 - so wrong that solve() noticed
         return
     finally:
         on_compute_thread(lambda: the_device().release())
