@@ -1,7 +1,9 @@
-"""What tests with a window share."""
+"""What tests with a window share; where there is no display they are skipped."""
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -10,6 +12,21 @@ import numpy as np
 import pytest
 
 from napari_hmrf.backends.thread import compute_thread
+
+
+# Asking for any of these starts Qt, which aborts the whole process where there is no display.
+_NEEDS_DISPLAY = {"qapp", "qtbot", "make_napari_viewer", "make_napari_viewer_proxy"}
+
+
+def pytest_collection_modifyitems(items):
+    """Skip what starts Qt where it cannot; ``make test`` brings a display."""
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform != "linux" or shown or os.environ.get("QT_QPA_PLATFORM") == "offscreen":
+        return
+    skip = pytest.mark.skip(reason="no display here; make test brings one")
+    for item in items:
+        if _NEEDS_DISPLAY & set(item.fixturenames):
+            item.add_marker(skip)
 
 
 @pytest.fixture
