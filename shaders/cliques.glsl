@@ -53,47 +53,50 @@ void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 f
         counted * (ratio.y * (ratio.y * near + far) + (ratio.x * far + near));
 }
 
-/// The displacements of a site and of the eight sites around it, each row from left to right.
-struct Around {
-    vec2 above[3];
-    vec2 here[3];
-    vec2 below[3];
-};
+// The displacements around a pair: three rows of four sites, the pair being sites 1 and 2 of the
+// middle one. An invocation may do several pairs, one below the other; for each after the first it
+// has two of the three rows already.
+vec2 above[4];
+vec2 here[4];
+vec2 below[4];
 
-/// Read what lies around both sites of a pair.
-void look_around(ivec2 pair, out Around first, out Around second)
+/// Read a pair and the sites before and after it.
+void read_row(ivec2 pair, out vec2 row[4])
 {
-    ivec2 last = textureSize(displacement, 0) - 1;
-    ivec2 before = max(pair - 1, 0);
-    ivec2 after = min(pair + 1, last);
-    vec2 left = texelFetch(displacement, before, 0).zw;
-    vec4 both = texelFetch(displacement, ivec2(pair.x, before.y), 0);
-    vec2 right = texelFetch(displacement, ivec2(after.x, before.y), 0).xy;
-    first.above = vec2[3](left, both.xy, both.zw);
-    second.above = vec2[3](both.xy, both.zw, right);
-    left = texelFetch(displacement, ivec2(before.x, pair.y), 0).zw;
-    both = texelFetch(displacement, pair, 0);
-    right = texelFetch(displacement, ivec2(after.x, pair.y), 0).xy;
-    first.here = vec2[3](left, both.xy, both.zw);
-    second.here = vec2[3](both.xy, both.zw, right);
-    left = texelFetch(displacement, ivec2(before.x, after.y), 0).zw;
-    both = texelFetch(displacement, ivec2(pair.x, after.y), 0);
-    right = texelFetch(displacement, after, 0).xy;
-    first.below = vec2[3](left, both.xy, both.zw);
-    second.below = vec2[3](both.xy, both.zw, right);
+    ivec2 size = textureSize(displacement, 0);
+    vec4 both = texelFetch(displacement, clamped(pair, size), 0);
+    row[0] = texelFetch(displacement, clamped(pair - HORIZONTAL, size), 0).zw;
+    row[1] = both.xy;
+    row[2] = both.zw;
+    row[3] = texelFetch(displacement, clamped(pair + HORIZONTAL, size), 0).xy;
 }
 
-/// What the four cliques that a site is the middle of say.
-Evidence centred(ivec2 site, Around near)
+/// Get ready for an invocation's first pair. The stage does this, once.
+void enter(ivec2 pair)
 {
-    vec2 d = near.here[1];
+    read_row(pair - VERTICAL, here);
+    read_row(pair, below);
+}
+
+/// Get ready for a pair: the first, or the one below the last.
+void look_around(ivec2 pair)
+{
+    above = here;
+    here = below;
+    read_row(pair + VERTICAL, below);
+}
+
+/// What the four cliques say that a site, number k of the middle row, is the middle of.
+Evidence centred(ivec2 site, int k)
+{
+    vec2 d = here[k];
     vec4 ratios_0 = texelFetch(straight, site, 0);
     vec4 ratios_1 = texelFetch(diagonal, site, 0);
     Evidence evidence = Evidence(vec2(0.0), vec2(0.0), 0.0);
-    add_middle(evidence, weights[0], ratios_0.xy, near.above[1] - d, near.below[1] - d);
-    add_middle(evidence, weights[1], ratios_0.zw, near.here[0] - d, near.here[2] - d);
-    add_middle(evidence, weights[2], ratios_1.xy, near.above[0] - d, near.below[2] - d);
-    add_middle(evidence, weights[3], ratios_1.zw, near.above[2] - d, near.below[0] - d);
+    add_middle(evidence, weights[0], ratios_0.xy, above[k] - d, below[k] - d);
+    add_middle(evidence, weights[1], ratios_0.zw, here[k - 1] - d, here[k + 1] - d);
+    add_middle(evidence, weights[2], ratios_1.xy, above[k - 1] - d, below[k + 1] - d);
+    add_middle(evidence, weights[3], ratios_1.zw, above[k + 1] - d, below[k - 1] - d);
     return evidence;
 }
 

@@ -10,12 +10,15 @@
 // Outputs: share         pixels squared; one value for a pair
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
+/// The share of a site, number k of the middle row.
+float share_of(ivec2 site, int k)
+{
+    return centred(site, k).energy + observed(here[k], texelFetch(observation, site, 0));
+}
+
 void kernel(ivec2 pair)
 {
-    Around first, second;
-    look_around(pair, first, second);
-    ivec2 site = first_of(pair);
-    share = centred(site, first).energy + observed(first.here[1], texelFetch(observation, site, 0));
-    site += HORIZONTAL;
-    share += centred(site, second).energy + observed(second.here[1], texelFetch(observation, site, 0));
+    look_around(pair);
+    ivec2 site = first_of(clamped(pair, textureSize(displacement, 0)));
+    share = share_of(site, 1) + share_of(site + HORIZONTAL, 2);
 }

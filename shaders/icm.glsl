@@ -75,12 +75,12 @@ void add_ends(
 }
 #endif
 
-/// Where a site moves to, and what it gives to U_total before that.
-vec2 move(ivec2 site, Around near, out float energy)
+/// Where a site, number k of the middle row, moves to, and what it gives to U_total before that.
+vec2 move(ivec2 site, int k, out float energy)
 {
-    vec2 d = near.here[1];
+    vec2 d = here[k];
     vec4 seen = texelFetch(observation, site, 0);
-    Evidence evidence = centred(site, near);
+    Evidence evidence = centred(site, k);
     energy = evidence.energy + observed(d, seen);
 #if BLANKET
     add_ends(evidence, site, d, VERTICAL, weights[0], straight, false);
@@ -94,11 +94,10 @@ vec2 move(ivec2 site, Around near, out float energy)
 
 void kernel(ivec2 pair)
 {
-    Around first, second;
-    look_around(pair, first, second);
-    ivec2 site = first_of(pair);
+    look_around(pair);
+    ivec2 site = first_of(clamped(pair, textureSize(displacement, 0)));
     vec2 energy;
-    moved.xy = move(site, first, energy.x);
-    moved.zw = move(site + HORIZONTAL, second, energy.y);
+    moved.xy = move(site, 1, energy.x);
+    moved.zw = move(site + HORIZONTAL, 2, energy.y);
     share = energy.x + energy.y;
 }

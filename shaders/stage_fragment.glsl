@@ -8,5 +8,9 @@ uniform ivec2 origin;
 
 void main()
 {
-    kernel(ivec2(gl_FragCoord.xy) - origin);
+    ivec2 at = ivec2(gl_FragCoord.xy) - origin;
+#if CLIQUES
+    enter(at);
+#endif
+    kernel(at);
 }

@@ -14,7 +14,8 @@ from opengl_here import on_compute_thread, require_opengl
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.backends import SiteRule
 from napari_hmrf.backends.cpu import CpuBackend
-from napari_hmrf.backends.opengl import OpenGLBackend
+from napari_hmrf.backends.opengl import OpenGLBackend, regions
+from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.backends.opengl.fields import as_given, as_stored, pairs, singles
 from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.priors import line_weights
@@ -219,7 +220,7 @@ def test_the_mask_shows_every_pair_with_tissue_and_no_other_within_its_window():
         try:
             stiffness = backend.upload(np.repeat(tissue[..., None], 2, axis=-1))
             found = backend._tissue(stiffness)
-            return np.frombuffer(found.mask.read(), np.float32).reshape(7, 5), found.window
+            return np.frombuffer(found.mask.read(), np.float32).reshape(7, 5), found.region
         finally:
             backend.close()
 
@@ -228,6 +229,40 @@ def test_the_mask_shows_every_pair_with_tissue_and_no_other_within_its_window():
     mask, window = on_compute_thread(shown)
     np.testing.assert_array_equal(mask, expected)
     assert window == (0, 1, 7, 5)
+
+
+@pytest.mark.parametrize("across", [1, 3, 256])
+def test_every_work_group_with_tissue_is_listed(across, monkeypatch):
+    monkeypatch.setattr(regions, "_ACROSS", across)
+    shown = np.zeros((40, 21), bool)
+    some = [(0, 0), (7, 7), (8, 8), (9, 9), (39, 20), (31, 3), (16, 15)]
+    shown[tuple(np.transpose(some))] = True
+    places = regions.groups_with(shown)
+    assert places.shape[1] <= across
+    listed = [tuple(place) for place in places.reshape(-1, 2)]
+    assert set(listed) == {(col // 8, row // 8) for row, col in some}
+    assert len(listed) < len(set(listed)) + len(places)
+
+
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_how_many_texels_an_invocation_does_changes_nothing(shape, conditional, monkeypatch):
+    require_opengl("compute")
+    given = example(shape)
+    rule = given.rule(SeilerPrior(penalty=PENALTY, conditional=conditional), STEPS)
+
+    def job(rows: int):
+        monkeypatch.setattr(the_device(), "rows", rows)
+        backend = OpenGLBackend(lambda: None, "compute")
+        try:
+            return swept(backend, given, rule, sweeps=5)
+        finally:
+            backend.close()
+
+    one, *more = (on_compute_thread(lambda rows=rows: job(rows)) for rows in (1, 2, 4, 8))
+    for answer in more:
+        for ours, theirs in zip(answer, one, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
 
 
 def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
@@ -287,8 +322,6 @@ def test_the_energies_of_many_sweeps_come_back_in_order(stage, shape, kept):
 
 @pytest.mark.parametrize("shape", [(31, 37), (1, 17)])
 def test_an_atlas_that_is_full_is_read_and_filled_again(stage, shape, monkeypatch):
-    from napari_hmrf.backends.opengl.device import the_device
-
     given = example(shape)
     rule = given.rule(SeilerPrior(penalty=PENALTY))
 
@@ -303,7 +336,8 @@ def test_an_atlas_that_is_full_is_read_and_filled_again(stage, shape, monkeypatc
 
 
 @pytest.mark.parametrize("longest", [0.0, 1e-4])
-def test_a_pass_cut_into_strips_changes_nothing(stage, longest):
+def test_a_pass_cut_into_strips_changes_nothing(stage, longest, monkeypatch):
+    monkeypatch.setattr(regions, "_ACROSS", 2)  # so that the list of work groups has rows, too
     given = example((67, 41))
     rule = given.rule(SeilerPrior(penalty=PENALTY), STEPS)
     waits = []

@@ -9,21 +9,25 @@ from typing import Any, cast
 import numpy as np
 
 from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, FloatArray, SiteRule
-from napari_hmrf.backends.opengl.context import is_software_renderer
 from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.backends.opengl.fields import (
     GLField,
     Pool,
-    Tissue,
     as_given,
     as_stored,
     pairs,
     pairs_with_tissue,
     singles,
-    window_around,
 )
 from napari_hmrf.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.backends.opengl.programs import Program, Window
+from napari_hmrf.backends.opengl.programs import Program
+from napari_hmrf.backends.opengl.regions import (
+    Groups,
+    Tissue,
+    Window,
+    groups_with,
+    window_around,
+)
 from napari_hmrf.backends.opengl.source import STAGES, Stage
 from napari_hmrf.backends.opengl.totals import (
     BLOCK,
@@ -51,7 +55,7 @@ class OpenGLBackend:
     checkpoint : callable
         Called between batches of passes, about every `BATCH_SECONDS`; raises to stop the work.
     stage : {"fragment", "compute"}, optional
-        By default compute where OpenGL 4.3 is there on a GPU, and fragment otherwise.
+        By default compute where there is OpenGL 4.3, and fragment otherwise.
 
     Raises
     ------
@@ -69,15 +73,15 @@ class OpenGLBackend:
         self._device.ensure(self._stage)
         self.name = f"opengl:{self._stage}"
         self.renderer = self._device.renderer
-        software = is_software_renderer(self.renderer)
+        software = self._device.software
         # A software renderer dispatches while the interpreter, and with it the window, waits.
         longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
         self._pace = Pace(self._device.finish, checkpoint, longest)
         self._pool = Pool(self._device.texture)
         self._keeps_shares = software
         self._targets: dict[tuple[Any, ...], Any] = {}
-        self._masks: list[Any] = []
-        self._drawn: dict[tuple[int, ...], Tissue | None] = {}
+        self._extra: list[Any] = []
+        self._drawn: dict[tuple[int, ...], Tissue] = {}
 
     def upload(self, values: FloatArray) -> GLField:
         """Copy values of shape (H, W, C) into a texture."""
@@ -182,9 +186,9 @@ class OpenGLBackend:
 
     def close(self) -> None:
         """Free every texture; the context and the compiled kernels stay for the next solve."""
-        self._device.free((*self._targets.values(), *self._pool.all, *self._masks))
+        self._device.free((*self._targets.values(), *self._pool.all, *self._extra))
         self._targets.clear()
-        self._masks.clear()
+        self._extra.clear()
         self._drawn.clear()
         self._pool = Pool(self._device.texture)
 
@@ -207,10 +211,10 @@ class OpenGLBackend:
         tissue: Tissue | None = None,
     ) -> None:
         """Run a kernel over a grid of texels, in as many strips as its size asks for."""
-        window = Window(0, 0, *grid) if tissue is None else tissue.window
+        region = Window(0, 0, *grid) if tissue is None else tissue.region
         target = self._target(outputs, tissue) if self._stage == "fragment" else None
-        for rows in self._pace.strips(window.size):
-            part = window if rows is None else window.strip(*rows)
+        for rows in self._pace.strips(region.size):
+            part = region if rows is None else region.strip(*rows)
             program.run(inputs, outputs, target, part, first_row)
 
     def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
@@ -230,12 +234,19 @@ class OpenGLBackend:
             self._run(self._program("ratios"), [stiffness.texture], made, grid)
         return stiffness.ratios
 
-    def _tissue(self, stiffness: GLField) -> Tissue | None:
-        """Find where a level has tissue, for the stage that makes use of it."""
-        if self._stage == "fragment" and stiffness.tissue is None:
+    def _tissue(self, stiffness: GLField) -> Tissue:
+        """Find where a level has tissue; it is the same in all of its sweeps."""
+        if stiffness.tissue is None:
             shown = pairs_with_tissue(self._read(stiffness)[..., 0])
-            stiffness.tissue = Tissue(self._device.mask(shown), window_around(shown))
-            self._masks.append(stiffness.tissue.mask)
+            if self._stage == "fragment":
+                made = self._device.mask(shown)
+                stiffness.tissue = Tissue(window_around(shown), made)
+            else:
+                places = groups_with(shown)
+                made = self._device.texture(places.shape[:2], 2)
+                made.write(places)
+                stiffness.tissue = Tissue(Groups(made, stiffness.grid, 0, len(places)))
+            self._extra.append(made)
         if self._drawn.get(stiffness.grid) is not stiffness.tissue:
             # Other tissue on the same grid: what it left must not show up in this one's void.
             self._drawn[stiffness.grid] = stiffness.tissue

@@ -19,7 +19,8 @@ from napari_hmrf.backends.opengl.context import (
     is_software_renderer,
     open_context,
 )
-from napari_hmrf.backends.opengl.programs import Program, Window, compile_program
+from napari_hmrf.backends.opengl.programs import Program, compile_program
+from napari_hmrf.backends.opengl.regions import Window
 from napari_hmrf.backends.opengl.source import Stage
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError
@@ -39,6 +40,11 @@ class Device:
         How long it took to make the context.
     largest : int
         The most sites along an axis that a texture can hold and a pass can write.
+    software : bool
+        Whether it is a program that plays a GPU.
+    rows : int
+        How many texels an invocation does in the compute stage (`source.compose`): on a GPU one,
+        as it wants many invocations.
     """
 
     def __init__(self) -> None:
@@ -52,6 +58,8 @@ class Device:
         self.renderer = f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
         largest = int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
         self.largest = largest // 2 * 2  # an odd number of columns gets one more
+        self.software = is_software_renderer(self.renderer)
+        self.rows = 4 if self.software else 1
         self.lost = False
         self._programs: dict[Any, Program] = {}
         self._checked: set[str] = set()
@@ -73,16 +81,18 @@ class Device:
 
     @property
     def best_stage(self) -> Stage:
-        """Compute shaders on a GPU; Mesa's llvmpipe runs fragment shaders a sixth faster."""
-        if "compute" in self.stages and not is_software_renderer(self.renderer):
-            return "compute"
-        return "fragment"
+        """Compute shaders where there are any, even where a program plays the GPU.
+
+        Mesa's llvmpipe has its threads meet twice in every pass that is drawn, which takes longer
+        than a small pass does.
+        """
+        return "compute" if "compute" in self.stages else "fragment"
 
     def program(self, name: str, stage: Stage, defines: Mapping[str, int] | None = None) -> Program:
         """Compile a kernel, or return it if it has been compiled before."""
-        key = (name, stage, *sorted((defines or {}).items()))
+        key = (name, stage, self.rows, *sorted((defines or {}).items()))
         if key not in self._programs:
-            self._programs[key] = compile_program(self.ctx, name, stage, defines)
+            self._programs[key] = compile_program(self.ctx, name, stage, defines, self.rows)
             self.check(f"compiling {name}")
         return self._programs[key]
 

@@ -15,23 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.base import FloatArray
-from napari_hmrf.backends.opengl.programs import Window
-
-
-@dataclass(frozen=True, eq=False)
-class Tissue:
-    """Where a level has tissue, for passes that need not run anywhere else.
-
-    Attributes
-    ----------
-    mask : moderngl.Texture
-        A depth image, 1 where a pair has tissue and 0 elsewhere (``triangle.glsl``).
-    window : Window
-        The rectangle around all of it.
-    """
-
-    mask: Any
-    window: Window
+from napari_hmrf.backends.opengl.regions import Tissue
 
 
 @dataclass(eq=False)
@@ -90,14 +74,6 @@ def pairs_with_tissue(m: FloatArray) -> npt.NDArray[np.bool_]:
     """Return which pairs have tissue, given the stiffness (H, W) of the sites."""
     tissue = as_stored(m[..., np.newaxis])[..., 0] > 0
     return tissue[:, ::2] | tissue[:, 1::2]
-
-
-def window_around(shown: npt.NDArray[np.bool_]) -> Window:
-    """Return the smallest window that holds all that is shown."""
-    rows, cols = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return Window(0, 0, 1, 1)
-    return Window(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
 
 
 class Pool:

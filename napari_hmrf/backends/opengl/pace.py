@@ -19,6 +19,8 @@ _FIRST_GUESS = 1e-7
 class Pace:
     """Counts the sites of the passes that were issued, and waits when they make a batch.
 
+    A pair of sites, which share a texel, counts as one here.
+
     Parameters
     ----------
     finish : callable

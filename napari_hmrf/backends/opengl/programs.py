@@ -1,35 +1,18 @@
-"""Compiled kernels, and how each stage runs one over a grid of sites."""
+"""Compiled kernels, and how each stage runs one over a grid of texels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.backends.opengl.regions import Groups, Window
 from napari_hmrf.backends.opengl.source import GROUP, KERNELS, Stage, compose, vertices
 from napari_hmrf.errors import BackendError
 
 Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]
-
-
-class Window(NamedTuple):
-    """A rectangle of a grid's texels: rows ``top`` to ``bottom``, columns ``left`` to ``right``."""
-
-    top: int
-    left: int
-    bottom: int
-    right: int
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """How many rows and columns it has."""
-        return self.bottom - self.top, self.right - self.left
-
-    def strip(self, begin: int, end: int) -> Window:
-        """Return some of its rows, counted from its top."""
-        return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
 class Program(Protocol):
@@ -44,20 +27,21 @@ class Program(Protocol):
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         target: Any,
-        window: Window,
+        region: Window | Groups,
         first_row: int = 0,
     ) -> None:
-        """Run the kernel once for each texel of a window; returns before the device has done it.
+        """Run the kernel once for each texel of a region; returns before the device has done it.
 
         Parameters
         ----------
         inputs, outputs : sequence of moderngl.Texture
             In the kernel's order. No texture may be both.
         target : moderngl.Framebuffer or None
-            Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), the kernel is
-            run in tissue only, and other texels keep what they hold.
-        window : Window
-            The texels to run.
+            Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), only what the
+            mask shows is run, and other texels keep what they hold.
+        region : Window or Groups
+            The texels to run: groups for kernels about cliques in the compute stage, a window for
+            all others.
         first_row : int
             Row of the outputs in which the grid of texels begins.
         """
@@ -69,16 +53,16 @@ class Program(Protocol):
 
 
 def compile_program(
-    ctx: Any, name: str, stage: Stage, defines: Mapping[str, int] | None = None
+    ctx: Any, name: str, stage: Stage, defines: Mapping[str, int] | None = None, rows: int = 1
 ) -> Program:
-    """Compile a kernel for a stage.
+    """Compile a kernel for a stage; the parameters are those of `source.compose`.
 
     Raises
     ------
     BackendError
         With the compiler's words and the numbered text, if it does not compile.
     """
-    source = compose(name, stage, defines)
+    source = compose(name, stage, defines, rows)
     try:
         if stage == "compute":
             program = ctx.compute_shader(source.text)
@@ -89,11 +73,11 @@ def compile_program(
             f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
             f"report this with what follows\n{source.explain(str(error))}"
         ) from error
-    for unit, texture in enumerate(KERNELS[name].inputs):
+    for unit, texture in enumerate((*KERNELS[name].inputs, "groups")):
         if texture in program:
             program[texture].value = unit
     if stage == "compute":
-        return _Compute(ctx, program)
+        return _Compute(ctx, program, KERNELS[name].cliques)
     return _Fragment(ctx, program)
 
 
@@ -135,14 +119,16 @@ class _Fragment(_Compiled):
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         target: Any,
-        window: Window,
+        region: Window | Groups,
         first_row: int = 0,
     ) -> None:
+        if not isinstance(region, Window):
+            raise TypeError("a fragment shader is drawn in a window, not in work groups")
         for unit, texture in enumerate(inputs):
             texture.use(unit)
-        rows, cols = window.size
+        rows, cols = region.size
         self._place("origin", 0, first_row)
-        target.viewport = (window.left, first_row + window.top, cols, rows)
+        target.viewport = (region.left, first_row + region.top, cols, rows)
         target.use()
         self._vertices.render(vertices=3)
 
@@ -152,23 +138,37 @@ class _Fragment(_Compiled):
 
 
 class _Compute(_Compiled):
-    """A compute shader over work groups that cover the window."""
+    """A compute shader: for a window, or for listed work groups if it is about cliques."""
+
+    def __init__(self, ctx: Any, program: Any, listed: bool) -> None:
+        super().__init__(ctx, program)
+        self._listed = listed
 
     def run(
         self,
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         target: Any,
-        window: Window,
+        region: Window | Groups,
         first_row: int = 0,
     ) -> None:
+        if isinstance(region, Groups) != self._listed:
+            raise TypeError(
+                "kernels about cliques, and no others, are dispatched for listed groups"
+            )
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         for unit, texture in enumerate(outputs):
             texture.bind_to_image(unit, read=False, write=True)
-        rows, cols = window.size
         self._place("origin", 0, first_row)
-        self._place("begin", window.left, window.top)
-        self._place("end", window.right, window.bottom)
-        self._program.run(-(-cols // GROUP[1]), -(-rows // GROUP[0]))
+        if isinstance(region, Window):
+            rows, cols = (-(-size // side) for size, side in zip(region.size, GROUP, strict=True))
+            self._place("begin", region.left, region.top)
+            self._place("end", region.right, region.bottom)
+        else:
+            rows, cols = region.bottom - region.top, region.places.width
+            region.places.use(len(inputs))
+            self._place("first", region.top)
+            self._place("end", *reversed(region.grid))
+        self._program.run(cols, rows)
         self._ctx.memory_barrier()

@@ -22,7 +22,7 @@ Stage = Literal["fragment", "compute"]
 STAGES: tuple[str, ...] = get_args(Stage)
 Define = int
 
-#: Texels of a compute work group, (rows, cols).
+#: Texels that a compute work group does, (rows, cols).
 GROUP = (8, 8)
 
 _VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
@@ -48,7 +48,8 @@ class Kernel:
     defines : tuple of str
         Names that must be given a value to compile it.
     cliques : bool
-        Whether it needs ``cliques.glsl``.
+        Whether it is about cliques: it needs ``cliques.glsl``, and is run in tissue only, since
+        there is nothing but 0 elsewhere.
     """
 
     name: str
@@ -68,11 +69,7 @@ KERNELS: Mapping[str, Kernel] = {
         Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 4}),
         Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
         Kernel(
-            "icm",
-            _SITE,
-            {"moved": 4, "share": 1},
-            ("BLANKET", "SQUARE", "STEPS"),
-            cliques=True,
+            "icm", _SITE, {"moved": 4, "share": 1}, ("BLANKET", "SQUARE", "STEPS"), cliques=True
         ),
         Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
@@ -122,7 +119,9 @@ class Source:
         return self.files[min(file, len(self.files) - 1)], str(line)
 
 
-def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None) -> Source:
+def compose(
+    name: str, stage: Stage, defines: Mapping[str, Define] | None = None, rows: int = 1
+) -> Source:
     """Put a kernel's shader together.
 
     Parameters
@@ -132,6 +131,9 @@ def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None
     stage : {"fragment", "compute"}
     defines : mapping of str to int, optional
         A value for each name in the kernel's ``defines``.
+    rows : {1, 2, 4, 8}
+        How many texels, one below the other, an invocation of the compute stage does of a kernel
+        about cliques. More than one saves reading rows again, but leaves fewer invocations.
 
     Raises
     ------
@@ -150,8 +152,9 @@ def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None
             f"but {sorted(given)} were given"
         )
     head = [f"#define {key} {value}" for key, value in given.items()]
+    head.append(f"#define CLIQUES {int(kernel.cliques)}")
     if stage == "compute":
-        head += [f"#define GROUP_ROWS {GROUP[0]}", f"#define GROUP_COLS {GROUP[1]}"]
+        head += _group(rows if kernel.cliques else 1)
     head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
     head += _outputs(kernel, stage)
     files = ["common", *(["cliques"] if kernel.cliques else []), name, f"stage_{stage}"]
@@ -161,6 +164,18 @@ def compose(name: str, stage: Stage, defines: Mapping[str, Define] | None = None
 def vertices() -> Source:
     """The vertex shader that every fragment shader is drawn with."""
     return _joined(_VERSIONS["vertex"], [], ["triangle"])
+
+
+def _group(rows: int) -> list[str]:
+    """Define a work group, each invocation of which does some texels, one below the other."""
+    runs = " ".join(f"run(at + ivec2(0, {row}));" for row in range(rows))
+    return [
+        f"#define GROUP_ROWS {GROUP[0]}",
+        f"#define GROUP_COLS {GROUP[1]}",
+        f"#define ROWS {rows}",
+        f"#define LOCAL_ROWS {GROUP[0] // rows}",
+        f"#define RUN_ROWS(at) {runs}",
+    ]
 
 
 def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
