@@ -40,8 +40,8 @@ ivec2 sites_of(sampler2D pairs)
 /// The value of a field of pairs at a site that lies in it.
 vec2 value_at(sampler2D pairs, ivec2 site)
 {
-    vec4 pair = texelFetch(pairs, ivec2(site.x / 2, site.y), 0);
-    return site.x % 2 == 0 ? pair.xy : pair.zw;
+    vec4 pair = texelFetch(pairs, ivec2(site.x >> 1, site.y), 0);
+    return (site.x & 1) == 0 ? pair.xy : pair.zw;
 }
 
 /// The first site of a pair; the second is `HORIZONTAL` away.

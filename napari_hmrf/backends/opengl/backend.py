@@ -94,7 +94,7 @@ class OpenGLBackend:
 
     def download(self, field: GLField) -> FloatArray:
         """Return the values, (H, W, C); a device that has stopped computing is found out."""
-        values = self._read(field)
+        values = as_given(self._read(field), field.shape, field.components)
         self._device.canary(self._stage)
         return values.copy()
 
@@ -193,10 +193,11 @@ class OpenGLBackend:
         self._pool = Pool(self._device.texture)
 
     def _read(self, field: GLField) -> FloatArray:
+        """Wait for a field; return what its texture holds, (rows, cols, 4)."""
         self._wait()
-        stored = field.texture.read()
+        stored = np.frombuffer(field.texture.read(), "<f4")
         self._device.check("reading an image")
-        return as_given(stored, field.shape, field.components)
+        return stored.reshape(*field.grid, 4)
 
     def _program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
         return self._device.program(name, self._stage, defines)
@@ -237,7 +238,7 @@ class OpenGLBackend:
     def _tissue(self, stiffness: GLField) -> Tissue:
         """Find where a level has tissue; it is the same in all of its sweeps."""
         if stiffness.tissue is None:
-            shown = pairs_with_tissue(self._read(stiffness)[..., 0])
+            shown = pairs_with_tissue(self._read(stiffness))
             if self._stage == "fragment":
                 made = self._device.mask(shown)
                 stiffness.tissue = Tissue(window_around(shown), made)

@@ -64,16 +64,15 @@ def as_stored(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.pad(values, ((0, 0), (0, lacking), (0, 0))), "<f4")
 
 
-def as_given(stored: bytes, shape: tuple[int, ...], components: int) -> FloatArray:
+def as_given(stored: FloatArray, shape: tuple[int, ...], components: int) -> FloatArray:
     """Return what a texture holds as values of shape (H, W, C)."""
-    values = np.frombuffer(stored, "<f4").reshape(*singles(shape), components)
-    return values[:, : shape[1]]
+    return stored.reshape(*singles(shape), components)[:, : shape[1]]
 
 
-def pairs_with_tissue(m: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return which pairs have tissue, given the stiffness (H, W) of the sites."""
-    tissue = as_stored(m[..., np.newaxis])[..., 0] > 0
-    return tissue[:, ::2] | tissue[:, 1::2]
+def pairs_with_tissue(stored: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which pairs have tissue, given what a texture of stiffness holds."""
+    tissue: npt.NDArray[np.bool_] = stored.reshape(*stored.shape[:2], 2, 2)[..., 0] > 0
+    return tissue[..., 0] | tissue[..., 1]
 
 
 class Pool:
