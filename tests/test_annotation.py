@@ -5,13 +5,13 @@ import pytest
 from scipy import ndimage
 
 from napari_hmrf.annotation import (
-    PRESETS,
     BoundaryRule,
     Material,
     boundary_images,
     stiffness_image,
 )
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.presets import PRESETS
 
 TISSUES = [Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(7, "tumour", 40.0)]
 

@@ -11,8 +11,9 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import ICM, SeilerPrior
-from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
+from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.presets import PRESETS
 from napari_hmrf.widgets.deform import DeformTissue
 
 

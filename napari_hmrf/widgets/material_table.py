@@ -8,8 +8,9 @@ from typing import Any
 
 from qtpy.QtWidgets import QMenu, QPushButton
 
-from napari_hmrf.annotation import PRESETS, Material, Preset
+from napari_hmrf.annotation import Material
 from napari_hmrf.layers.defaults import default_material
+from napari_hmrf.presets import PRESETS, Preset
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 
 

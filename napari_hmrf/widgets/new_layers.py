@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 
-from napari_hmrf.annotation import PRESETS, BoundaryRule, Material
+from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.colours import boundary_colours
 from napari_hmrf.layers.defaults import UNPAINTED
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.view import View, layer_extents
+from napari_hmrf.presets import PRESETS
 
 #: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
 _LARGEST = 2**30
