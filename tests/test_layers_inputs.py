@@ -657,3 +657,17 @@ def test_a_frame_survives_a_file():
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
     with pytest.raises(ValueError, match="place of a slice"):
         Frame.from_dict({"plane": [0, 1]})
+
+
+@pytest.mark.parametrize(("width", "thin"), [(1, True), (3, False), (6, False)])
+def test_a_boundary_that_slips_through_the_coarse_levels_is_told(width, thin):
+    rows, cols = np.mgrid[:160, :160]
+    r = np.hypot(rows - 80, cols - 80)
+    labels = ((r > 50) & (r <= 50 + width)).astype(np.uint8)
+    wanted = request(
+        (160, 160),
+        tissue=Labels(np.ones((160, 160), np.uint8), name="Tissue"),
+        boundary=Labels(labels, name="Boundary"),
+    )
+    told = any("at least 3 pixels wide" in note for note in read_layers(wanted).notes)
+    assert told == thin

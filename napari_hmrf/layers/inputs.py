@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from napari_hmrf.annotation import boundary_images, stiffness_image
+from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
@@ -23,6 +24,11 @@ from napari_hmrf.problem import Problem
 __all__ = ["Inputs", "Request", "Snapshot", "copy_layers", "prepare", "read_layers"]
 
 FloatArray = npt.NDArray[np.float32]
+
+# How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
+# of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
+_ENOUGH = 0.32
+_SMALLEST_TREE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +130,7 @@ def prepare(
         frame=snapshot.frame,
         pictures=snapshot.pictures,
         ignored=ignored,
-        notes=(*notes, *_loose_pieces(problem)),
+        notes=(*notes, *_thin_boundary(problem), *_loose_pieces(problem)),
     )
 
 
@@ -224,6 +230,33 @@ def _refuse_in_words(snapshot: Snapshot, m: npt.NDArray[Any], c: FloatArray) -> 
             f"All of '{boundary.name}' lies where there is no tissue (stiffness 0). Paint it on "
             f"tissue, or give that place of '{tissue.name}' a stiffness.",
         )
+
+
+def _thin_boundary(problem: Problem) -> tuple[str, ...]:
+    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary.
+
+    There its motion begins; what they miss, the sweeps on the finest level do not make up for.
+    """
+    tree = levels(problem.shape)
+    if len(tree) <= _SMALLEST_TREE:
+        return ()
+    seen = problem.tissue & (problem.c > 0).any(axis=-1)
+    shares = []
+    for level in tree[1:4]:
+        rows, cols = nearest_pixels(level, problem.shape)
+        size = 2**level.number
+        whole = np.zeros([sites * size for sites in level.shape], dtype=bool)
+        whole[: seen.shape[0], : seen.shape[1]] = seen
+        there = whole.reshape(len(rows), size, len(cols), size).any(axis=(1, 3))
+        sampled = seen.take(rows, axis=0).take(cols, axis=1)
+        shares.append(np.count_nonzero(sampled) / max(1, np.count_nonzero(there)))
+    if np.mean(shares) > _ENOUGH:
+        return ()
+    note = (
+        "most of the boundary is so thin that the coarse levels miss it, and the motion falls "
+        "short: make it at least 3 pixels wide"
+    )
+    return (note,)
 
 
 def _loose_pieces(problem: Problem) -> tuple[str, ...]:
