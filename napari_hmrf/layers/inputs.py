@@ -240,7 +240,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ()
-    seen = problem.tissue & (problem.c > 0).any(axis=-1)
+    seen: npt.NDArray[np.bool_] = problem.tissue & np.any(problem.c > 0, axis=-1)
     shares = []
     for level in tree[1:4]:
         rows, cols = nearest_pixels(level, problem.shape)
@@ -249,7 +249,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
         whole[: seen.shape[0], : seen.shape[1]] = seen
         there = whole.reshape(len(rows), size, len(cols), size).any(axis=(1, 3))
         sampled = seen.take(rows, axis=0).take(cols, axis=1)
-        shares.append(np.count_nonzero(sampled) / max(1, np.count_nonzero(there)))
+        shares.append(float(sampled.sum()) / max(1.0, float(there.sum())))
     if np.mean(shares) > _ENOUGH:
         return ()
     note = (
