@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from napari_hmrf.backends import BACKEND_NAMES, Backend, open_backend
+from napari_hmrf.backends import Backend, open_backend
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError, Cancelled
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
@@ -28,7 +28,7 @@ from napari_hmrf.solution import Provenance, Solution
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
-_prepared: set[tuple[str, ...]] = set()
+_prepared: set[tuple[str | bool, ...]] = set()
 
 
 class CancelFlag(Protocol):
@@ -135,10 +135,6 @@ def run_here(
         if progress is not None:
             progress(monitor)
 
-    if backend not in BACKEND_NAMES:
-        raise BackendError(
-            f"there is no backend {backend!r}; take one of {', '.join(BACKEND_NAMES)}"
-        )
     report(Monitor("preparing (the first run compiles its kernels, once)", 0.0))
     started = time.perf_counter()
     if backend == "auto" and isinstance(prior, ElasticPrior):
@@ -148,7 +144,7 @@ def run_here(
         device, reason = open_backend(backend, checkpoint)
     try:
         _announce(device.renderer, reason)
-        _prepare(device, prior, optimizer)
+        _prepare(device, prior, optimizer, problem.spacing)
         ready = time.perf_counter()
         outcome = optimizer.run(problem, prior, device, report)
         name, renderer = device.name, device.renderer
@@ -197,15 +193,24 @@ class _Either:
         return any(flag.is_set() for flag in self._flags)
 
 
-def _prepare(device: Backend[Any], prior: Prior, optimizer: Optimizer) -> None:
-    """Compile what a schedule needs by running it on the smallest problem, once per process."""
+def _prepare(
+    device: Backend[Any], prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]
+) -> None:
+    """Compile what a schedule needs by running it on a small problem, once per process.
+
+    Small, but with a level between others and something to find. Square pixels have kernels of
+    their own.
+    """
     rehearsal = optimizer.rehearsal()
-    key = (device.name, device.renderer, prior.kernels, repr(rehearsal))
+    square = len(set(spacing)) == 1
+    key = (device.name, device.renderer, prior.kernels, repr(rehearsal), square)
     if key in _prepared:
         return
-    grid = (3, 3)
-    smallest = Problem(np.zeros((*grid, 2)), np.ones((*grid, 2)), np.ones(grid))
-    rehearsal.run(smallest, prior, device, lambda _: None)
+    y, c, m = np.zeros((12, 12, 2)), np.zeros((12, 12, 2)), np.ones((12, 12))
+    c[0] = c[-1] = 1
+    y[-1] = 1
+    small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))
+    rehearsal.run(small, prior, device, lambda _: None)
     _prepared.add(key)
 
 

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 from test_icm import frame_problem
 
-from napari_hmrf import ICM, BackendError, Cancelled, solve
+from napari_hmrf import (
+    ICM,
+    BackendError,
+    Cancelled,
+    ElasticPrior,
+    Multigrid,
+    SeilerPrior,
+    solve,
+)
+from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.thread import ComputeThread, compute_thread
 from napari_hmrf.solve import run_here
 
@@ -162,6 +171,27 @@ def test_one_release_that_fails_does_not_keep_the_others():
     thread.submit(lambda: None).result(10)
     assert thread.stop()
     assert released == [1]
+
+
+@pytest.mark.parametrize("prior", [SeilerPrior(), ElasticPrior()])
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.0)])
+def test_kernels_are_made_before_the_clock_starts(prior, spacing):
+    from napari_hmrf.backends.cpu import elastic, kernels
+
+    problem = frame_problem((24, 20), spacing=spacing)
+    prepare = sys.modules["napari_hmrf.solve"]._prepare
+    optimizer = Multigrid() if isinstance(prior, ElasticPrior) else ICM()
+    compute_thread.submit(
+        lambda: prepare(CpuBackend(lambda: None), prior, optimizer, spacing)
+    ).result()
+
+    def made():
+        modules = [vars(module).values() for module in (kernels, elastic)]
+        return sum(len(getattr(each, "signatures", ())) for module in modules for each in module)
+
+    before = made()
+    solve(problem, prior, backend="cpu")
+    assert made() == before
 
 
 def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
