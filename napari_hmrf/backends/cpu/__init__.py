@@ -122,7 +122,6 @@ class CpuBackend:
         sweeps: int,
     ) -> tuple[CpuField, EnergyArray]:
         """Move all sites at once, `sweeps` times."""
-        kernel = self._kernels.sweep_blanket if rule.blanket else self._kernels.sweep_centred
         steps = tuple(np.float32(step) for step in rule.steps) or None
         even, odd = displacement.planes, self._other_planes(stiffness)
         share, row_totals = self._share(stiffness), np.empty((sweeps, displacement.shape[0]))
@@ -132,13 +131,14 @@ class CpuBackend:
         for start in range(0, sweeps, batch):
             self._checkpoint()
             totals = row_totals[start : start + batch]
-            kernel(
+            self._kernels.sweeps(
                 even,
                 odd,
                 stiffness.planes,
                 observation.planes,
                 stiffness.spans,
                 _weights(rule),
+                rule.blanket or None,
                 steps,
                 np.float32(rule.relaxation),
                 share,

@@ -267,42 +267,27 @@ def _row_total(values: Any, row: int, start: int, stop: int) -> float:
 
 
 @_parallel
-def icm_centred(
-    source, target, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
-):
+def icm(
+    source, target, stiffness, observation, spans, weights, blanket, steps, relaxation, share,
+    row_totals,
+):  # fmt: skip
     """Move all sites once, each judging the cliques it is the middle of.
 
-    `spans` says from where to where each row has tissue; `weights` is None for square pixels and
-    `steps` is None for the closed form. `row_totals` gets U_total of `source`, row by row; `share`
-    is scratch.
+    `spans` says from where to where each row has tissue; `weights` is None for square pixels,
+    `blanket` is None unless each site judges every clique that contains it (`weights` is needed
+    then), and `steps` is None for the closed form: each combination is compiled without the
+    others. `row_totals` gets U_total of `source`, row by row; `share` is scratch.
     """
     for i in prange(source.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
-            if weights is None:
+            if blanket is not None:
+                a0, a1, b0, b1, prior = _blanket(source, stiffness, weights, i, j)
+            elif weights is None:
                 a0, a1, b0, b1, prior = _square(source, stiffness, i, j)
             else:
                 a0, a1, b0, b1, prior = _weighted(source, stiffness, weights, i, j)
-            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
-            new0, new1 = _moved(
-                source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
-            )
-            target[0, i + 2, j + 2] = new0
-            target[1, i + 2, j + 2] = new1
-        row_totals[i] = _row_total(share, i, start, spans[i, 1])
-
-
-@_parallel
-def icm_blanket(
-    source, target, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
-):
-    """As `icm_centred`, each site judging every clique that contains it; `weights` is needed."""
-    for i in prange(source.shape[1] - 4):
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k
-            a0, a1, b0, b1, prior = _blanket(source, stiffness, weights, i, j)
             share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
             new0, new1 = _moved(
                 source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
@@ -328,26 +313,13 @@ def energy(source, stiffness, observation, spans, weights, share, row_totals):
 
 
 @_compiled
-def sweep_centred(
-    even, odd, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
+def sweeps(
+    even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
 ):
     """One sweep per row of `row_totals`, ping-pong: from `even` to `odd`, back, and so on."""
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
-        icm_centred(
-            source, target, stiffness, observation, spans, weights, steps, relaxation, share,
-            row_totals[sweep],
-        )  # fmt: skip
-
-
-@_compiled
-def sweep_blanket(
-    even, odd, stiffness, observation, spans, weights, steps, relaxation, share, row_totals
-):
-    """As `sweep_centred`, with the blanket reading."""
-    for sweep in range(len(row_totals)):
-        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
-        icm_blanket(
-            source, target, stiffness, observation, spans, weights, steps, relaxation, share,
-            row_totals[sweep],
+        icm(
+            source, target, stiffness, observation, spans, weights, blanket, steps, relaxation,
+            share, row_totals[sweep],
         )  # fmt: skip
