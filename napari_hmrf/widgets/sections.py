@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import CheckBox, Container
 from napari.layers import Image, Labels, Vectors
@@ -11,7 +11,7 @@ from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
 from napari_hmrf.annotation import BoundaryRule, Material
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.boundary_table import BoundaryTable
 from napari_hmrf.widgets.label_table import LabelTable
@@ -21,6 +21,7 @@ from napari_hmrf.widgets.painting import PaintedLabels
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
+Table = TypeVar("Table", bound=LabelTable)
 
 
 #: Beside the box that turns the preview on.
@@ -32,19 +33,6 @@ def _is_preview(layer: Any) -> bool:
     return known_of(layer).get("kind") == "preview"
 
 
-def _add_below(section: Container, *widgets: QWidget) -> QWidget:
-    """Put a row of plain Qt widgets under a section's own."""
-    row = QWidget()
-    layout = QHBoxLayout(row)
-    layout.setContentsMargins(0, 0, 0, 0)
-    for widget in widgets:
-        layout.addWidget(widget)
-    if not isinstance(widgets[0], LabelTable):
-        layout.addStretch()
-    section.native.layout().addWidget(row)
-    return row
-
-
 def _add_button(table: LabelTable, text: str, tooltip: str) -> QPushButton:
     button = QPushButton(text)
     button.setToolTip(tooltip)
@@ -52,40 +40,21 @@ def _add_button(table: LabelTable, text: str, tooltip: str) -> QPushButton:
     return button
 
 
-class TissueSection(Container):
-    """Labels with a table of stiffness, or an image that is the stiffness."""
+class _PaintedSection(Container, Generic[Table]):
+    """A menu of layers; for Labels, their table and a row of buttons below it."""
 
     edited = Signal()
 
-    def __init__(self, layers: Layers, view: Shown) -> None:
-        super().__init__(labels=True)
-        self._choice = LayerChoice(
-            layers,
-            lambda layer: isinstance(layer, Labels | Image),
-            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (as stiffness)"),
-            label="tissue",
-            tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
-        )
-        self.append(self._choice)
-        self._table = MaterialTable()
-        self._background = QPushButton("Background is no tissue")
-        self._background.setToolTip(
-            "Paints what is dark around the image with a label of stiffness 0, as far as it is "
-            "unpainted; undo with Ctrl+Z on the layer"
-        )
-        self._painted = PaintedLabels(TISSUE, self._table, view)
-        self._rows = [
-            _add_below(self, self._table),
-            _add_below(
-                self,
-                _add_button(self._table, "Add tissue", "Add a label to paint with"),
-                preset_button(self._table),
-                self._background,
-            ),
-        ]
+    def __init__(
+        self, choice: LayerChoice, others: list[LayerChoice], role: Role, table: Table, view: Shown
+    ) -> None:
+        super().__init__(widgets=[choice, *others], labels=True)
+        self._choice = choice
+        self._table = table
+        self._painted = PaintedLabels(role, table, view)
+        self._rows: list[QWidget] = []
         self._choice.changed.connect(self._on_choice)
         self._painted.changed.connect(self.edited)
-        self._on_choice(None)
 
     @property
     def choice(self) -> LayerChoice:
@@ -93,7 +62,7 @@ class TissueSection(Container):
         return self._choice
 
     @property
-    def table(self) -> MaterialTable:
+    def table(self) -> Table:
         """The table, for what a script wants to set."""
         return self._table
 
@@ -101,6 +70,50 @@ class TissueSection(Container):
     def painted(self) -> PaintedLabels:
         """What keeps layer and table in step."""
         return self._painted
+
+    def _put_below(self, *buttons: QWidget) -> None:
+        """Put the table and a row of buttons, plain Qt widgets, under the section's own."""
+        for widgets in ((self._table,), buttons):
+            row = QWidget()
+            layout = QHBoxLayout(row)
+            layout.setContentsMargins(0, 0, 0, 0)
+            for widget in widgets:
+                layout.addWidget(widget)
+            if widgets is buttons:
+                layout.addStretch()
+            self.native.layout().addWidget(row)
+            self._rows.append(row)
+        self._on_choice(None)
+
+    def _on_choice(self, layer: Any) -> None:
+        self._painted.layer = layer
+        for row in self._rows:
+            row.setVisible(isinstance(layer, Labels))
+        self.edited.emit()
+
+
+class TissueSection(_PaintedSection[MaterialTable]):
+    """Labels with a table of stiffness, or an image that is the stiffness."""
+
+    def __init__(self, layers: Layers, view: Shown) -> None:
+        choice = LayerChoice(
+            layers,
+            lambda layer: isinstance(layer, Labels | Image),
+            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (as stiffness)"),
+            label="tissue",
+            tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
+        )
+        super().__init__(choice, [], TISSUE, MaterialTable(), view)
+        self._background = QPushButton("Background is no tissue")
+        self._background.setToolTip(
+            "Paints what is dark around the image with a label of stiffness 0, as far as it is "
+            "unpainted; undo with Ctrl+Z on the layer"
+        )
+        self._put_below(
+            _add_button(self._table, "Add tissue", "Add a label to paint with"),
+            preset_button(self._table),
+            self._background,
+        )
 
     @property
     def background(self) -> QPushButton:
@@ -112,21 +125,12 @@ class TissueSection(Container):
         """The tissues."""
         return self._table.rows
 
-    def _on_choice(self, layer: Any) -> None:
-        self._painted.layer = layer
-        for row in self._rows:
-            row.setVisible(isinstance(layer, Labels))
-        self.edited.emit()
 
-
-class BoundarySection(Container):
+class BoundarySection(_PaintedSection[BoundaryTable]):
     """Labels with a table of rules, or arrows with an image of confidence."""
 
-    edited = Signal()
-
     def __init__(self, layers: Layers, view: Shown) -> None:
-        super().__init__(labels=True)
-        self._choice = LayerChoice(
+        choice = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and not _is_preview(layer),
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
@@ -140,47 +144,23 @@ class BoundarySection(Container):
             label="confidence",
             tooltip="How sure each arrow is, from 0 to 1; without an image, 1",
         )
+        super().__init__(choice, [self._confidence], BOUNDARY, BoundaryTable(), view)
         self._preview = CheckBox(
             value=True,
             text=PREVIEW,
             tooltip="A layer of its own shows what the boundary will do",
         )
-        self.extend([self._choice, self._confidence])
-        self._table = BoundaryTable()
-        self._painted = PaintedLabels(BOUNDARY, self._table, view)
-        self._rows = [
-            _add_below(self, self._table),
-            _add_below(
-                self,
-                _add_button(self._table, "Add boundary", "Add a label to paint with"),
-                self._preview.native,
-            ),
-        ]
-        self._choice.changed.connect(self._on_choice)
-        self._confidence.changed.connect(lambda _: self.edited.emit())
-        self._preview.changed.connect(lambda _: self.edited.emit())
-        self._painted.changed.connect(self.edited)
-        self._on_choice(None)
-
-    @property
-    def choice(self) -> LayerChoice:
-        """The menu of layers."""
-        return self._choice
+        self._put_below(
+            _add_button(self._table, "Add boundary", "Add a label to paint with"),
+            self._preview.native,
+        )
+        for widget in (self._confidence, self._preview):
+            widget.changed.connect(lambda _: self.edited.emit())
 
     @property
     def confidence(self) -> LayerChoice:
         """The menu of images of confidence, for arrows."""
         return self._confidence
-
-    @property
-    def table(self) -> BoundaryTable:
-        """The table, for what a script wants to set."""
-        return self._table
-
-    @property
-    def painted(self) -> PaintedLabels:
-        """What keeps layer and table in step."""
-        return self._painted
 
     @property
     def preview(self) -> CheckBox:
@@ -193,8 +173,5 @@ class BoundarySection(Container):
         return self._table.rows
 
     def _on_choice(self, layer: Any) -> None:
-        self._painted.layer = layer
-        for row in self._rows:
-            row.setVisible(isinstance(layer, Labels))
         self._confidence.visible = isinstance(layer, Vectors)
-        self.edited.emit()
+        super()._on_choice(layer)
