@@ -23,8 +23,8 @@ from napari_hmrf import (
     phantom,
     solve,
 )
-from napari_hmrf.backends.cpu.multigrid import CpuElasticLevel
-from napari_hmrf.coarsening import elastic_levels, smoother_bounds
+from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.coarsening import smoother_bounds
 from napari_hmrf.priors.elastic import element_forces
 
 PLANES = ["stress", "strain"]
@@ -107,20 +107,26 @@ def test_forces_are_the_slope_of_the_energy(plane, spacing):
 def test_the_loops_pull_as_the_energy_says(shape, spacing):
     problem = random_problem(shape, spacing, void=shape[0] > 13, ratio=1e4)
     prior = ElasticPrior(0.45, "strain")
-    lame, element = prior.lame(problem), prior.shape(spacing)
     d = np.random.default_rng(3).normal(size=(*shape, 2))
-    free = np.zeros((*shape, 2), bool)
-    level = CpuElasticLevel(elastic_levels(lame, element, free)[0], element)
-    expected = -element_forces(lame, element, d)
-    for dtype, tolerance in ((np.float32, 1e-5), (np.float64, 1e-7)):
-        planes = level.planes(d, dtype)
-        found = level.exact_residual(planes, np.zeros_like(planes))[:, 2:-2, 2:-2]
-        np.testing.assert_allclose(
-            np.moveaxis(found, 0, -1), expected, atol=tolerance * np.abs(expected).max()
-        )
-        assert level.energy(planes) == pytest.approx(
-            prior.energy(problem, d * problem.unit), rel=1e-5
-        )
+    model = CpuElasticModel(prior.material(problem))
+    planes = np.zeros((2, shape[0] + 4, shape[1] + 4))
+    planes[:, 2:-2, 2:-2] = np.moveaxis(d, -1, 0)
+    expected = -element_forces(prior.lame(problem), prior.shape(spacing), d)
+    most = np.abs(expected).max()
+    np.testing.assert_allclose(
+        np.moveaxis(model.pull(planes)[:, 2:-2, 2:-2], 0, -1), expected, atol=1e-6 * most
+    )
+    assert model.energy(planes) == pytest.approx(prior.energy(problem, d * problem.unit), rel=1e-5)
+    held = np.zeros_like(planes, dtype=bool)
+    held[0, 3, 2] = True
+    model.hold(held)
+    single = planes.astype(np.float32)
+    found = np.zeros_like(single)
+    model.levels[0].apply(single, found)
+    found = np.moveaxis(found[:, 2:-2, 2:-2], 0, -1)
+    assert found[1, 0, 0] == 0
+    found[1, 0, 0] = -expected[1, 0, 0]
+    np.testing.assert_allclose(found, -expected, atol=1e-5 * most)
 
 
 @pytest.mark.parametrize("plane", PLANES)
@@ -310,7 +316,7 @@ def test_the_shaders_say_that_they_have_no_multigrid():
 def test_smoothers_know_how_steep_their_model_can_be():
     problem = random_problem((6, 6))
     for prior in (ElasticPrior(0.3), ElasticPrior(0.499, "strain")):
-        usual, worst = smoother_bounds(prior.lame(problem), prior.shape((1.0, 1.0)))
+        usual, worst = smoother_bounds(prior.material(problem))
         assert 2 <= usual <= worst <= 8
 
 

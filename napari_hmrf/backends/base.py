@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.coarsening import ElasticLevel
+from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level
-from napari_hmrf.priors.elastic import ElementShape
+from napari_hmrf.priors.elastic import ElasticMaterial
 
 FloatArray = npt.NDArray[np.float32]
 EnergyArray = npt.NDArray[np.float64]
@@ -132,8 +132,8 @@ class Backend(Protocol[FieldType]):
         """U_total of a displacement, in pixels squared."""
         ...
 
-    def elastic_level(self, level: ElasticLevel, shape: ElementShape) -> Any:
-        """Bring one level of an elastic model to the device, with the steps of multigrid on it.
+    def elastic_model(self, material: ElasticMaterial) -> LinearModel:
+        """Bring elastic tissue to the device, on all levels of multigrid.
 
         Raises
         ------

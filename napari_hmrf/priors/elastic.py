@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,32 @@ Plane = Literal["stress", "strain"]
 
 #: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
 POISSON_RANGE = (0.0, 0.499)
+
+
+class ElasticMaterial(NamedTuple):
+    """What the kernels need to know of a problem's tissue.
+
+    Attributes
+    ----------
+    m : ndarray, shape (H, W), float32
+        Stiffness; 0 is void. Only its ratios matter.
+    poisson : float or ndarray, shape (H, W), float32
+    strain : bool
+        Plane strain instead of plane stress.
+    shape : ElementShape
+    """
+
+    m: npt.NDArray[np.float32]
+    poisson: float | npt.NDArray[np.float32]
+    strain: bool
+    shape: ElementShape
+
+    @property
+    def largest_poisson(self) -> float:
+        """The largest Poisson's ratio of any tissue."""
+        if isinstance(self.poisson, float):
+            return self.poisson
+        return float(self.poisson.max(where=self.m > 0, initial=0.0))
 
 
 class Lame(NamedTuple):
@@ -125,13 +151,19 @@ class ElasticPrior:
         check_held(problem)
         return self
 
+    def material(self, problem: Problem) -> ElasticMaterial:
+        """What the kernels need to know of a problem's tissue."""
+        shape = self.shape(problem.spacing)
+        return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
+
     def lame(self, problem: Problem) -> Lame:
-        """Lame's parameters of each element, from its sites' mean stiffness; 0 if one is void."""
-        m = problem.m.astype(np.float64) / float(problem.m.max())
-        corners = (m[:-1, :-1], m[:-1, 1:], m[1:, :-1], m[1:, 1:])
-        whole = np.logical_and.reduce([corner > 0 for corner in corners])
-        young = np.where(whole, sum(corners) / 4, 0.0)
-        nu = self.poisson
+        """Lame's parameters of each element, from the means of its sites; 0 if one is void."""
+        young = _of_elements(problem.m.astype(np.float64) / float(problem.m.max()))
+        whole = _of_elements(problem.tissue.astype(np.float64)) == 1
+        young = np.where(whole, young, 0.0)
+        nu: Any = self.poisson
+        if isinstance(nu, np.ndarray):
+            nu = np.where(whole, _of_elements(nu.astype(np.float64)), 0.0)
         shear = young / (2 * (1 + nu))
         if self.plane == "stress":
             return Lame(young * nu / (1 - nu**2), shear)
@@ -163,6 +195,13 @@ class ElasticPrior:
         """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         return element_forces(self.lame(problem), self.shape(problem.spacing), d)
+
+
+def _of_elements(values: Float64Array) -> Float64Array:
+    """The mean of each element's four sites."""
+    along = values[:-1] + values[1:]
+    mean: Float64Array = (along[:, :-1] + along[:, 1:]) / 4
+    return mean
 
 
 def differences(d: Float64Array) -> Differences:

@@ -6,16 +6,15 @@ import os
 import platform
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, FloatArray, SiteRule
-from napari_hmrf.coarsening import ElasticLevel
+from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level, nearest_pixels
 from napari_hmrf.priors import line_weights
-from napari_hmrf.priors.elastic import ElementShape
+from napari_hmrf.priors.elastic import ElasticMaterial
 
 # A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.
 _SLOWEST_SITE_SECONDS = 10e-9
@@ -165,11 +164,11 @@ class CpuBackend:
         )
         return float(row_totals.sum())
 
-    def elastic_level(self, level: ElasticLevel, shape: ElementShape) -> Any:
-        """Bring a level's model to the device."""
-        from napari_hmrf.backends.cpu.multigrid import CpuElasticLevel
+    def elastic_model(self, material: ElasticMaterial) -> LinearModel:
+        """Bring elastic tissue to the device, on all levels of multigrid."""
+        from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
 
-        return CpuElasticLevel(level, shape)
+        return CpuElasticModel(material)
 
     def _other_planes(self, stiffness: CpuField) -> FloatArray:
         """Planes to write displacement to, 0 in void; nobody else holds them."""

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, FloatArray, SiteRule
+from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.backends.opengl.fields import (
     GLField,
@@ -36,11 +37,10 @@ from napari_hmrf.backends.opengl.totals import (
     PairTotals,
     Totals,
 )
-from napari_hmrf.coarsening import ElasticLevel
 from napari_hmrf.errors import BackendError
 from napari_hmrf.hierarchy import Level
 from napari_hmrf.priors import line_weights
-from napari_hmrf.priors.elastic import ElementShape
+from napari_hmrf.priors.elastic import ElasticMaterial
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
 # observation 16, displacement 2 x 8, energy 2; a third more for the coarser levels.
@@ -170,7 +170,7 @@ class OpenGLBackend:
         totals.add()
         return float(totals.read()[0])
 
-    def elastic_level(self, level: ElasticLevel, shape: ElementShape) -> Any:
+    def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Refuse: the shaders have no multigrid yet."""
         raise BackendError(
             'elastic tissue is solved by the compiled loops only, so far. Take backend="cpu".'

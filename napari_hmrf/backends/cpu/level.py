@@ -1,0 +1,114 @@
+"""One level of a linear model on the processor: vectors, and what needs no knowledge of the model.
+
+A scalar is a plain number here: the processor is the host.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends.cpu import vectors
+from napari_hmrf.backends.cpu.transfer import PAD, padded
+from napari_hmrf.backends.linear import Steps
+
+Vector = npt.NDArray[np.float32]
+
+
+class CpuLevel:
+    """The part of a level that all models share; `LinearLevel` says what each method does.
+
+    Parameters
+    ----------
+    grid : tuple of int
+        Its sites, (H, W).
+
+    Attributes
+    ----------
+    inverse : ndarray, shape (2, H + 4, W + 4)
+        Of the diagonal; 0 where a component does not move.
+    """
+
+    def __init__(self, grid: tuple[int, ...]) -> None:
+        self.grid = grid
+        self.inverse = self.vector()
+        self.load, self.correction, self._other, self._step, self._rest = (
+            self.vector() for _ in range(5)
+        )
+        self._rows = np.zeros(grid[0])
+
+    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
+        """One Chebyshev step from `correction` to `_other`, by way of `_step`."""
+        raise NotImplementedError
+
+    def _leave(self) -> None:
+        """Write what the correction leaves of the load to `_rest`."""
+        raise NotImplementedError
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Image = A direction; their scalar product."""
+        raise NotImplementedError
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        for number, (scale, momentum) in enumerate(steps):
+            if from_zero and number == 0:
+                vectors.smooth_first(
+                    self.load, self.inverse, self._step, self.correction, np.float32(scale)
+                )
+                continue
+            self._smooth(np.float32(scale), np.float32(momentum))
+            self.correction, self._other = self._other, self.correction
+
+    def restrict_to(self, coarse: Self) -> None:
+        """Hand what is left of the load down."""
+        self._leave()
+        vectors.restrict(self._rest, coarse.load)
+
+    def correct_from(self, coarse: Self) -> None:
+        """Add the coarse correction."""
+        vectors.interpolate(coarse.correction, self.correction, self.inverse)
+
+    def vector(self, values: Vector | None = None) -> Vector:
+        """Return zeros, or these planes."""
+        return padded(2, self.grid) if values is None else values
+
+    def planes(self, vector: Vector) -> Vector:
+        """Return the vector."""
+        return vector
+
+    def product(self, a: Vector, b: Vector) -> float:
+        """The scalar product."""
+        vectors.product(a, b, self._rows)
+        return float(self._rows.sum())
+
+    def largest(self, a: Vector) -> float:
+        """The largest absolute value."""
+        vectors.largest(a, self._rows)
+        return float(self._rows.max())
+
+    def ratio(self, a: float, b: float) -> float:
+        """A over b; 0 unless both are positive."""
+        return a / b if a > 0 and b > 0 else 0.0
+
+    def advance(
+        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
+    ) -> float:
+        """D += length direction, rest -= length image; the square of the rest."""
+        vectors.advance(d, rest, direction, image, np.float32(length), self._rows)
+        return float(self._rows.sum())
+
+    def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
+        """Direction = steepest + share direction."""
+        vectors.turn(steepest, direction, np.float32(share))
+
+    def read(self, *scalars: float) -> tuple[float, ...]:
+        """Return them."""
+        return scalars
+
+
+def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Planes without their ring."""
+    return planes[:, PAD:-PAD, PAD:-PAD]

@@ -1,0 +1,125 @@
+"""Vectors of multigrid and Krylov iterations as compiled loops: what needs no model.
+
+Arrays are padded as those of the other kernels are, by two sites of void; `inverse` is the inverse
+diagonal of the model, 0 where a component does not move. A scalar product is returned row by row.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+from numba import float32, prange
+
+_ARITHMETIC = {"contract", "nsz"}
+_parallel = numba.njit(
+    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
+)
+_reduction = numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
+
+
+@_reduction
+def row_product(a: Any, b: Any, row: int) -> float:
+    """The scalar product of one row."""
+    total = float32(0)
+    for component in range(2):
+        for j in range(a.shape[2]):
+            total += a[component, row, j] * b[component, row, j]
+    return total
+
+
+@_parallel
+def smooth_first(load, inverse, step, d, scale):
+    """The first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
+    for i in prange(load.shape[1] - 4):
+        for j in range(load.shape[2]):
+            row = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
+            col = scale * inverse[1, i + 2, j] * load[1, i + 2, j]
+            step[0, i + 2, j] = row
+            step[1, i + 2, j] = col
+            d[0, i + 2, j] = row
+            d[1, i + 2, j] = col
+
+
+@_parallel
+def restrict(fine, coarse):
+    """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    for i in prange(coarse.shape[1] - 4):
+        above, here, below = 2 * i + 1, 2 * i + 2, 2 * i + 3
+        for component in range(2):
+            for j in range(coarse.shape[2] - 4):
+                left = (
+                    fine[component, here, 2 * j + 1]
+                    + float32(0.5) * fine[component, above, 2 * j + 1]
+                    + float32(0.5) * fine[component, below, 2 * j + 1]
+                )
+                middle = (
+                    fine[component, here, 2 * j + 2]
+                    + float32(0.5) * fine[component, above, 2 * j + 2]
+                    + float32(0.5) * fine[component, below, 2 * j + 2]
+                )
+                right = (
+                    fine[component, here, 2 * j + 3]
+                    + float32(0.5) * fine[component, above, 2 * j + 3]
+                    + float32(0.5) * fine[component, below, 2 * j + 3]
+                )
+                coarse[component, i + 2, j + 2] = middle + float32(0.5) * (left + right)
+
+
+@_parallel
+def interpolate(coarse, fine, inverse):
+    """Add a coarse correction, bilinear, to the sites that move."""
+    for i in prange(fine.shape[1] - 4):
+        near = i // 2 + 2
+        far = near + i % 2
+        for component in range(2):
+            for j in range((fine.shape[2] - 3) // 2):
+                here = coarse[component, near, j + 2] + coarse[component, far, j + 2]
+                after = coarse[component, near, j + 3] + coarse[component, far, j + 3]
+                here *= float32(0.5)
+                between = float32(0.5) * here + float32(0.25) * after
+                moves = inverse[component, i + 2, 2 * j + 2] > float32(0)
+                fine[component, i + 2, 2 * j + 2] += here if moves else float32(0)
+                moves = inverse[component, i + 2, 2 * j + 3] > float32(0)
+                fine[component, i + 2, 2 * j + 3] += between if moves else float32(0)
+
+
+@_parallel
+def advance(d, rest, direction, image, length, row_totals):
+    """D += length * direction, rest -= length * image; `row_totals` gets the square of the rest."""
+    for i in prange(d.shape[1] - 4):
+        for component in range(2):
+            for j in range(d.shape[2]):
+                d[component, i + 2, j] += length * direction[component, i + 2, j]
+                rest[component, i + 2, j] -= length * image[component, i + 2, j]
+        row_totals[i] = row_product(rest, rest, i + 2)
+
+
+@_parallel
+def turn(steepest, direction, share):
+    """Direction = steepest + share * direction."""
+    for i in prange(direction.shape[1] - 4):
+        for component in range(2):
+            for j in range(direction.shape[2]):
+                direction[component, i + 2, j] = (
+                    steepest[component, i + 2, j] + share * direction[component, i + 2, j]
+                )
+
+
+@_parallel
+def product(a, b, row_totals):
+    """The scalar product, row by row."""
+    for i in prange(a.shape[1] - 4):
+        row_totals[i] = row_product(a, b, i + 2)
+
+
+@_parallel
+def largest(a, row_most):
+    """The largest absolute value of each row."""
+    for i in prange(a.shape[1] - 4):
+        most = float32(0)
+        for component in range(2):
+            for j in range(a.shape[2]):
+                most = max(most, abs(a[component, i + 2, j]))
+        row_most[i] = most

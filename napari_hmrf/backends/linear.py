@@ -1,0 +1,115 @@
+"""What multigrid may ask of a backend: a linear model A d = load on ever coarser levels.
+
+A *vector* is a displacement or a force on the sites of one level, kept on the device. A *scalar* is
+a number kept there too: it goes from kernel to kernel without the host, which waits for the device
+in `LinearLevel.read` only. Components that are held, or have no neighbours, do not move: a
+correction is zero there.
+
+On the host, fields are *planes*: float64, (2, H + 4, W + 4), the component first, in a ring of
+zeros two sites wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Planes = npt.NDArray[np.float64]
+HeldPlanes = npt.NDArray[np.bool_]
+
+#: (scale, momentum) of each Chebyshev step of a smoother.
+Steps = Sequence[tuple[float, float]]
+
+
+class LinearLevel(Protocol):
+    """One level of the model."""
+
+    #: What the level is to be relaxed for: assign a vector on the finest level.
+    load: Any
+    #: What `relax` and `correct_from` change.
+    correction: Any
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Smooth: step = scale D^-1 (load - A d) + momentum step, d += step, d the correction."""
+        ...
+
+    def restrict_to(self, coarse: Any) -> None:
+        """Make what is left of the load the load of the next coarser level."""
+        ...
+
+    def correct_from(self, coarse: Any) -> None:
+        """Add the next coarser level's correction, interpolated."""
+        ...
+
+    def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:
+        """Return a new vector: zero, or what is in these planes."""
+        ...
+
+    def planes(self, vector: Any) -> npt.NDArray[np.float32]:
+        """Bring a vector to the host."""
+        ...
+
+    def product(self, a: Any, b: Any) -> Any:
+        """The scalar product."""
+        ...
+
+    def largest(self, a: Any) -> Any:
+        """The largest absolute value."""
+        ...
+
+    def ratio(self, a: Any, b: Any) -> Any:
+        """A scalar over another; 0 unless both are positive."""
+        ...
+
+    def apply(self, direction: Any, image: Any) -> Any:
+        """Image = A direction; returns their scalar product."""
+        ...
+
+    def advance(self, d: Any, rest: Any, direction: Any, image: Any, length: Any) -> Any:
+        """D += length direction, rest -= length image; returns the square of the rest."""
+        ...
+
+    def turn(self, steepest: Any, direction: Any, share: Any) -> None:
+        """Direction = steepest + share direction."""
+        ...
+
+    def read(self, *scalars: Any) -> tuple[float, ...]:
+        """Wait for scalars."""
+        ...
+
+
+class LinearModel(Protocol):
+    """A prior's model of one problem, and the same model again on coarser levels."""
+
+    @property
+    def levels(self) -> Sequence[LinearLevel]:
+        """Finest first."""
+        ...
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of the spectrum of D^-1 A, from above: the usual one, and one for any material."""
+        ...
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Say which components do not move, on the finest level and therefore on all."""
+        ...
+
+    def residual(self, d: Planes, load: Planes | None) -> Planes:
+        """Load - A d in double precision, 0 where held."""
+        ...
+
+    def pull(self, d: Planes) -> Planes:
+        """What the tissue pulls with everywhere, held or not: - A d, in double precision."""
+        ...
+
+    def energy(self, d: Planes) -> float:
+        """The model's energy of a displacement, without what is observed."""
+        ...
+
+    def close(self) -> None:
+        """Free what it has on the device."""
+        ...

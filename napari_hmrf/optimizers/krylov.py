@@ -1,0 +1,132 @@
+"""Conjugate gradients, preconditioned by a V-cycle, and what they learn on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.optimizers.cycle import Cycle
+
+# How far single precision is trusted to reduce a residual before it is computed again in double.
+_INNER = 1e-5
+# Below this an eigenvalue is rounding.
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is known after one step of an iteration, in the units of the residual it began with.
+
+    Attributes
+    ----------
+    reach : float
+        How far any site is from the solution, per unit of the residual's norm: an estimate, from
+        what the last cycle corrected and from the least eigenvalue met so far.
+    rest : float
+        The norm of the residual now.
+    gain : float
+        How much energy the step took.
+    """
+
+    reach: float
+    rest: float
+    gain: float
+
+    @property
+    def error(self) -> float:
+        """How far any site is from the solution, as estimated."""
+        return self.reach * self.rest
+
+
+#: Looks at each step; True ends the iteration.
+Watch = Callable[[Step], bool]
+
+
+class ConjugateGradients:
+    """The iteration for symmetric models; what it learns of the spectrum lasts from run to run.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    """
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+        self._spectrum = _Spectrum()
+
+    def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
+        """Return a correction for a residual (planes), in single precision.
+
+        Raises
+        ------
+        ConvergenceError
+            If numbers overflow.
+        """
+        level = self._cycle.levels[0]
+        rest = level.vector(residual)
+        found, direction, image = (level.vector() for _ in range(3))
+        square = first = level.read(level.product(rest, rest))[0]
+        before: Any = None
+        self._spectrum.restart()
+        while True:
+            steepest = self._cycle.run(rest)
+            most, slope = level.largest(steepest), level.product(steepest, rest)
+            turn = slope if before is None else level.ratio(slope, before)
+            level.turn(steepest, direction, turn)
+            curvature = level.apply(direction, image)
+            length = level.ratio(slope, curvature)
+            left = level.advance(found, rest, direction, image, length)
+            values = level.read(most, slope, curvature, turn, left)
+            if not all(math.isfinite(value) for value in values):
+                raise ConvergenceError(
+                    "the iteration overflowed: bring the softest and the stiffest tissue closer "
+                    "together"
+                )
+            far, down, bend, turned, after = values
+            if not (down > 0 and bend > 0):
+                if after > 0 and self._cycle.be_careful():
+                    direction = level.vector()
+                    before = None
+                    self._spectrum.restart()
+                    continue
+                break
+            self._spectrum.add(down / bend, 0.0 if before is None else turned)
+            reach = far / self._spectrum.least / math.sqrt(square)
+            step = Step(reach, math.sqrt(after), down**2 / bend / 2)
+            before, square = slope, after
+            if enough(step) or after <= _INNER**2 * first:
+                break
+        return np.asarray(level.planes(found))
+
+
+class _Spectrum:
+    """The least eigenvalue that conjugate gradients have met (their Lanczos matrix has it)."""
+
+    def __init__(self) -> None:
+        self.least = 1.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new run; what was learnt stays."""
+        self._diagonal: list[float] = []
+        self._beside: list[float] = []
+        self._length = 0.0
+
+    def add(self, length: float, turn: float) -> None:
+        """Take in a step: its length along the direction, and the direction's turn before it."""
+        self._diagonal.append(1 / length + (turn / self._length if self._length else 0.0))
+        if self._length:
+            self._beside.append(math.sqrt(turn) / self._length)
+        self._length = length
+        if self._beside:
+            least = scipy.linalg.eigh_tridiagonal(
+                self._diagonal, self._beside, True, select="i", select_range=(0, 0)
+            )[0]
+            self.least = min(self.least, max(float(least), _LEAST))
