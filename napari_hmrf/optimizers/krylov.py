@@ -16,8 +16,13 @@ from napari_hmrf.optimizers.cycle import Cycle
 
 # How far single precision is trusted to reduce a residual before it is computed again in double.
 _INNER = 1e-5
-# Below this an eigenvalue is rounding.
+# Below this a residual in single precision is rounding, and so is an eigenvalue.
+_ROUNDING = 1e-7
 _LEAST = 1e-6
+# What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
+# sees what is left.
+_FASTEST = 0.25
+_USUAL_LEAST = 0.4
 
 
 @dataclass(frozen=True)
@@ -98,12 +103,19 @@ class ConjugateGradients:
                     continue
                 break
             self._spectrum.add(down / bend, 0.0 if before is None else turned)
-            reach = far / self._spectrum.least / math.sqrt(square)
-            step = Step(reach, math.sqrt(after), down**2 / bend / 2)
+            step = self._judged(far, first, square, after, down**2 / bend / 2)
             before, square = slope, after
             if enough(step) or after <= _INNER**2 * first:
                 break
         return np.asarray(level.planes(found))
+
+    def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
+        """What is known after a step whose cycle corrected `far`, from squares of residuals."""
+        # At first residuals fall faster than errors, as jumps beside what is held are smoothed, and
+        # the least eigenvalues have not been met yet.
+        rest = max(math.sqrt(after), _ROUNDING * math.sqrt(first))
+        fall = max(math.sqrt(after / before), _FASTEST)
+        return Step(far * fall / min(self._spectrum.least, _USUAL_LEAST) / rest, rest, gain)
 
 
 class _Spectrum:
