@@ -1,12 +1,16 @@
 """Whether what is observed determines how elastic tissue moves.
 
 A piece of tissue can move as a rigid body in three ways (along rows, along columns, and turning) at
-no cost. What is observed of it must stop all three, or there is no one answer.
+no cost. What is observed of it must stop all three, or there is no one answer. Two pieces that meet
+in a single site are hinged there: each may still turn by itself.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
@@ -15,6 +19,11 @@ from napari_hmrf.problem import Problem
 # Below this fraction of the largest, what holds a rigid motion is rounding.
 _NOTHING = 1e-9
 _MOTIONS = ("along rows", "along columns", "by turning")
+# The last inputs that were found to be held: checking them takes as long as some solves.
+_held: set[tuple[str, str]] = set()
+
+Labels = npt.NDArray[np.int32]
+Motions = npt.NDArray[np.float64]
 
 
 def check_held(problem: Problem) -> None:
@@ -25,37 +34,96 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
-    tissue = problem.tissue
-    elements = tissue[:-1, :-1] & tissue[:-1, 1:] & tissue[1:, :-1] & tissue[1:, 1:]
-    pieces, count = scipy.ndimage.label(elements, structure=np.ones((3, 3)))
+    inputs = problem.digests["c"], problem.digests["m"]
+    if inputs in _held:
+        return
+    m = problem.m
+    rows = np.minimum(m[:-1], m[1:])
+    pieces, count = scipy.ndimage.label(np.minimum(rows[:, :-1], rows[:, 1:]) > 0)
     if count == 0:
         raise ProblemError(
             "m", "has tissue nowhere two pixels wide: nothing there could be stretched."
         )
-    of_site = np.zeros(tissue.shape, dtype=pieces.dtype)
-    for i in (0, 1):
-        for j in (0, 1):
-            corner = of_site[i : i + pieces.shape[0], j : j + pieces.shape[1]]
-            np.maximum(corner, pieces, out=corner)
-    for piece, box in enumerate(scipy.ndimage.find_objects(of_site), start=1):
-        inside = of_site[box] == piece
-        held = ((problem.c[box] > 0) & inside[..., None]).astype(np.float64)
-        rows, cols = np.indices(inside.shape)
-        rows, cols = rows - inside.shape[0] / 2, cols - inside.shape[1] / 2
-        size = max(inside.shape)
-        along_rows = np.stack([held[..., 0], 0 * cols, -held[..., 0] * cols / size])
-        along_cols = np.stack([0 * rows, held[..., 1], held[..., 1] * rows / size])
-        motions = np.concatenate([along_rows.reshape(3, -1), along_cols.reshape(3, -1)], axis=1)
-        strength, ways = np.linalg.eigh(motions @ motions.T)
-        if strength[0] > _NOTHING * max(strength[-1], 1.0):
+    # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
+    around = np.pad(pieces, 1)
+    i, j, component = np.nonzero(problem.c)
+    corners = around[i, j], around[i, j + 1], around[i + 1, j], around[i + 1, j + 1]
+    piece = np.max(corners, axis=0)
+    of, ways = piece - 1, _motions(i, j, component, problem.shape)
+    hinged = _hinges(around) if count > 1 else np.zeros((0, 4), dtype=int)
+    for cluster in _clusters(hinged, count):
+        place = np.full(count, -1)
+        place[cluster] = np.arange(len(cluster))
+        here = (piece > 0) & (place[of] >= 0)
+        strength = np.zeros((3 * len(cluster), 3 * len(cluster)))
+        _tie(strength, place[of[here]], ways[here])
+        mine = hinged[place[hinged[:, 2]] >= 0] if len(hinged) else hinged
+        for along in (0, 1):
+            way = _motions(mine[:, 0], mine[:, 1], np.full(len(mine), along), problem.shape)
+            _tie(strength, place[mine[:, 2]], way, place[mine[:, 3]])
+        stops, modes = np.linalg.eigh(strength)
+        if stops[0] > _NOTHING * max(stops[-1], 1.0):
             continue
-        centre = [
-            int(np.mean(at)) + edge.start for at, edge in zip(np.nonzero(inside), box, strict=True)
-        ]
-        way = _MOTIONS[int(np.argmax(np.abs(ways[:, 0])))]
-        what = "is not held anywhere" if strength[-1] <= _NOTHING else f"could still move {way}"
-        raise ProblemError(
-            "c",
-            f"leaves a piece of tissue free: the one of {int(inside.sum())} pixels around "
-            f"{tuple(centre)} {what}. Fix some of it in place, or give it no stiffness.",
-        )
+        mode = modes[:, 0].reshape(-1, 3)
+        worst = int(np.argmax((mode**2).sum(axis=1)))
+        nothing = np.trace(strength[3 * worst : 3 * worst + 3, 3 * worst : 3 * worst + 3]) == 0
+        how = f"could still move {_MOTIONS[int(np.argmax(np.abs(mode[worst])))]}"
+        _refuse(pieces == cluster[worst] + 1, "is not held anywhere" if nothing else how)
+    if len(_held) > 8:
+        _held.clear()
+    _held.add(inputs)
+
+
+def _motions(
+    i: npt.NDArray[Any], j: npt.NDArray[Any], along: npt.NDArray[Any], shape: tuple[int, ...]
+) -> Motions:
+    """How far sites move along an axis in each of the three rigid motions."""
+    turn = np.where(along == 0, shape[1] / 2 - j, i - shape[0] / 2) / max(shape)
+    return np.stack([along == 0, along == 1, turn], axis=-1).astype(np.float64)
+
+
+def _tie(
+    strength: Motions,
+    piece: npt.NDArray[Any],
+    way: Motions,
+    other: npt.NDArray[Any] | None = None,
+) -> None:
+    """Add what it costs pieces to move as `way` says, or to move so against others, in place."""
+    blocks = strength.reshape(len(strength) // 3, 3, -1, 3).swapaxes(1, 2)
+    squares = way[:, :, None] * way[:, None, :]
+    np.add.at(blocks, (piece, piece), squares)
+    if other is not None:
+        np.add.at(blocks, (other, other), squares)
+        np.add.at(blocks, (piece, other), -squares)
+        np.add.at(blocks, (other, piece), -squares)
+
+
+def _hinges(around: Labels) -> npt.NDArray[np.int64]:
+    """Sites where two pieces meet in a corner: (row, col, piece, other piece), from 0."""
+    found = []
+    falling = around[:-1, :-1], around[1:, 1:]
+    for one, other in (falling, (around[:-1, 1:], around[1:, :-1])):
+        i, j = np.nonzero((one > 0) & (other > 0) & (one != other))
+        found.append(np.stack([i, j, one[i, j] - 1, other[i, j] - 1], axis=-1))
+    return np.concatenate(found)
+
+
+def _clusters(hinged: npt.NDArray[np.int64], count: int) -> list[npt.NDArray[np.int64]]:
+    """Pieces that hang together by hinges."""
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(hinged)), (hinged[:, 2], hinged[:, 3])), shape=(count, count)
+    )
+    number, cluster = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    order = np.argsort(cluster, kind="stable")
+    return np.split(order, np.searchsorted(cluster[order], np.arange(1, number)))
+
+
+def _refuse(elements: npt.NDArray[np.bool_], what: str) -> None:
+    sites = np.pad(elements, 1)
+    sites = sites[:-1, :-1] | sites[:-1, 1:] | sites[1:, :-1] | sites[1:, 1:]
+    centre = tuple(int(np.mean(at)) for at in np.nonzero(sites))
+    raise ProblemError(
+        "c",
+        f"leaves a piece of tissue free: the one of {int(sites.sum())} pixels around {centre} "
+        f"{what}. Fix some of it in place, or give it no stiffness.",
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -99,6 +100,13 @@ class Problem:
         mask: npt.NDArray[np.bool_] = self.m > 0
         mask.setflags(write=False)
         return mask
+
+    @cached_property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of the bytes of y, c and m: equal for equal inputs."""
+        return {
+            field: hashlib.sha256(getattr(self, field)).hexdigest() for field in ("y", "c", "m")
+        }
 
     @property
     def unit(self) -> float:

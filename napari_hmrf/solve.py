@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import platform
 import queue
@@ -156,8 +155,10 @@ def run_here(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
             'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
         )
-    displacement = outcome.displacement * np.float32(problem.unit)
-    displacement[~problem.tissue] = 0
+    displacement = outcome.displacement
+    if problem.unit != 1:
+        displacement *= np.float32(problem.unit)
+    displacement *= problem.tissue[..., None]
     return Solution(
         displacement=displacement,
         energy=outcome.energy,
@@ -175,10 +176,7 @@ def run_here(
                 "optimizer": optimizer.parameters,
             },
             versions=_versions(),
-            inputs={
-                field: hashlib.sha256(getattr(problem, field).tobytes()).hexdigest()
-                for field in ("y", "c", "m")
-            },
+            inputs=problem.digests,
         ),
     )
 

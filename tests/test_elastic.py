@@ -339,3 +339,19 @@ def test_a_prior_that_makes_no_sense_is_refused(wrong):
 def test_an_iteration_that_makes_no_sense_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Multigrid(**wrong)
+
+
+def test_a_piece_that_hangs_on_one_corner_could_still_turn():
+    m = np.zeros((16, 16))
+    m[:8, :8] = 1
+    m[7:, 7:] = 1  # meets the other in the site (7, 7) only
+    c = np.zeros((16, 16, 2))
+    c[0] = 1
+    with pytest.raises(ProblemError, match=r"of 81 pixels around \(11, 11\) could still move by"):
+        solve(Problem(0 * c, c, m), ElasticPrior())
+    c[15, 15, 0] = 1
+    y = np.zeros_like(c)
+    y[15, 15, 0] = 0.8
+    found = solve(Problem(y, c, m), ElasticPrior()).displacement
+    np.testing.assert_allclose(found[7, 15], (0.8, 0), atol=2e-3)
+    np.testing.assert_allclose(found[15, 7], (0, -0.8), atol=2e-3)

@@ -29,19 +29,18 @@ class LinearLevel(Protocol):
 
     #: What the level is to be relaxed for: assign a vector on the finest level.
     load: Any
-    #: What `relax` and `correct_from` change.
+    #: What `descend` and `ascend` change.
     correction: Any
 
-    def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Smooth: step = scale D^-1 (load - A d) + momentum step, d += step, d the correction."""
+    def descend(self, steps: Steps, coarse: Any | None) -> None:
+        """Smooth from a correction of zero, and make what is left of the load `coarse`'s load.
+
+        Each step of smoothing is step = scale D^-1 (load - A d) + momentum step, d += step.
+        """
         ...
 
-    def restrict_to(self, coarse: Any) -> None:
-        """Make what is left of the load the load of the next coarser level."""
-        ...
-
-    def correct_from(self, coarse: Any) -> None:
-        """Add the next coarser level's correction, interpolated."""
+    def ascend(self, steps: Steps, coarse: Any) -> None:
+        """Add the correction of the next coarser level, interpolated, and smooth."""
         ...
 
     def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:

@@ -47,12 +47,10 @@ class Cycle:
         self.levels[0].load = load
         *upper, last = self.levels
         for level, coarse in zip(upper, self.levels[1:], strict=True):
-            level.relax(self._steps, from_zero=True)
-            level.restrict_to(coarse)
-        last.relax(self._coarsest, from_zero=True)
+            level.descend(self._steps, coarse)
+        last.descend(self._coarsest, None)
         for level, coarse in zip(reversed(upper), reversed(self.levels[1:]), strict=True):
-            level.correct_from(coarse)
-            level.relax(self._steps, from_zero=False)
+            level.ascend(self._steps, coarse)
         return self.levels[0].correction
 
 

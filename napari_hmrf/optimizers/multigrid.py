@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
 from napari_hmrf.backends.linear import LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
@@ -64,18 +65,15 @@ class Multigrid:
             )
         model = backend.elastic_model(prior.material(problem))
         try:
-            prescribed = (problem.c > 0) & problem.tissue[..., None]
-            held = _planes(prescribed, np.bool_)
-            d = _planes(np.where(prescribed, problem.y, 0) / problem.unit, np.float64)
+            d, held = host.prescribed(problem)
             model.hold(held)
             refinement = _Refinement(self, model, report)
             refinement.run(d, None)
             energies = refinement.energies(model.energy(d))
         finally:
             model.close()
-        result = np.moveaxis(d[:, 2:-2, 2:-2], 0, -1)
         return Outcome(
-            displacement=result.astype(np.float32),
+            displacement=host.gathered(d),
             energy=energies / max(1, int(problem.tissue.sum())),
             levels=(LevelRun(0, problem.shape, len(energies)),),
         )
@@ -100,10 +98,9 @@ class _Refinement:
     def run(self, d: Planes, load: Planes | None) -> None:
         """Move `d` to where no component that moves is pulled, in place."""
         rest = self._model.residual(d, load)
+        scale, _ = host.measure(rest)
         before = math.inf
         while True:
-            # What float32 holds of a residual must not depend on how small it is.
-            scale = float(np.abs(rest).max())
             if scale == 0:
                 self.estimate = 0.0
                 return
@@ -116,11 +113,13 @@ class _Refinement:
                 self._say(scale * latest.error)
                 return scale * latest.error <= self._settings.tolerance
 
-            correction = self._iteration.run((rest / scale).astype(np.float32), enough)
+            # What float32 holds of a residual must not depend on how small it is.
+            correction = self._iteration.run(host.shrunk(rest, scale), enough)
             if step is not None:
-                d += scale * correction
+                host.add(d, correction, scale)
                 rest = self._model.residual(d, load)
-                self.estimate = step.reach * _norm(rest)
+                scale, norm = host.measure(rest)
+                self.estimate = step.reach * norm
                 if self.estimate <= self._settings.tolerance:
                     return
             if step is None or not self.estimate < 0.5 * before:
@@ -148,14 +147,3 @@ class _Refinement:
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
                 "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
             )
-
-
-def _planes(values: Any, dtype: Any) -> Any:
-    """Values (H, W, 2) as planes."""
-    made = np.zeros((2, *(size + 4 for size in values.shape[:2])), dtype=dtype)
-    made[:, 2:-2, 2:-2] = np.moveaxis(values, -1, 0)
-    return made
-
-
-def _norm(values: Planes) -> float:
-    return float(np.linalg.norm(values))

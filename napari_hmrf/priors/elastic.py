@@ -36,7 +36,8 @@ Plane = Literal["stress", "strain"]
 POISSON_RANGE = (0.0, 0.499)
 
 
-class ElasticMaterial(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ElasticMaterial:
     """What the kernels need to know of a problem's tissue.
 
     Attributes
@@ -47,12 +48,26 @@ class ElasticMaterial(NamedTuple):
     strain : bool
         Plane strain instead of plane stress.
     shape : ElementShape
+    digest : str
+        Of the bytes of m.
     """
 
     m: npt.NDArray[np.float32]
     poisson: float | npt.NDArray[np.float32]
     strain: bool
     shape: ElementShape
+    digest: str
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ElasticMaterial) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[Any, ...]:
+        nu = self.poisson if isinstance(self.poisson, float) else self.poisson.tobytes()
+        return self.m.shape, self.digest, nu, self.strain, self.shape
 
     @property
     def largest_poisson(self) -> float:
@@ -154,7 +169,9 @@ class ElasticPrior:
     def material(self, problem: Problem) -> ElasticMaterial:
         """What the kernels need to know of a problem's tissue."""
         shape = self.shape(problem.spacing)
-        return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
+        return ElasticMaterial(
+            problem.m, self.poisson, self.plane == "strain", shape, problem.digests["m"]
+        )
 
     def lame(self, problem: Problem) -> Lame:
         """Lame's parameters of each element, from the means of its sites; 0 if one is void."""

@@ -166,9 +166,9 @@ class CpuBackend:
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device, on all levels of multigrid."""
-        from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
+        from napari_hmrf.backends.cpu.elastic_model import the_model
 
-        return CpuElasticModel(material)
+        return the_model(material)
 
     def _other_planes(self, stiffness: CpuField) -> FloatArray:
         """Planes to write displacement to, 0 in void; nobody else holds them."""

@@ -67,12 +67,14 @@ def _force(d, lame, shape, i, j):
 
 @_inline
 def _rest(d, load, lame, weight, shape, i, j):
-    """Load - (A + W) d at site (i, j); `weight` is W's diagonal or None."""
+    """Load - (A + W) d at site (i, j); `weight`, W's diagonal, and load may be None, zero."""
     row, col = _force(d, lame, shape, i, j)
     if weight is not None:
         row += weight[0, i, j] * d[0, i, j]
         col += weight[1, i, j] * d[1, i, j]
-    return load[0, i, j] - row, load[1, i, j] - col
+    if load is not None:
+        return load[0, i, j] - row, load[1, i, j] - col
+    return -row, -col
 
 
 @_parallel
@@ -88,14 +90,22 @@ def residual(d, load, lame, inverse, weight, shape, spans, out):
 
 
 @_parallel
-def pull(d, lame, shape, out, row_totals):
-    """Out = - A d everywhere; `row_totals` gets the product of d and A d: twice the energy."""
+def pull(d, lame, shape, out):
+    """Out = - A d everywhere."""
     for i in prange(d.shape[1] - 4):
-        total = 0.0
         for j in range(2, d.shape[2] - 2):
             row, col = _force(d, lame, shape, i + 2, j)
             out[0, i + 2, j] = -row
             out[1, i + 2, j] = -col
+
+
+@_parallel
+def work(d, lame, shape, row_totals):
+    """The product of d and A d, row by row: twice the energy."""
+    for i in prange(d.shape[1] - 4):
+        total = 0.0
+        for j in range(2, d.shape[2] - 2):
+            row, col = _force(d, lame, shape, i + 2, j)
             total += row * d[0, i + 2, j] + col * d[1, i + 2, j]
         row_totals[i] = total
 

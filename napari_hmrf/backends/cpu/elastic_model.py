@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.cpu import assembly, elastic, vectors
+from napari_hmrf.backends.cpu import assembly, elastic, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
 from napari_hmrf.priors.elastic import ElasticMaterial
+
+# A level of fewer sites is visited by one thread.
+_SMALL = 8000
 
 
 class CpuElasticLevel(CpuLevel):
@@ -30,6 +33,8 @@ class CpuElasticLevel(CpuLevel):
     def __init__(self, grid: tuple[int, ...], shape: Vector, finest: bool) -> None:
         super().__init__(grid)
         self.shape = shape
+        self._used = False
+        self._small = not finest and grid[0] * grid[1] < _SMALL
         self.lame, self.pins = self.vector(), self.vector()
         self.weight = None if finest else self.vector()
         self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
@@ -56,8 +61,53 @@ class CpuElasticLevel(CpuLevel):
 
     def _forget(self) -> None:
         """The kernels write within the spans only: beyond them there must be 0."""
-        for vector in (self.correction, self._other, self._step, self._rest):
-            vector.fill(0)
+        if self._used:
+            for vector in (self.correction, self._other, self._step, self._rest):
+                vector.fill(0)
+        self._used = True
+
+    def descend(self, steps: Steps, coarse: CpuElasticLevel | None) -> None:
+        """Relax from zero, and hand what is left of the load down."""
+        if not self._small:
+            super().descend(steps, coarse)
+            return
+        small.descend(
+            np.array(steps, dtype=np.float32),
+            self.load,
+            self.lame,
+            self.inverse,
+            self.weight,
+            self.shape,
+            self.spans,
+            self._step,
+            self.correction,
+            self._other,
+            self._rest,
+            None if coarse is None else coarse.load,
+        )
+        if len(steps) % 2 == 0:
+            self.correction, self._other = self._other, self.correction
+
+    def ascend(self, steps: Steps, coarse: CpuElasticLevel) -> None:
+        """Add the coarse correction, and relax."""
+        if not self._small:
+            super().ascend(steps, coarse)
+            return
+        small.ascend(
+            np.array(steps, dtype=np.float32),
+            coarse.correction,
+            self.load,
+            self.lame,
+            self.inverse,
+            self.weight,
+            self.shape,
+            self.spans,
+            self._step,
+            self.correction,
+            self._other,
+        )
+        if len(steps) % 2 == 1:
+            self.correction, self._other = self._other, self.correction
 
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
         elastic.smooth(
@@ -101,12 +151,21 @@ class CpuElasticModel:
     """
 
     def __init__(self, material: ElasticMaterial) -> None:
-        shape = np.array(material.shape, dtype=np.float32)
-        self.bounds = smoother_bounds(material)
+        self._shape = np.array(material.shape, dtype=np.float32)
         self.levels = [
-            CpuElasticLevel(grid, shape, finest=number == 0)
+            CpuElasticLevel(grid, self._shape, finest=number == 0)
             for number, grid in enumerate(grids(material.m.shape))
         ]
+        self._exact_lame = np.zeros(self.levels[0].lame.shape)
+        self.assemble(material)
+
+    def assemble(self, material: ElasticMaterial) -> None:
+        """Take another material of the same grid."""
+        self.material = material
+        self.bounds = smoother_bounds(material)
+        self._shape[:] = material.shape
+        self._exact_shape = self._shape.astype(np.float64)
+        self._held: HeldPlanes | None = None
         each = None if isinstance(material.poisson, float) else material.poisson
         assembly.elements(
             material.m,
@@ -119,25 +178,27 @@ class CpuElasticModel:
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             assembly.coarsen(fine.lame, coarse.lame)
         # Exactly what the kernels in single precision see.
-        self._lame = self.levels[0].lame.astype(np.float64)
-        self._shape = shape.astype(np.float64)
+        np.copyto(self._exact_lame, self.levels[0].lame)
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
+        if self._held is not None and np.array_equal(held, self._held):
+            return
+        self._held = held.copy()
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
 
     def residual(self, d: Planes, load: Planes | None) -> Planes:
         """Load - A d in double precision, 0 where held."""
-        finest, out = self.levels[0], np.zeros_like(d)
+        finest, out = self.levels[0], np.zeros(d.shape)
         elastic.residual(
             d,
-            np.zeros_like(d) if load is None else load,
-            self._lame,
+            load,
+            self._exact_lame,
             finest.inverse,
             None,
-            self._shape,
+            self._exact_shape,
             finest.spans,
             out,
         )
@@ -145,16 +206,32 @@ class CpuElasticModel:
 
     def pull(self, d: Planes) -> Planes:
         """- A d everywhere, in double precision."""
-        return self._pull(d)[0]
+        out = np.zeros(d.shape)
+        elastic.pull(d, self._exact_lame, self._exact_shape, out)
+        return out
 
     def energy(self, d: Planes) -> float:
         """The elastic energy."""
-        return self._pull(d)[1] / 2
-
-    def _pull(self, d: Planes) -> tuple[Planes, float]:
-        out, rows = np.zeros_like(d), np.zeros(d.shape[1] - 4)
-        elastic.pull(d, self._lame, self._shape, out, rows)
-        return out, float(rows.sum())
+        rows = np.zeros(d.shape[1] - 4)
+        elastic.work(d, self._exact_lame, self._exact_shape, rows)
+        return float(rows.sum()) / 2
 
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""
+
+
+_last: list[CpuElasticModel] = []
+
+
+def the_model(material: ElasticMaterial) -> CpuElasticModel:
+    """Return the model of a material: the last one, if it is the same tissue again.
+
+    Making one takes as long as a few cycles, and what is edited most is what pulls, not the tissue.
+    For the compute thread only, on which models take turns.
+    """
+    if not _last or _last[0].material.m.shape != material.m.shape:
+        _last[:] = ()  # its memory, first
+        _last.append(CpuElasticModel(material))
+    elif _last[0].material != material:
+        _last[0].assemble(material)
+    return _last[0]

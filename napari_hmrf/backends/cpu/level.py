@@ -51,6 +51,18 @@ class CpuLevel:
         """Image = A direction; their scalar product."""
         raise NotImplementedError
 
+    def descend(self, steps: Steps, coarse: Self | None) -> None:
+        """Relax from zero, and hand what is left of the load down."""
+        self.relax(steps, from_zero=True)
+        if coarse is not None:
+            self._leave()
+            vectors.restrict(self._rest, coarse.load)
+
+    def ascend(self, steps: Steps, coarse: Self) -> None:
+        """Add the coarse correction, and relax."""
+        vectors.interpolate(coarse.correction, self.correction, self.inverse)
+        self.relax(steps, from_zero=False)
+
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
         for number, (scale, momentum) in enumerate(steps):
@@ -61,15 +73,6 @@ class CpuLevel:
                 continue
             self._smooth(np.float32(scale), np.float32(momentum))
             self.correction, self._other = self._other, self.correction
-
-    def restrict_to(self, coarse: Self) -> None:
-        """Hand what is left of the load down."""
-        self._leave()
-        vectors.restrict(self._rest, coarse.load)
-
-    def correct_from(self, coarse: Self) -> None:
-        """Add the coarse correction."""
-        vectors.interpolate(coarse.correction, self.correction, self.inverse)
 
     def vector(self, values: Vector | None = None) -> Vector:
         """Return zeros, or these planes."""
