@@ -7,6 +7,7 @@ in a single site are hinged there: each may still turn by itself.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,25 @@ Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A way in which some tissue can move at no cost.
+
+    Attributes
+    ----------
+    piece : ndarray of bool, shape (H, W)
+        The tissue that moves most.
+    how : str
+        In words.
+    motion : ndarray, shape (H, W, 2)
+        The displacement, of all tissue and in pixels; its scale means nothing.
+    """
+
+    piece: npt.NDArray[np.bool_]
+    how: str
+    motion: npt.NDArray[np.float64]
+
+
 def check_held(problem: Problem) -> None:
     """Refuse a problem with a piece of tissue that could still move freely.
 
@@ -37,6 +57,33 @@ def check_held(problem: Problem) -> None:
     inputs = problem.digests["c"], problem.digests["m"]
     if inputs in _held:
         return
+    free = free_motion(problem, problem.c > 0)
+    if free is not None:
+        centre = tuple(int(np.mean(at)) for at in np.nonzero(free.piece))
+        raise ProblemError(
+            "c",
+            f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
+            f"{centre} {free.how}. Fix some of it in place, or give it no stiffness.",
+        )
+    if len(_held) > 8:
+        _held.clear()
+    _held.add(inputs)
+
+
+def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
+    """Find a way in which some tissue could still move, if there is one.
+
+    Parameters
+    ----------
+    problem : Problem
+    held : ndarray of bool, shape (H, W, 2)
+        Which components are held.
+
+    Raises
+    ------
+    ProblemError
+        If no tissue is two pixels wide.
+    """
     m = problem.m
     rows = np.minimum(m[:-1], m[1:])
     pieces, count = scipy.ndimage.label(np.minimum(rows[:, :-1], rows[:, 1:]) > 0)
@@ -46,7 +93,7 @@ def check_held(problem: Problem) -> None:
         )
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
     around = np.pad(pieces, 1)
-    i, j, component = np.nonzero(problem.c)
+    i, j, component = np.nonzero(held)
     corners = around[i, j], around[i, j + 1], around[i + 1, j], around[i + 1, j + 1]
     piece = np.max(corners, axis=0)
     of, ways = piece - 1, _motions(i, j, component, problem.shape)
@@ -68,10 +115,29 @@ def check_held(problem: Problem) -> None:
         worst = int(np.argmax((mode**2).sum(axis=1)))
         nothing = np.trace(strength[3 * worst : 3 * worst + 3, 3 * worst : 3 * worst + 3]) == 0
         how = f"could still move {_MOTIONS[int(np.argmax(np.abs(mode[worst])))]}"
-        _refuse(pieces == cluster[worst] + 1, "is not held anywhere" if nothing else how)
-    if len(_held) > 8:
-        _held.clear()
-    _held.add(inputs)
+        piece_modes = np.zeros((count + 1, 3))
+        piece_modes[cluster + 1] = mode
+        return FreeMotion(
+            _sites(np.where(pieces == cluster[worst] + 1, pieces, 0)) > 0,
+            "is not held anywhere" if nothing else how,
+            _field(piece_modes[_sites(pieces)]),
+        )
+    return None
+
+
+def _sites(pieces: Labels) -> Labels:
+    """The piece of each site, of the elements around it; 0 if it is in none."""
+    around = np.pad(pieces, 1)
+    rows = np.maximum(around[:-1], around[1:])
+    both: Labels = np.maximum(rows[:, :-1], rows[:, 1:])
+    return both
+
+
+def _field(modes: Motions) -> Motions:
+    """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3)."""
+    i, j = (np.asarray(index) for index in np.indices(modes.shape[:2]))
+    each = [_motions(i, j, np.full_like(i, along), i.shape) for along in (0, 1)]
+    return np.stack([(way * modes).sum(axis=-1) for way in each], axis=-1)
 
 
 def _motions(
@@ -116,14 +182,3 @@ def _clusters(hinged: npt.NDArray[np.int64], count: int) -> list[npt.NDArray[np.
     number, cluster = scipy.sparse.csgraph.connected_components(graph, directed=False)
     order = np.argsort(cluster, kind="stable")
     return np.split(order, np.searchsorted(cluster[order], np.arange(1, number)))
-
-
-def _refuse(elements: npt.NDArray[np.bool_], what: str) -> None:
-    sites = np.pad(elements, 1)
-    sites = sites[:-1, :-1] | sites[:-1, 1:] | sites[1:, :-1] | sites[1:, 1:]
-    centre = tuple(int(np.mean(at)) for at in np.nonzero(sites))
-    raise ProblemError(
-        "c",
-        f"leaves a piece of tissue free: the one of {int(sites.sum())} pixels around {centre} "
-        f"{what}. Fix some of it in place, or give it no stiffness.",
-    )

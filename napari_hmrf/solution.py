@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import archive
-from napari_hmrf.optimizers.base import LevelRun
+from napari_hmrf.optimizers.base import Convergence, LevelRun
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class Solution:
     spacing : tuple of float
         Size of a pixel in (row, col) direction.
     provenance : Provenance
+    convergence : Convergence, optional
+        How close to the converged field it is, where the optimizer knows.
     frame : mapping, optional
         Where the field lies in the world, for whoever made the problem from layers; JSON types
         only. The solver neither reads nor writes it.
@@ -80,6 +82,7 @@ class Solution:
     tissue: npt.NDArray[np.bool_]
     spacing: tuple[float, ...]
     provenance: Provenance
+    convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
 
     @property
@@ -118,6 +121,7 @@ class Solution:
             "levels": [asdict(run) for run in self.levels],
             "provenance": asdict(self.provenance),
             "frame": self.frame,
+            "convergence": None if self.convergence is None else asdict(self.convergence),
         }
         arrays = {name: getattr(self, name) for name in SOLUTION_FORMAT.arrays}
         return archive.write(path, SOLUTION_FORMAT, header, arrays)
@@ -168,6 +172,7 @@ def _parse(header: archive.Header, arrays: archive.Arrays) -> Solution:
     frame = header["frame"]
     if frame is not None and not isinstance(frame, dict):
         raise archive.Invalid("its frame is not a table")
+    reached = header.get("convergence")
     given, known = header["provenance"], {field.name for field in fields(Provenance)}
     return Solution(
         displacement=displacement.astype(np.float32, copy=False),
@@ -176,6 +181,7 @@ def _parse(header: archive.Header, arrays: archive.Arrays) -> Solution:
         tissue=tissue,
         spacing=spacing,
         provenance=Provenance(**{field: given[field] for field in known & given.keys()}),
+        convergence=reached and Convergence(float(reached["error"]), float(reached["residual"])),
         frame=frame,
     )
 

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import asdict
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Protocol
@@ -17,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from napari_hmrf.backends import Backend, open_backend
+from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError, Cancelled
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
@@ -45,6 +45,7 @@ def solve(
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
+    start: Solution | None = None,
 ) -> Solution:
     """Find how the tissue moves.
 
@@ -65,6 +66,10 @@ def solve(
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
         Set it to stop; looked at several times a second.
+    start : Solution, optional
+        Begin with the displacement of an earlier solution of the same grid: after a small edit of
+        the problem multigrid then has little to do. The result is the same. The paper's schedule
+        begins with zero on its coarsest level, and takes none.
 
     Returns
     -------
@@ -90,12 +95,12 @@ def solve(
     """
     stop = cancel or threading.Event()
     if compute_thread.is_current():
-        return run_here(problem, prior, optimizer, backend, progress, stop)
+        return run_here(problem, prior, optimizer, backend, progress, stop, start)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
     job: Future[Solution] = compute_thread.submit(
-        lambda: run_here(problem, prior, optimizer, backend, reports.put, either)
+        lambda: run_here(problem, prior, optimizer, backend, reports.put, either, start)
     )
     job.add_done_callback(lambda _: reports.put(None))
     try:
@@ -116,6 +121,7 @@ def run_here(
     backend: str,
     progress: Progress | None,
     cancel: CancelFlag,
+    start: Solution | None = None,
 ) -> Solution:
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
@@ -123,6 +129,7 @@ def run_here(
     begun = time.perf_counter()
     prior = (prior or SeilerPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
+    begin = None if start is None else _beginning(start, problem)
     resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
@@ -145,7 +152,7 @@ def run_here(
         _announce(device.renderer, reason)
         _prepare(device, prior, optimizer, problem.spacing)
         ready = time.perf_counter()
-        outcome = optimizer.run(problem, prior, device, report)
+        outcome = optimizer.run(problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
     finally:
         device.close()
@@ -163,6 +170,7 @@ def run_here(
         displacement=displacement,
         energy=outcome.energy,
         levels=outcome.levels,
+        convergence=outcome.convergence,
         tissue=problem.tissue,
         spacing=problem.spacing,
         provenance=Provenance(
@@ -172,13 +180,30 @@ def run_here(
             seconds=resolving + done - ready,
             preparation_seconds=ready - started,
             parameters={
-                "prior": {"name": type(prior).__name__, **asdict(prior)},
+                "prior": prior.parameters,
                 "optimizer": optimizer.parameters,
             },
             versions=_versions(),
             inputs=problem.digests,
         ),
     )
+
+
+def _beginning(start: Solution, problem: Problem) -> FloatArray:
+    """The displacement to begin with, in pixels.
+
+    Raises
+    ------
+    ValueError
+        If it is of another grid.
+    """
+    theirs, ours = (start.tissue.shape, start.spacing), (problem.shape, problem.spacing)
+    if theirs != ours:
+        raise ValueError(
+            f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
+            f"{ours[0]} pixels of size {ours[1]}. Leave it out"
+        )
+    return start.displacement / np.float32(problem.unit)
 
 
 class _Either:

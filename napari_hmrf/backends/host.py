@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,13 @@ def prescribed(problem: Problem) -> tuple[Planes, HeldPlanes]:
     d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
     exact.prescribe(problem.y, problem.c, problem.m, problem.unit, d, held)
     return d, held
+
+
+def planes(values: npt.NDArray[Any]) -> Planes:
+    """Return values (H, W, 2) as planes."""
+    made = np.zeros((2, *(size + 4 for size in values.shape[:2])))
+    made[:, 2:-2, 2:-2] = np.moveaxis(values, -1, 0)
+    return made
 
 
 def measure(rest: Planes) -> tuple[float, float]:

@@ -105,8 +105,13 @@ class LinearModel(Protocol):
         """What the tissue pulls with everywhere, held or not: - A d, in double precision."""
         ...
 
-    def energy(self, d: Planes) -> float:
-        """The model's energy of a displacement, without what is observed."""
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The model's energy of a displacement, and the norm of all its forces."""
+        ...
+
+    @property
+    def steepness(self) -> Planes:
+        """The diagonal of A on the finest level, whatever is held."""
         ...
 
     def close(self) -> None:

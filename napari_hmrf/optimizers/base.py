@@ -42,6 +42,23 @@ class LevelRun:
     iterations: int
 
 
+@dataclass(frozen=True)
+class Convergence:
+    """How close to the converged field an iteration ended.
+
+    Attributes
+    ----------
+    error : float
+        How far any site may be from the converged field, in pixels: an estimate.
+    residual : float
+        The norm of the forces that are left over, over that of all forces of the tissue, in double
+        precision.
+    """
+
+    error: float
+    residual: float
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What a schedule brings back, in pixels.
@@ -53,18 +70,31 @@ class Outcome:
         Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared.
     levels : tuple of LevelRun
         In the order they were run; their iterations add up to ``len(energy)``.
+    convergence : Convergence or None
+        None where the schedule does not look.
     """
 
     displacement: npt.NDArray[np.float32]
     energy: npt.NDArray[np.float64]
     levels: tuple[LevelRun, ...]
+    convergence: Convergence | None = None
 
 
 class Optimizer(Protocol):
     """A schedule of named kernels on the levels of the hierarchy."""
 
-    def run(self, problem: Problem, prior: Prior, backend: Backend[Any], report: Report) -> Outcome:
-        """Run the schedule; on the compute thread only."""
+    def run(
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: Backend[Any],
+        report: Report,
+        start: npt.NDArray[np.float32] | None = None,
+    ) -> Outcome:
+        """Run the schedule; on the compute thread only.
+
+        `start` is a displacement (H, W, 2) to begin with, in pixels.
+        """
         ...
 
     def rehearsal(self) -> Optimizer:

@@ -69,8 +69,17 @@ class ICM:
         """Return one sweep on each level, with the same kernels."""
         return replace(self, iterations=1, tolerance=None)
 
-    def run(self, problem: Problem, prior: Prior, backend: Backend[Any], report: Report) -> Outcome:
+    def run(
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: Backend[Any],
+        report: Report,
+        start: FloatArray | None = None,
+    ) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
+        if start is not None:
+            raise ValueError("ICM begins with zero on its coarsest level: start is for Multigrid")
         if not isinstance(prior, SeilerPrior):
             raise ValueError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
         rule = SiteRule(

@@ -13,14 +13,21 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.backends import host
-from napari_hmrf.backends.base import Backend
-from napari_hmrf.backends.linear import LinearModel, Planes
+from napari_hmrf.backends.base import Backend, FloatArray
+from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
-from napari_hmrf.optimizers.base import LevelRun, Monitor, Outcome, Report
+from napari_hmrf.held import free_motion
+from napari_hmrf.optimizers.active import ActiveSet
+from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report
 from napari_hmrf.optimizers.cycle import Cycle
 from napari_hmrf.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
+
+# The states of what is observed are found at so many times the tolerance, and then confirmed.
+_ROUGHLY = 10.0
+_MOST_EXCHANGES = 500
+_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,8 @@ class Multigrid:
         pixels. The estimate is what the last cycle corrected, times the residual it left, over
         the least eigenvalue of the preconditioned system as the iteration has come to know it.
     max_iterations : int
-        Give up after so many cycles, with an error.
+        Give up after so many cycles, with an error. Where observations may slip, that many for
+        each set of those that do.
     """
 
     tolerance: float = 1e-3
@@ -57,26 +65,97 @@ class Multigrid:
         """Return an iteration that is sure to end, with the same kernels."""
         return Multigrid()
 
-    def run(self, problem: Problem, prior: Prior, backend: Backend[Any], report: Report) -> Outcome:
+    def run(
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: Backend[Any],
+        report: Report,
+        start: FloatArray | None = None,
+    ) -> Outcome:
         """Solve; lengths are in pixels from here on."""
         if not isinstance(prior, ElasticPrior):
             raise ValueError(
                 f"Multigrid is for ElasticPrior, so far; {type(prior).__name__} takes ICM"
             )
+        d, observed = host.prescribed(problem)
+        begin = None if start is None else host.planes(start)
+        limit = prior.limit(problem)
         model = backend.elastic_model(prior.material(problem))
+        refinement = _Refinement(self, model, report)
         try:
-            d, held = host.prescribed(problem)
-            model.hold(held)
-            refinement = _Refinement(self, model, report)
-            refinement.run(d, None)
-            energies = refinement.energies(model.energy(d))
+            if limit is None:
+                if begin is not None:
+                    np.copyto(d, begin, where=~observed)
+                model.hold(observed)
+                refinement.run(d, None, self.tolerance)
+                energy, forces = model.work(d)
+                refinement.settle(energy)
+            else:
+                y, d = d, d.copy() if begin is None else begin
+                states = ActiveSet(observed, y, host.planes(limit), d)
+                forces = self._slip(problem, model, states, refinement, d)
         finally:
             model.close()
+        energies = np.array(refinement.energies) / max(1, int(problem.tissue.sum()))
         return Outcome(
             displacement=host.gathered(d),
-            energy=energies / max(1, int(problem.tissue.sum())),
+            energy=energies,
             levels=(LevelRun(0, problem.shape, len(energies)),),
+            convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
         )
+
+    def _slip(
+        self,
+        problem: Problem,
+        model: LinearModel,
+        states: ActiveSet,
+        refinement: _Refinement,
+        d: Planes,
+    ) -> float:
+        """Solve in place for ever other states of what is observed, until none contradicts itself.
+
+        Returns the norm of the forces at the end.
+        """
+
+        def free(held: HeldPlanes) -> Planes | None:
+            found = free_motion(problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
+            return None if found is None else host.planes(found.motion)
+
+        if free(states.held) is not None:
+            states.hold_all()
+        steepness = model.steepness
+        forces, before = 0.0, None
+        for tolerance in (_ROUGHLY * self.tolerance, self.tolerance):
+            for _ in range(_MOST_EXCHANGES):
+                states.place(d)
+                model.hold(states.held)
+                refinement.run(d, states.load, tolerance)
+                arrived = True
+                if before is not None:
+                    way = d - before
+                    arrived = states.step(d, before, way, model.pull(before), model.pull(way))
+                elif states.lost:
+                    states.follow(d)
+                    if free(states.held) is not None:
+                        states.hold_all()
+                        states.place(d)
+                    arrived = False
+                if states.lost:
+                    before = d.copy()
+                energy, forces = model.work(d)
+                refinement.settle(energy + states.cost(d))
+                if (
+                    not states.exchange(d, model.pull(d), steepness, tolerance / 2, free)
+                    and arrived
+                ):
+                    break
+            else:
+                raise ConvergenceError(
+                    f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise "
+                    "the penalty, or hold more of the tissue"
+                )
+        return forces
 
 
 class _Refinement:
@@ -86,19 +165,25 @@ class _Refinement:
     ----------
     estimate : float
         How far the field is from converged, in pixels, as far as is known.
+    residual : float
+        The norm of the forces that are left over, in double precision.
+    energies : list of float
+        The total energy after each cycle.
     """
 
     def __init__(self, settings: Multigrid, model: LinearModel, report: Report) -> None:
         self._settings, self._model, self._report = settings, model, report
         self._iteration = ConjugateGradients(Cycle(model))
         self.estimate = math.inf
+        self.residual = 0.0
+        self.energies: list[float] = []
         self._gains: list[float] = []
         self._first: float | None = None
 
-    def run(self, d: Planes, load: Planes | None) -> None:
-        """Move `d` to where no component that moves is pulled, in place."""
+    def run(self, d: Planes, load: Planes | None, tolerance: float) -> None:
+        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels."""
         rest = self._model.residual(d, load)
-        scale, _ = host.measure(rest)
+        scale, self.residual = host.measure(rest)
         before = math.inf
         while True:
             if scale == 0:
@@ -110,38 +195,45 @@ class _Refinement:
                 nonlocal step
                 step = latest
                 self._gains.append(scale**2 * latest.gain)
-                self._say(scale * latest.error)
-                return scale * latest.error <= self._settings.tolerance
+                self._say(scale * latest.error, tolerance)
+                return scale * latest.error <= tolerance
 
             # What float32 holds of a residual must not depend on how small it is.
             correction = self._iteration.run(host.shrunk(rest, scale), enough)
             if step is not None:
                 host.add(d, correction, scale)
                 rest = self._model.residual(d, load)
-                scale, norm = host.measure(rest)
-                self.estimate = step.reach * norm
-                if self.estimate <= self._settings.tolerance:
+                scale, self.residual = host.measure(rest)
+                self.estimate = step.reach * self.residual
+                if self.estimate <= tolerance:
                     return
             if step is None or not self.estimate < 0.5 * before:
                 raise ConvergenceError(
                     f"the field stays {self.estimate:.2g} px from converged after "
-                    f"{len(self._gains)} cycles: single precision does not carry these "
+                    f"{self._cycles} cycles: single precision does not carry these "
                     "stiffnesses. Bring the softest and the stiffest tissue closer together"
                 )
             before = self.estimate
 
-    def energies(self, last: float) -> Any:
-        """The energy after each cycle, given the last."""
+    def settle(self, energy: float) -> None:
+        """Take the total energy that the last run ended with, and know those before."""
         gains = self._gains or [0.0]
-        return last + np.cumsum([0.0, *gains[:0:-1]])[::-1]
+        self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
+        self._gains = []
 
-    def _say(self, estimate: float) -> None:
+    @property
+    def _cycles(self) -> int:
+        return len(self.energies) + len(self._gains)
+
+    def _say(self, estimate: float, tolerance: float) -> None:
         """Report, and give up in time."""
-        tolerance, cycles = self._settings.tolerance, len(self._gains)
+        cycles = len(self._gains)
         self._first = self._first or estimate
         way = math.log(max(self._first / tolerance, 1 + 1e-9))
         done = 1 - math.log(max(estimate / tolerance, 1.0)) / way
-        self._report(Monitor(f"cycle {cycles}, {estimate:.2g} px to go", min(max(done, 0.0), 1.0)))
+        self._report(
+            Monitor(f"cycle {self._cycles}, {estimate:.2g} px to go", min(max(done, 0.0), 1.0))
+        )
         if cycles >= self._settings.max_iterations and estimate > tolerance:
             raise ConvergenceError(
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "

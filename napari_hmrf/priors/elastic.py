@@ -19,6 +19,7 @@ The mean strains follow from D_r and D_c; the integral of what the twist adds se
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
@@ -26,6 +27,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.held import check_held
 from napari_hmrf.problem import Problem
 
@@ -115,40 +117,58 @@ class Differences(NamedTuple):
     twist: Float64Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ElasticPrior:
     """Plane linear elasticity.
 
     Parameters
     ----------
-    poisson : float
-        Poisson's ratio, 0 to 0.499: how much tissue bulges when compressed. 0.5 would be
-        incompressible; soft tissue is 0.45 to 0.499.
+    poisson : float or array_like, shape (H, W)
+        Poisson's ratio, 0 to 0.499, of all tissue or of each site: how much tissue bulges when
+        compressed. 0.5 would be incompressible; soft tissue is 0.45 to 0.499. Values in void do
+        not matter.
     plane : {"stress", "strain"}
         ``"stress"``: a thin slice, free to bulge out of the image. ``"strain"``: a slice held
         between its neighbours. There the twist of an element is not counted as a change of
         volume (selective reduced integration); counted, it would lock nearly incompressible
         tissue.
     penalty : float
-        K of eq. 19, the force with which a site of complete confidence is held at what was
-        observed, relative to the stiffest tissue. Only ``inf``, held exactly wherever c > 0, is
-        supported so far.
+        K of eq. 19: the greatest force with which a site of complete confidence is held at what
+        was observed, relative to the stiffest tissue (1 is what strains a pixel of it by 1).
+        Where tissue needs more it slips. ``inf``: held exactly wherever c > 0.
     """
 
-    poisson: float = 0.45
+    poisson: float | npt.NDArray[np.float32] = 0.45
     plane: Plane = "stress"
     penalty: float = math.inf
 
     def __post_init__(self) -> None:
-        low, high = POISSON_RANGE
-        if not low <= self.poisson <= high:
-            raise ValueError(f"poisson must lie between {low} and {high}, not {self.poisson!r}")
+        object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
         if self.plane not in get_args(Plane):
             raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
-        if self.penalty != math.inf:
-            raise ValueError(
-                f"penalty must be inf for now (boundaries are held exactly), not {self.penalty!r}"
-            )
+        if not self.penalty > 0:
+            raise ValueError(f"penalty must be a positive number or inf, not {self.penalty!r}")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name (JSON types only); of a map of ratios, its range and digest."""
+        nu: Any = self.poisson
+        if isinstance(nu, np.ndarray):
+            digest = hashlib.sha256(nu.tobytes()).hexdigest()
+            nu = {"shape": list(nu.shape), "sha256": digest}
+        penalty = "inf" if self.penalty == math.inf else self.penalty
+        return {
+            "name": "ElasticPrior",
+            "poisson": nu,
+            "plane": self.plane,
+            "penalty": penalty,
+        }
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ElasticPrior) and self.parameters == other.parameters
+
+    def __hash__(self) -> int:
+        return hash(repr(self.parameters))
 
     @property
     def kernels(self) -> str:
@@ -163,8 +183,17 @@ class ElasticPrior:
         ProblemError
             Naming a piece of tissue that could still move freely.
         """
+        if isinstance(self.poisson, np.ndarray):
+            _check_poisson_map(self.poisson, problem)
         check_held(problem)
         return self
+
+    def limit(self, problem: Problem) -> Float64Array | None:
+        """P = K c of every component (H, W, 2); None where all is held exactly."""
+        if self.penalty == math.inf:
+            return None
+        limit: Float64Array = self.penalty * problem.c.astype(np.float64)
+        return limit
 
     def material(self, problem: Problem) -> ElasticMaterial:
         """What the kernels need to know of a problem's tissue."""
@@ -212,6 +241,40 @@ class ElasticPrior:
         """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         return element_forces(self.lame(problem), self.shape(problem.spacing), d)
+
+
+def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
+    """Poisson's ratio as one float, or as an array of its own that nobody can change."""
+    low, high = POISSON_RANGE
+    if np.ndim(value) == 0:
+        if not low <= value <= high:
+            raise ValueError(f"poisson must lie between {low} and {high}, not {value!r}")
+        return float(value)
+    made = np.array(value, dtype=np.float32, order="C")
+    if made.ndim != 2:
+        raise ValueError(
+            f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"
+        )
+    made.setflags(write=False)
+    return made
+
+
+def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> None:
+    if poisson.shape != problem.shape:
+        raise ProblemError(
+            "poisson",
+            f"has shape {poisson.shape}, but m has shape {problem.shape}. Give both on the same "
+            "pixel grid.",
+        )
+    low, high = (np.float32(bound) for bound in POISSON_RANGE)
+    wrong = problem.tissue & ~((poisson >= low) & (poisson <= high))
+    if wrong.any():
+        first = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise ProblemError(
+            "poisson",
+            f"has {int(wrong.sum())} values outside {POISSON_RANGE[0]} to {POISSON_RANGE[1]} in "
+            f"tissue, the first at {first}. Soft tissue is 0.45 to 0.499.",
+        )
 
 
 def _of_elements(values: Float64Array) -> Float64Array:

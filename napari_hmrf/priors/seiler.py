@@ -15,9 +15,9 @@ A clique exists where its three sites lie in the image and in tissue.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from numbers import Real
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -108,6 +108,11 @@ class SeilerPrior:
             )
         if self.damping is not None and not 0 < self.damping <= 1:
             raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name (JSON types only)."""
+        return {"name": "SeilerPrior", **asdict(self)}
 
     @property
     def kernels(self) -> str:

@@ -65,6 +65,14 @@ def _diagonal(lame, shape, i, j):
     return row, col
 
 
+@_parallel
+def diagonal(lame, shape, out):
+    """The diagonal of the stiffness matrix."""
+    for i in prange(lame.shape[1] - 4):
+        for j in range(2, lame.shape[2] - 2):
+            out[0, i + 2, j], out[1, i + 2, j] = _diagonal(lame, shape, i + 2, j)
+
+
 @_inline
 def _span(inverse, spans, i):
     """Where row i's moving sites begin and end."""

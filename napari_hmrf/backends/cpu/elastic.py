@@ -100,14 +100,16 @@ def pull(d, lame, shape, out):
 
 
 @_parallel
-def work(d, lame, shape, row_totals):
-    """The product of d and A d, row by row: twice the energy."""
+def work(d, lame, shape, row_products, row_squares):
+    """The product of d and A d, twice the energy, and the square of A d, row by row."""
     for i in prange(d.shape[1] - 4):
-        total = 0.0
+        total, square = 0.0, 0.0
         for j in range(2, d.shape[2] - 2):
             row, col = _force(d, lame, shape, i + 2, j)
             total += row * d[0, i + 2, j] + col * d[1, i + 2, j]
-        row_totals[i] = total
+            square += row * row + col * col
+        row_products[i] = total
+        row_squares[i] = square
 
 
 @_parallel

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -210,11 +212,18 @@ class CpuElasticModel:
         elastic.pull(d, self._exact_lame, self._exact_shape, out)
         return out
 
-    def energy(self, d: Planes) -> float:
-        """The elastic energy."""
-        rows = np.zeros(d.shape[1] - 4)
-        elastic.work(d, self._exact_lame, self._exact_shape, rows)
-        return float(rows.sum()) / 2
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The elastic energy, and the norm of the forces."""
+        products, squares = np.zeros((2, d.shape[1] - 4))
+        elastic.work(d, self._exact_lame, self._exact_shape, products, squares)
+        return float(products.sum()) / 2, math.sqrt(squares.sum())
+
+    @property
+    def steepness(self) -> Planes:
+        """The diagonal of the stiffness matrix."""
+        out = np.zeros(self._exact_lame.shape)
+        assembly.diagonal(self._exact_lame, self._exact_shape, out)
+        return out
 
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""

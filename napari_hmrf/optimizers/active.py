@@ -1,0 +1,202 @@
+"""The L1 data term (eq. 19), solved exactly: which observed components are held, and which slip.
+
+An observation pulls with a force of at most p = K c. Where less is needed to keep a component at
+what was observed, it is *held* there; elsewhere it *slips* and is pulled with p towards it. Which
+is which is found by exchanging all components that contradict their state, then solving again
+(a semismooth Newton method). Where that does not lead anywhere, the field goes from the best one so
+far only as far towards each next one as the energy falls, which ends for certain: the energy is
+convex, and each state has one least energy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends.linear import HeldPlanes, Planes
+
+#: Says how tissue could move at no cost if only so much were held: planes, or None.
+FreeMotion = Callable[[HeldPlanes], Planes | None]
+
+# Exchanges of whole blocks that may pass without fewer contradictions than ever before.
+_PATIENCE = 6
+# What is this close to its mark, in pixels, has come to rest there.
+_ON_THE_MARK = 1e-7
+# A part of a way that is none.
+_NO_WAY = 1e-6
+
+
+class ActiveSet:
+    """The states of the observed components.
+
+    Parameters
+    ----------
+    observed : ndarray of bool, planes
+        Which components are observed.
+    y : ndarray, planes
+        What was observed, in pixels.
+    limit : ndarray, planes
+        p of each component, in units of the model's forces.
+    d : ndarray, planes
+        Where the components are: those elsewhere than observed slip from the beginning.
+    """
+
+    def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
+        self._grid = observed.shape
+        self._at = np.flatnonzero(observed)
+        self._y, self._limit = y.ravel()[self._at], limit.ravel()[self._at]
+        # The sign of the force of those that slip; 0 where held.
+        self._slips: npt.NDArray[Any] = np.sign(self._y - d.ravel()[self._at])
+        self._fewest = len(self._at) + 1
+        self._patience = _PATIENCE
+        self._barred = np.zeros(len(self._at), dtype=np.bool_)
+
+    @property
+    def lost(self) -> bool:
+        """Whether exchanges alone have led nowhere for a while: from then on, for good."""
+        return self._patience == 0
+
+    @property
+    def held(self) -> HeldPlanes:
+        """Which components are held."""
+        made = np.zeros(self._grid, dtype=np.bool_)
+        made.ravel()[self._at[self._slips == 0]] = True
+        return made
+
+    @property
+    def load(self) -> Planes:
+        """The forces on those that slip."""
+        made = np.zeros(self._grid)
+        made.ravel()[self._at] = self._slips * self._limit
+        return made
+
+    def place(self, d: Planes) -> None:
+        """Move the held components to what was observed, in place."""
+        here = self._slips == 0
+        d.ravel()[self._at[here]] = self._y[here]
+
+    def cost(self, d: Planes) -> float:
+        """The energy of the observations: sum of p |y - d|."""
+        return float((self._limit * np.abs(self._y - d.ravel()[self._at])).sum())
+
+    def exchange(
+        self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
+    ) -> bool:
+        """Let go of what needs a greater force than it has, and hold what has passed its mark.
+
+        Parameters
+        ----------
+        d : ndarray, planes
+            The displacement for the present states. Where tissue would be let go of altogether, it
+            slides to where something holds it again, in place.
+        pull : ndarray, planes
+            The force of the tissue on each component.
+        steepness : ndarray, planes
+            The model's diagonal: a force over it is the motion it causes.
+        tolerance : float
+            Contradictions of less than this, in pixels, do not count.
+        free : callable
+            Finds a motion that costs tissue nothing if only so much is held, or None.
+
+        Returns
+        -------
+        bool
+            Whether any state has changed.
+        """
+        needed = -pull.ravel()[self._at]
+        excess = (np.abs(needed) - self._limit) / steepness.ravel()[self._at]
+        passed = self._slips * (d.ravel()[self._at] - self._y)
+        held = self._slips == 0
+        wrong = (np.where(held, excess, passed) > tolerance) & ~self._barred
+        count = int(wrong.sum())
+        if 0 < count < self._fewest and not self.lost:
+            self._fewest, self._patience = count, _PATIENCE
+        elif count and not self.lost:
+            self._patience -= 1
+        before, exchanged = self._slips, np.where(held, np.sign(needed), 0.0)
+        while count:
+            self._slips = np.where(wrong, exchanged, before)
+            let_go = np.flatnonzero(wrong & held)
+            motion = free(self.held) if len(let_go) else None
+            if motion is None:
+                break
+            if len(let_go) == 1:
+                return self._slide(d, motion) or int(wrong.sum()) > 1
+            # Too much at once: only of what needs most.
+            wrong[let_go[np.argsort(excess[let_go])[: len(let_go) // 2]]] = False
+        return count > 0
+
+    def hold_all(self) -> None:
+        """Hold all that is observed."""
+        self._slips = np.zeros_like(self._slips)
+
+    def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
+        """Go only as far from `before` along `way` as the energy falls: changes d, in place.
+
+        Returns whether that is the whole way.
+
+        Parameters
+        ----------
+        d : ndarray, planes
+            The end of the way.
+        before, way : ndarray, planes
+        pull, change : ndarray, planes
+            The force of the tissue at `before`, and how it changes on the way.
+        """
+        slope, bend = -float((pull * way).sum()), -float((change * way).sum())
+        part = self._lowest(before, way, slope, bend)
+        # What was let go of against the way stays held until there is some progress.
+        slipped = self._slips != 0
+        if part < 1:
+            np.copyto(d, before + part * way)
+            self.follow(d)
+        self._barred = slipped & (self._slips == 0) if part < _NO_WAY else np.zeros_like(slipped)
+        return part >= 1
+
+    def follow(self, d: Planes) -> None:
+        """Hold what is at its mark, and let the rest slip."""
+        off = self._y - d.ravel()[self._at]
+        self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, np.sign(off))
+        self.place(d)
+
+    def _slide(self, d: Planes, motion: Planes) -> bool:
+        """Move tissue at no cost of its own to where observations want it most, in place.
+
+        Something holds it there again. Were there no such place, what was let go is held as before.
+        """
+        for way in (motion, -motion):
+            part = self._lowest(d, way, 0.0, 0.0)
+            if 0 < part < math.inf:
+                np.copyto(d, d + part * way)
+                self.follow(d)
+                return True
+        off = self._y - d.ravel()[self._at]
+        self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, self._slips)
+        return False
+
+    def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
+        """How many times `way` from `d` the energy is least.
+
+        That of the tissue has this slope and bend; that of the observations is added here.
+        """
+        off, moves = d.ravel()[self._at] - self._y, way.ravel()[self._at]
+        off[self._slips == 0] = 0
+        at = np.divide(-off, moves, out=np.full_like(off, -1.0), where=moves != 0)
+        signs = np.where(off != 0, np.sign(off), np.sign(moves))
+        slope += float((self._limit * signs * moves).sum())
+        if slope >= 0:
+            return 0.0
+        # Where an observation passes its mark, the slope grows at once.
+        for k in np.argsort(at):
+            if at[k] <= 0:
+                continue
+            if slope + bend * at[k] >= 0:
+                break
+            slope += 2 * float(self._limit[k] * abs(moves[k]))
+            if slope + bend * at[k] >= 0:
+                return float(at[k])
+        return -slope / bend if bend > 0 else math.inf

@@ -1,0 +1,208 @@
+"""What is observed with some confidence only: the L1 data term of elastic tissue, exactly."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, phantom, solve
+from napari_hmrf.priors.elastic import element_forces
+
+
+def stiffness_matrix(problem, prior):
+    """The matrix of the elastic energy, by impulses three sites apart."""
+    lame, shape = prior.lame(problem), prior.shape(problem.spacing)
+    height, width = problem.shape
+    number = np.arange(height * width * 2).reshape(height, width, 2)
+    parts = []
+    for a, b, component in np.ndindex(3, 3, 2):
+        impulse = np.zeros((height, width, 2))
+        impulse[a::3, b::3, component] = 1
+        forces = element_forces(lame, shape, impulse)
+        source = np.full((height + 2, width + 2), -1)
+        source[1:-1, 1:-1][a::3, b::3] = number[a::3, b::3, component]
+        for i, j, along in np.ndindex(3, 3, 2):
+            column = source[i : i + height, j : j + width]
+            there = column >= 0
+            parts.append((forces[..., along][there], number[..., along][there], column[there]))
+    values, rows, columns = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return sp.csr_matrix((values, (rows, columns)), shape=(number.size, number.size))
+
+
+def reference(problem, prior):
+    """Least elastic energy plus sum of p |y - d|, in float64: exact minimisation, one at a time.
+
+    What is not observed is eliminated first, so that only observed components are left.
+    """
+    matrix = stiffness_matrix(problem, prior)
+    solid = matrix.diagonal() > 0
+    seen = (problem.c.ravel() > 0) & solid
+    free = ~seen & solid
+    inner = spl.splu(matrix[free][:, free].tocsc())
+    across = matrix[free][:, seen].toarray()
+    schur = matrix[seen][:, seen].toarray() - across.T @ inner.solve(across)
+    y = (problem.y.astype(float) / problem.unit).ravel()[seen]
+    p = prior.limit(problem).ravel()[seen]
+    x = y.copy()
+    pull = schur @ x
+    for _ in range(20_000):
+        most = 0.0
+        for k in range(len(x)):
+            aim = x[k] - pull[k] / schur[k, k] - y[k]
+            target = y[k] + np.sign(aim) * max(abs(aim) - p[k] / schur[k, k], 0)
+            if target != x[k]:
+                pull += schur[:, k] * (target - x[k])
+                most = max(most, abs(target - x[k]))
+                x[k] = target
+        if most < 1e-7:
+            break
+    field = np.zeros(seen.size)
+    field[seen] = x
+    field[free] = -inner.solve(across @ x)
+    return field.reshape(*problem.shape, 2) * problem.unit
+
+
+def doubtful(seed=0, spacing=(1.0, 1.0)):
+    """Soft and stiff tissue, some of whose sites are observed, more or less surely."""
+    rng = np.random.default_rng(seed)
+    shape = (15, 18)
+    m = np.where(rng.random(shape) < 0.5, 1.0, 10.0)
+    m[7:9, 5:8] = 0
+    c = np.zeros((*shape, 2))
+    c[0] = rng.uniform(0.05, 1, (18, 2))
+    c[-1, ::2] = rng.uniform(0.05, 1, (9, 2))
+    c[4:6, 10:14, 1] = 0.5
+    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize("penalty", [3.0, 0.5, 0.05])
+def test_the_field_is_that_of_least_energy(penalty, spacing):
+    problem, prior = doubtful(spacing=spacing), ElasticPrior(0.4, penalty=penalty)
+    found = solve(problem, prior, Multigrid(1e-4))
+    expected = reference(problem, prior)
+    assert np.abs(found.displacement - expected).max() < 1e-3
+    slipped = np.abs(expected - problem.y)[problem.c > 0] > 1e-4
+    assert 0.02 < slipped.mean() < 1  # or this would show nothing
+    cost = (prior.limit(problem) * np.abs(problem.y - expected)).sum() / problem.unit
+    energy = (prior.energy(problem, expected) + cost) / problem.tissue.sum()
+    assert found.mean_energy == pytest.approx(energy, rel=1e-3)
+
+
+def test_confidence_is_what_the_force_of_an_observation_is_in_proportion_to():
+    # A bar that is pulled at one end with half and with full confidence.
+    y, c = np.zeros((2, 9, 41, 2))
+    c[:, 0] = 1
+    y[:, -1, 1] = 4
+    strain = []
+    for confidence in (0.5, 1.0):
+        c[:, -1, 1] = confidence
+        prior = ElasticPrior(0.0, penalty=0.05)  # too weak for 4 pixels
+        found = solve(Problem(y, c, np.ones((9, 41))), prior, Multigrid(1e-4)).displacement
+        strain.append(found[4, 30, 1] - found[4, 10, 1])
+    assert strain[1] == pytest.approx(2 * strain[0], rel=1e-3)
+    assert strain[1] == pytest.approx(20 * 0.05 * 9 / 8, rel=1e-3)
+
+
+def test_a_great_penalty_holds_exactly():
+    problem = phantom("mass-effect", 64).problem
+    held = solve(problem, ElasticPrior()).displacement
+    strongly = solve(problem, ElasticPrior(penalty=1e4)).displacement
+    np.testing.assert_allclose(strongly, held, atol=2e-3)
+
+
+def test_the_scale_of_stiffness_does_not_matter():
+    problem = doubtful()
+    prior = ElasticPrior(penalty=0.5)
+    harder = Problem(problem.y, problem.c, problem.m * 1000)
+    np.testing.assert_allclose(
+        solve(harder, prior).displacement, solve(problem, prior).displacement, atol=2e-3
+    )
+
+
+def test_tissue_that_slips_as_a_whole_comes_to_rest_where_most_want_it():
+    # A bar with its left half observed at 0 and its right end far away, both too weak to strain it.
+    y, c = np.zeros((2, 8, 20, 2))
+    c[:, :5, 1] = c[:, -1, 1] = 1
+    c[3, 10, 0] = 1
+    y[:, -1, 1] = 30
+    found = solve(Problem(y, c, np.ones((8, 20))), ElasticPrior(penalty=1e-3), Multigrid(1e-4))
+    assert np.abs(found.displacement[:, :5]).max() < 0.02
+    y[:, :5, 1], y[:, -1, 1] = 30, 0
+    found = solve(Problem(y, c, np.ones((8, 20))), ElasticPrior(penalty=1e-3), Multigrid(1e-4))
+    assert np.abs(found.displacement[:, :5, 1] - 30).max() < 0.02
+
+
+def test_a_known_field_makes_a_small_edit_cheap_and_changes_nothing():
+    problem = phantom("mass-effect", 128).problem
+    before = solve(problem, ElasticPrior(), Multigrid(0.01))
+    y = problem.y.copy()
+    y[..., 0] += np.where(y[..., 0] > 0, 0.2, 0).astype(np.float32)
+    edited = Problem(y, problem.c, problem.m)
+    cold = solve(edited, ElasticPrior(), Multigrid(0.01))
+    warm = solve(edited, ElasticPrior(), Multigrid(0.01), start=before)
+    assert warm.iterations < cold.iterations
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=0.02)
+    again = solve(edited, ElasticPrior(), Multigrid(0.01), start=warm)
+    assert again.iterations <= 1
+
+
+@pytest.mark.parametrize("penalty", [0.05, 0.5])
+def test_a_known_field_is_a_good_start_where_observations_slip_too(penalty):
+    problem, prior = doubtful(), ElasticPrior(0.4, penalty=penalty)
+    cold = solve(problem, prior, Multigrid(1e-4))
+    warm = solve(problem, prior, Multigrid(1e-4), start=cold)
+    assert warm.iterations < cold.iterations / 2
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=5e-4)
+
+
+def test_a_start_of_another_grid_is_refused():
+    small, large = (phantom("bar", size).problem for size in (32, 48))
+    with pytest.raises(ValueError, match="start is of a grid"):
+        solve(large, ElasticPrior(), start=solve(small, ElasticPrior()))
+    with pytest.raises(ValueError, match="start is for Multigrid"):
+        solve(small, start=solve(small))
+
+
+def test_poissons_ratio_may_differ_from_site_to_site():
+    problem = phantom("mass-effect", 48).problem
+    uniform = solve(problem, ElasticPrior(0.3)).displacement
+    as_map = solve(problem, ElasticPrior(np.full(problem.shape, 0.3))).displacement
+    np.testing.assert_allclose(as_map, uniform, atol=1e-4)
+    nu = np.where(np.arange(48) < 24, 0.1, 0.49) * np.ones((48, 1))
+    for plane in ("stress", "strain"):
+        prior = ElasticPrior(nu, plane)
+        matrix = stiffness_matrix(problem, prior)
+        field = np.where(problem.c > 0, problem.y, 0).astype(float).ravel()
+        free = (problem.c.ravel() == 0) & (matrix.diagonal() > 0)
+        right = -(matrix[free][:, ~free] @ field[~free])
+        field[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
+        found = solve(problem, prior, Multigrid(1e-4)).displacement.ravel()
+        assert np.abs(found - field)[free].max() < 1e-3
+        assert np.abs(found - uniform.ravel())[free].max() > 0.05
+
+
+def test_a_map_of_poissons_ratios_must_fit_the_tissue():
+    problem = phantom("bar", 32).problem
+    with pytest.raises(ProblemError, match=r"poisson: has shape \(3, 3\)"):
+        solve(problem, ElasticPrior(np.full((3, 3), 0.3)))
+    wrong = np.full(problem.shape, 0.3)
+    wrong[5, 16] = 0.6
+    with pytest.raises(ProblemError, match=r"poisson: has 1 values .* first at \(5, 16\)"):
+        solve(problem, ElasticPrior(wrong))
+    with pytest.raises(ValueError, match="one for each pixel"):
+        ElasticPrior(np.full(3, 0.3))
+
+
+def test_a_solution_says_how_close_it_is(tmp_path):
+    problem = phantom("expansion", 64).problem
+    solution = solve(problem, ElasticPrior(), Multigrid(0.01))
+    assert 0 < solution.convergence.error <= 0.01
+    assert 0 < solution.convergence.residual < 0.01
+    closer = solve(problem, ElasticPrior(), Multigrid(1e-4))
+    assert closer.convergence.residual < solution.convergence.residual / 10
+    assert np.abs(solution.displacement - closer.displacement).max() < 0.01
+    assert np.all(np.diff(solution.energy) <= 0)
+    loaded = type(solution).load(solution.save(tmp_path / "a.npz"))
+    assert loaded.convergence == solution.convergence
+    assert solve(problem).convergence is None
