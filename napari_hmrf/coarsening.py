@@ -25,7 +25,7 @@ COARSEST = 5
 #: Held fine sites that count at a coarse site, at most.
 MOST_PINS = 4.0
 #: The spring of one of them, as a part of the site's diagonal.
-SPRING = 0.5
+SPRING = 0.6
 
 
 def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -20,8 +20,8 @@ from napari_hmrf.problem import Problem
 # Below this fraction of the largest, what holds a rigid motion is rounding.
 _NOTHING = 1e-9
 _MOTIONS = ("along rows", "along columns", "by turning")
-# The last inputs that were found to be held: checking them takes as long as some solves.
-_held: set[tuple[str, str]] = set()
+# The last (c > 0, m) that were found to be held: checking takes as long as a few cycles.
+_held: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
@@ -54,10 +54,11 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
-    inputs = problem.digests["c"], problem.digests["m"]
-    if inputs in _held:
-        return
-    free = free_motion(problem, problem.c > 0)
+    held = problem.c > 0
+    for known, m in _held:
+        if np.array_equal(known, held) and np.array_equal(m, problem.m):
+            return
+    free = free_motion(problem, held)
     if free is not None:
         centre = tuple(int(np.mean(at)) for at in np.nonzero(free.piece))
         raise ProblemError(
@@ -65,9 +66,7 @@ def check_held(problem: Problem) -> None:
             f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
             f"{centre} {free.how}. Fix some of it in place, or give it no stiffness.",
         )
-    if len(_held) > 8:
-        _held.clear()
-    _held.add(inputs)
+    _held[:] = [(held, problem.m)]
 
 
 def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:

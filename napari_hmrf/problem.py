@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,16 +102,39 @@ class Problem:
         return mask
 
     @cached_property
-    def digests(self) -> dict[str, str]:
-        """SHA-256 of the bytes of y, c and m: equal for equal inputs."""
-        return {
-            field: hashlib.sha256(getattr(self, field)).hexdigest() for field in ("y", "c", "m")
-        }
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of the bytes of y, c and m: equal for equal inputs. Made when first looked at."""
+        return _Digests({"y": self.y, "c": self.c, "m": self.m})
 
     @property
     def unit(self) -> float:
         """The length the solver calls one pixel: the geometric mean of `spacing`."""
         return math.prod(self.spacing) ** (1.0 / len(self.spacing))
+
+
+class _Digests(Mapping[str, str]):
+    """The SHA-256 of arrays that do not change: made when asked for, as it takes milliseconds."""
+
+    def __init__(self, arrays: dict[str, FloatArray]) -> None:
+        self._arrays = arrays
+        self._made: dict[str, str] = {}
+
+    def __getitem__(self, name: str) -> str:
+        if name not in self._made:
+            self._made[name] = hashlib.sha256(self._arrays[name].tobytes()).hexdigest()
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __deepcopy__(self, memo: object) -> dict[str, str]:
+        return dict(self)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
 
 
 def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:

@@ -47,6 +47,10 @@ class LinearLevel(Protocol):
         """Return a new vector: zero, or what is in these planes."""
         ...
 
+    def free(self, *vectors: Any) -> None:
+        """Take vectors back that nobody needs any more."""
+        ...
+
     def planes(self, vector: Any) -> npt.NDArray[np.float32]:
         """Bring a vector to the host."""
         ...
@@ -98,7 +102,7 @@ class LinearModel(Protocol):
         ...
 
     def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held."""
+        """Load - A d in double precision, 0 where held; valid until the next call."""
         ...
 
     def pull(self, d: Planes) -> Planes:

@@ -7,7 +7,7 @@ from typing import Any
 from napari_hmrf.backends.linear import LinearModel, Steps
 
 # The part of the spectrum of D^-1 A that a level's smoother is for, as a fraction of its largest.
-_SMOOTHED = 0.3
+_SMOOTHED = 0.1
 _COARSEST_SMOOTHED = 0.02
 _SWEEPS = 2
 _COARSEST_SWEEPS = 20

@@ -97,6 +97,7 @@ class ConjugateGradients:
             far, down, bend, turned, after = values
             if not (down > 0 and bend > 0):
                 if after > 0 and self._cycle.be_careful():
+                    level.free(direction)
                     direction = level.vector()
                     before = None
                     self._spectrum.restart()
@@ -107,6 +108,7 @@ class ConjugateGradients:
             before, square = slope, after
             if enough(step) or after <= _INNER**2 * first:
                 break
+        level.free(rest, direction, image)
         return np.asarray(level.planes(found))
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:

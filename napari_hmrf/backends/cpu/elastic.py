@@ -99,7 +99,9 @@ def pull(d, lame, shape, out):
             out[1, i + 2, j] = -col
 
 
-@_parallel
+@numba.njit(
+    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath={"reassoc", *_ARITHMETIC}
+)
 def work(d, lame, shape, row_products, row_squares):
     """The product of d and A d, twice the energy, and the square of A d, row by row."""
     for i in prange(d.shape[1] - 4):

@@ -158,7 +158,7 @@ class CpuElasticModel:
             CpuElasticLevel(grid, self._shape, finest=number == 0)
             for number, grid in enumerate(grids(material.m.shape))
         ]
-        self._exact_lame = np.zeros(self.levels[0].lame.shape)
+        self._exact_lame, self._exact_rest = (np.zeros(self.levels[0].lame.shape) for _ in range(2))
         self.assemble(material)
 
     def assemble(self, material: ElasticMaterial) -> None:
@@ -187,13 +187,14 @@ class CpuElasticModel:
         if self._held is not None and np.array_equal(held, self._held):
             return
         self._held = held.copy()
+        self._exact_rest.fill(0)
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
 
     def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held."""
-        finest, out = self.levels[0], np.zeros(d.shape)
+        """Load - A d in double precision, 0 where held; valid until the next call."""
+        finest, out = self.levels[0], self._exact_rest
         elastic.residual(
             d,
             load,

@@ -33,6 +33,7 @@ class CpuLevel:
 
     def __init__(self, grid: tuple[int, ...]) -> None:
         self.grid = grid
+        self._spare: list[Vector] = []
         self.inverse = self.vector()
         self.load, self.correction, self._other, self._step, self._rest = (
             self.vector() for _ in range(5)
@@ -76,7 +77,17 @@ class CpuLevel:
 
     def vector(self, values: Vector | None = None) -> Vector:
         """Return zeros, or these planes."""
-        return padded(2, self.grid) if values is None else values
+        if values is not None:
+            return values
+        if not self._spare:
+            return padded(2, self.grid)
+        vector = self._spare.pop()
+        vector.fill(0)
+        return vector
+
+    def free(self, *vectors: Vector) -> None:
+        """Take vectors back: fresh memory takes longer to get than to fill."""
+        self._spare += vectors
 
     def planes(self, vector: Vector) -> Vector:
         """Return the vector."""

@@ -114,12 +114,17 @@ def product(a, b, row_totals):
         row_totals[i] = row_product(a, b, i + 2)
 
 
+@numba.njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+def _row_largest(a: Any, row: int) -> float:
+    most = float32(0)
+    for component in range(2):
+        for j in range(a.shape[2]):
+            most = max(most, abs(a[component, row, j]))
+    return most
+
+
 @_parallel
 def largest(a, row_most):
-    """The largest absolute value of each row."""
+    """The largest absolute value of each row; what is not a number does not count."""
     for i in prange(a.shape[1] - 4):
-        most = float32(0)
-        for component in range(2):
-            for j in range(a.shape[2]):
-                most = max(most, abs(a[component, i + 2, j]))
-        row_most[i] = most
+        row_most[i] = _row_largest(a, i + 2)
