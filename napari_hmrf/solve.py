@@ -20,7 +20,7 @@ from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError, Cancelled
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.priors import Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution
 
@@ -143,11 +143,7 @@ def run_here(
 
     report(Monitor("preparing (the first run compiles its kernels, once)", 0.0))
     started = time.perf_counter()
-    if backend == "auto" and isinstance(prior, ElasticPrior):
-        device, _ = open_backend("cpu", checkpoint)
-        reason = "the shaders have no multigrid yet"
-    else:
-        device, reason = open_backend(backend, checkpoint)
+    device, reason = open_backend(backend, checkpoint)
     try:
         _announce(device.renderer, reason)
         _prepare(device, prior, optimizer, problem.spacing)

@@ -9,7 +9,7 @@ uniform ivec2 origin;
 void main()
 {
     ivec2 at = ivec2(gl_FragCoord.xy) - origin;
-#if CLIQUES
+#if CARRIES
     enter(at);
 #endif
     kernel(at);

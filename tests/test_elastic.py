@@ -12,7 +12,6 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from napari_hmrf import (
     ICM,
-    BackendError,
     Cancelled,
     ConvergenceError,
     ElasticPrior,
@@ -302,15 +301,6 @@ def test_priors_and_optimizers_that_do_not_go_together_are_refused():
         solve(problem, ElasticPrior(), ICM())
     with pytest.raises(ValueError, match="SeilerPrior takes ICM"):
         solve(problem, SeilerPrior(), Multigrid())
-
-
-def test_the_shaders_say_that_they_have_no_multigrid():
-    try:
-        solve(phantom("bar", 32).problem, backend="opengl")
-    except BackendError:
-        pytest.skip("no OpenGL here")
-    with pytest.raises(BackendError, match="compiled loops only"):
-        solve(phantom("bar", 32).problem, ElasticPrior(), backend="opengl")
 
 
 def test_smoothers_know_how_steep_their_model_can_be():

@@ -29,7 +29,7 @@ compute_thread.submit(job).result()
 
 _SOLVE = """
 import numpy as np
-from napari_hmrf import ICM, BackendError, Problem, solve
+from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, solve
 
 random = np.random.default_rng(0)
 m = np.ones((14, 11)); m[4:8, 3:7] = 3; m[0, :4] = 0
@@ -42,6 +42,9 @@ for steps in (None, (1.0, 0.1, 0.01)):
     print(shaders.provenance.backend, shaders.provenance.renderer)
     print("off", np.abs(loops.displacement - shaders.displacement).max())
     print("energies", loops.mean_energy, shaders.mean_energy)
+loops, shaders = (solve(problem, ElasticPrior(), backend=name) for name in ("cpu", "opengl"))
+print(shaders.provenance.backend, shaders.provenance.renderer)
+print("elastic", np.abs(loops.displacement - shaders.displacement).max(), shaders.iterations)
 try:
     solve(problem, backend="opengl:compute")
 except BackendError as error:
@@ -107,7 +110,10 @@ def test_what_is_missing_is_said_with_the_cure(variables, words):
 
 def test_nothing_above_opengl_3_3_is_needed():
     said = run(_SOLVE, GALLIUM_DRIVER="softpipe")
-    assert said.count("opengl:fragment softpipe") == 2
+    assert said.count("opengl:fragment softpipe") == 3
+    elastic = next(line.split() for line in said.splitlines() if line.startswith("elastic"))
+    assert float(elastic[1]) < 1e-4
+    assert int(elastic[2]) > 1
     offs = [float(line.split()[1]) for line in said.splitlines() if line.startswith("off")]
     closed_form, candidates = offs
     assert closed_form < 1e-4

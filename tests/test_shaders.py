@@ -12,7 +12,16 @@ from napari_hmrf.backends.opengl.source import KERNELS, STAGES, compose, vertice
 from napari_hmrf.resources import resource_folder
 
 FILES = sorted(resource_folder("shaders").glob("*.glsl"))
-SHARED = {"common", "cliques", "stage_fragment", "stage_compute", "triangle"}
+SHARED = {
+    "common",
+    "cliques",
+    "elements",
+    "forces",
+    "scalars",
+    "stage_fragment",
+    "stage_compute",
+    "triangle",
+}
 
 
 def defines(name: str) -> dict[str, int]:

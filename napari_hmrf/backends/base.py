@@ -133,13 +133,7 @@ class Backend(Protocol[FieldType]):
         ...
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Bring elastic tissue to the device, on all levels of multigrid.
-
-        Raises
-        ------
-        BackendError
-            If this backend has none.
-        """
+        """Bring elastic tissue to the device, on all levels of multigrid."""
         ...
 
     def release(self, *fields: FieldType) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -21,14 +20,8 @@ from napari_hmrf.backends.opengl.fields import (
     singles,
 )
 from napari_hmrf.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.backends.opengl.programs import Program
-from napari_hmrf.backends.opengl.regions import (
-    Groups,
-    Tissue,
-    Window,
-    groups_with,
-    window_around,
-)
+from napari_hmrf.backends.opengl.passes import Passes
+from napari_hmrf.backends.opengl.regions import Tissue
 from napari_hmrf.backends.opengl.source import STAGES, Stage
 from napari_hmrf.backends.opengl.totals import (
     BLOCK,
@@ -77,10 +70,15 @@ class OpenGLBackend:
         # A software renderer dispatches while the interpreter, and with it the window, waits.
         longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
         self._pace = Pace(self._device.finish, checkpoint, longest)
+        self._passes = Passes(self._device, self._stage, self._pace)
+        self._program, self._run, self._wait = (
+            self._passes.program,
+            self._passes.run,
+            self._passes.wait,
+        )
+        self._of_models: list[Passes] = []
         self._pool = Pool(self._device.texture)
         self._keeps_shares = software
-        self._targets: dict[tuple[Any, ...], Any] = {}
-        self._extra: list[Any] = []
         self._drawn: dict[tuple[int, ...], Tissue] = {}
 
     def upload(self, values: FloatArray) -> GLField:
@@ -171,10 +169,13 @@ class OpenGLBackend:
         return float(totals.read()[0])
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Refuse: the shaders have no multigrid yet."""
-        raise BackendError(
-            'elastic tissue is solved by the compiled loops only, so far. Take backend="cpu".'
-        )
+        """Bring elastic tissue to the device; its levels come from the compiled loops."""
+        from napari_hmrf.backends.opengl.elastic import GLElasticModel
+
+        self._refuse_too_large(*material.m.shape)
+        passes = Passes(self._device, self._stage, self._pace)
+        self._of_models.append(passes)
+        return GLElasticModel(passes, material)
 
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""
@@ -186,9 +187,10 @@ class OpenGLBackend:
 
     def close(self) -> None:
         """Free every texture; the context and the compiled kernels stay for the next solve."""
-        self._device.free((*self._targets.values(), *self._pool.all, *self._extra))
-        self._targets.clear()
-        self._extra.clear()
+        for passes in (*self._of_models, self._passes):
+            passes.close()
+        self._of_models.clear()
+        self._device.free(self._pool.all)
         self._drawn.clear()
         self._pool = Pool(self._device.texture)
 
@@ -198,33 +200,6 @@ class OpenGLBackend:
         stored = np.frombuffer(field.texture.read(), "<f4")
         self._device.check("reading an image")
         return stored.reshape(*field.grid, 4)
-
-    def _program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
-        return self._device.program(name, self._stage, defines)
-
-    def _run(
-        self,
-        program: Program,
-        inputs: Sequence[Any],
-        outputs: Sequence[Any],
-        grid: tuple[int, ...],
-        first_row: int = 0,
-        tissue: Tissue | None = None,
-    ) -> None:
-        """Run a kernel over a grid of texels, in as many strips as its size asks for."""
-        region = Window(0, 0, *grid) if tissue is None else tissue.region
-        target = self._target(outputs, tissue) if self._stage == "fragment" else None
-        for rows in self._pace.strips(region.size):
-            part = region if rows is None else region.strip(*rows)
-            program.run(inputs, outputs, target, part, first_row)
-
-    def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
-        """Make the framebuffer that draws into these textures, or return it."""
-        key = (*outputs, tissue)
-        if key not in self._targets:
-            mask = None if tissue is None else tissue.mask
-            self._targets[key] = self._device.framebuffer(outputs, mask)
-        return self._targets[key]
 
     def _ratios(self, stiffness: GLField) -> list[Any]:
         """Return the stiffness ratios of a level; they are the same in all of its sweeps."""
@@ -239,15 +214,7 @@ class OpenGLBackend:
         """Find where a level has tissue; it is the same in all of its sweeps."""
         if stiffness.tissue is None:
             shown = pairs_with_tissue(self._read(stiffness))
-            if self._stage == "fragment":
-                made = self._device.mask(shown)
-                stiffness.tissue = Tissue(window_around(shown), made)
-            else:
-                places = groups_with(shown)
-                made = self._device.texture(places.shape[:2], 2)
-                made.write(places)
-                stiffness.tissue = Tissue(Groups(made, stiffness.grid, 0, len(places)))
-            self._extra.append(made)
+            stiffness.tissue = self._passes.tissue(shown)
         if self._drawn.get(stiffness.grid) is not stiffness.tissue:
             # Other tissue on the same grid: what it left must not show up in this one's void.
             self._drawn[stiffness.grid] = stiffness.tissue
@@ -264,10 +231,6 @@ class OpenGLBackend:
             return PairTotals(self._pool, wait, grid, sweeps)
         program, largest = self._program("sum", {"BLOCK": BLOCK}), self._device.largest
         return BlockTotals(program, self._run, self._pool, wait, grid, sweeps, largest)
-
-    def _wait(self) -> None:
-        self._pace.wait()
-        self._device.check("computing")
 
     def _refuse_too_large(self, height: int, width: int) -> None:
         """Refuse an image before anything is allocated for it."""

@@ -138,6 +138,14 @@ class Device:
         made.depth_mask = False
         return made
 
+    def clear(self, target: Any) -> None:
+        """Fill what a framebuffer draws into with zeros."""
+        target.viewport = (0, 0, *target.size)
+        target.use()
+        target.clear()
+        # Mesa's softpipe loses what is drawn next into a framebuffer just cleared.
+        self._home.use()
+
     def free(self, objects: Iterable[Any]) -> None:
         """Release textures and framebuffers; nothing to do if they went with the context."""
         if not self.lost:

@@ -40,7 +40,7 @@ class Program(Protocol):
             Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), only what the
             mask shows is run, and other texels keep what they hold.
         region : Window or Groups
-            The texels to run: groups for kernels about cliques in the compute stage, a window for
+            The texels to run: groups for kernels for tissue in the compute stage, a window for
             all others.
         first_row : int
             Row of the outputs in which the grid of texels begins.
@@ -77,7 +77,7 @@ def compile_program(
         if texture in program:
             program[texture].value = unit
     if stage == "compute":
-        return _Compute(ctx, program, KERNELS[name].cliques)
+        return _Compute(ctx, program, KERNELS[name].tissue)
     return _Fragment(ctx, program)
 
 
@@ -138,7 +138,7 @@ class _Fragment(_Compiled):
 
 
 class _Compute(_Compiled):
-    """A compute shader: for a window, or for listed work groups if it is about cliques."""
+    """A compute shader: for a window, or for listed work groups if it is for tissue."""
 
     def __init__(self, ctx: Any, program: Any, listed: bool) -> None:
         super().__init__(ctx, program)
@@ -153,9 +153,7 @@ class _Compute(_Compiled):
         first_row: int = 0,
     ) -> None:
         if isinstance(region, Groups) != self._listed:
-            raise TypeError(
-                "kernels about cliques, and no others, are dispatched for listed groups"
-            )
+            raise TypeError("kernels for tissue, and no others, are dispatched for listed groups")
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         for unit, texture in enumerate(outputs):

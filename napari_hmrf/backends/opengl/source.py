@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from napari_hmrf.errors import BackendError
 from napari_hmrf.resources import resource_folder
@@ -47,19 +47,32 @@ class Kernel:
         What it assigns, in the order of its targets, with the number of components (1, 2 or 4).
     defines : tuple of str
         Names that must be given a value to compile it.
-    cliques : bool
-        Whether it is about cliques: it needs ``cliques.glsl``, and is run in tissue only, since
-        there is nothing but 0 elsewhere.
+    shared : tuple of str
+        Files besides ``common.glsl`` that it needs.
+    tissue : bool
+        Whether it is run in tissue only, since there is nothing but 0 elsewhere.
+    carries : bool
+        Whether an invocation may do several texels, one below the other, and carries from each to
+        the next what both need. It has a function ``enter`` to begin with.
     """
 
     name: str
     inputs: tuple[str, ...]
     outputs: Mapping[str, int]
     defines: tuple[str, ...] = ()
-    cliques: bool = False
+    shared: tuple[str, ...] = ()
+    tissue: bool = False
+    carries: bool = False
 
 
 _SITE = ("displacement", "straight", "diagonal", "observation")
+_MODEL = ("lame", "inverse_diagonal", "springs")
+
+
+def _around(*shared: str) -> dict[str, Any]:
+    """What sets a kernel apart that looks at the tissue around a site."""
+    return {"shared": shared, "tissue": True, "carries": True}
+
 
 #: Every kernel, by name.
 KERNELS: Mapping[str, Kernel] = {
@@ -69,9 +82,50 @@ KERNELS: Mapping[str, Kernel] = {
         Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 4}),
         Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
         Kernel(
-            "icm", _SITE, {"moved": 4, "share": 1}, ("BLANKET", "SQUARE", "STEPS"), cliques=True
+            "icm",
+            _SITE,
+            {"moved": 4, "share": 1},
+            ("BLANKET", "SQUARE", "STEPS"),
+            **_around("cliques"),
         ),
-        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), cliques=True),
+        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), **_around("cliques")),
+        Kernel(
+            "smooth",
+            ("correction", "load", *_MODEL, "last", "coarse"),
+            {"corrected": 4, "taken": 4},
+            ("START", "SPRINGS"),
+            **_around("elements", "forces"),
+        ),
+        Kernel(
+            "restrict",
+            ("correction", "load", *_MODEL),
+            {"coarse_load": 4},
+            ("SPRINGS",),
+            **_around("elements"),
+        ),
+        Kernel(
+            "apply",
+            ("direction", *_MODEL[:2]),
+            {"image": 4, "share": 1},
+            **_around("elements", "forces"),
+        ),
+        Kernel(
+            "advance",
+            ("found", "rest", "direction", "image", "above", "below"),
+            {"further": 4, "left": 4, "share": 1},
+            shared=("scalars",),
+            tissue=True,
+        ),
+        Kernel(
+            "turn",
+            ("steepest", "direction", "above", "below"),
+            {"turned": 4},
+            shared=("scalars",),
+            tissue=True,
+        ),
+        Kernel("at_once", ("load", "matrix"), {"corrected": 4}),
+        Kernel("product", ("first", "second"), {"total": 1}, ("BLOCK",)),
+        Kernel("largest", ("values",), {"most": 1}, ("BLOCK", "PAIRS")),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
         Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
     )
@@ -133,7 +187,7 @@ def compose(
         A value for each name in the kernel's ``defines``.
     rows : {1, 2, 4, 8}
         How many texels, one below the other, an invocation of the compute stage does of a kernel
-        about cliques. More than one saves reading rows again, but leaves fewer invocations.
+        that carries. More than one saves reading rows again, but leaves fewer invocations.
 
     Raises
     ------
@@ -152,12 +206,13 @@ def compose(
             f"but {sorted(given)} were given"
         )
     head = [f"#define {key} {value}" for key, value in given.items()]
-    head.append(f"#define CLIQUES {int(kernel.cliques)}")
+    head.append(f"#define TISSUE {int(kernel.tissue)}")
+    head.append(f"#define CARRIES {int(kernel.carries)}")
     if stage == "compute":
-        head += _group(rows if kernel.cliques else 1)
+        head += _group(rows if kernel.carries else 1)
     head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
     head += _outputs(kernel, stage)
-    files = ["common", *(["cliques"] if kernel.cliques else []), name, f"stage_{stage}"]
+    files = ["common", *kernel.shared, name, f"stage_{stage}"]
     return _joined(_VERSIONS[stage], head, files)
 
 

@@ -1,0 +1,508 @@
+"""Multigrid of elastic tissue as shaders: every step is that of the compiled loops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from opengl_here import on_compute_thread, require_opengl
+
+from napari_hmrf import (
+    BackendError,
+    Cancelled,
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    phantom,
+    solve,
+)
+from napari_hmrf.backends.cpu import CpuBackend
+from napari_hmrf.backends.opengl import OpenGLBackend
+from napari_hmrf.backends.opengl.device import the_device
+from napari_hmrf.optimizers.cycle import Cycle, chebyshev
+
+#: Odd, even, prime, two sites wide, small enough to be the only level.
+SHAPES = [(31, 37), (64, 48), (2, 9), (101, 7), (4, 5)]
+SPACINGS = [(1.0, 1.0), (2.0, 0.5)]
+PRIORS = [ElasticPrior(0.3), ElasticPrior(0.499, "strain")]
+STEPS = chebyshev(0.5, 2.0, 3)
+
+
+@pytest.fixture(params=["fragment", "compute"])
+def stage(request) -> str:
+    require_opengl(request.param)
+    return request.param
+
+
+@dataclass
+class Example:
+    """Random tissue with holes, some components of it held, and random vectors on it."""
+
+    problem: Problem
+    prior: ElasticPrior
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(1)
+
+    def model(self, backend):
+        made = backend.elastic_model(self.prior.material(self.problem))
+        height, width = self.problem.shape
+        held = np.zeros((2, height + 4, width + 4), bool)
+        held[:, 2:-2, 2:-2] = np.moveaxis(self.problem.c > 0, -1, 0)
+        made.hold(held)
+        return made
+
+    def planes(self, host_level) -> np.ndarray:
+        """Random values wherever something moves."""
+        values = self._random.normal(size=host_level.inverse.shape)
+        return np.where(host_level.inverse > 0, values, 0).astype(np.float32)
+
+
+def example(shape, prior=PRIORS[0], spacing=(1.0, 1.0), ratio=4.0) -> Example:
+    random = np.random.default_rng([*shape, int(ratio)])
+    m = ratio ** -random.random(shape)
+    m[random.random(shape) < 0.05] = 0
+    m[0, 0] = 1
+    held = (random.random((*shape, 2)) < 0.1) & (m > 0)[..., None]
+    return Example(Problem(random.normal(size=(*shape, 2)), held, m, spacing), prior)
+
+
+def with_levels(stage, given: Example, job, number=0):
+    """What a job makes of a level and the next coarser one, on the processor and as shaders."""
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                coarse = model.levels[number + 1] if number + 1 < len(model.levels) else None
+                answers.append(job(model.levels[number], coarse))
+            finally:
+                backend.close()
+        return answers
+
+    return on_compute_thread(both)
+
+
+def host_levels(given: Example):
+    """The levels of the compiled loops, to know their grids and what moves."""
+
+    def job():
+        backend = CpuBackend(lambda: None)
+        try:
+            return given.model(backend).levels
+        finally:
+            backend.close()
+
+    return on_compute_thread(job)
+
+
+def assert_same(actual, expected, relative=1e-5):
+    """Equal to a fraction of the largest value, as float32 arithmetic allows."""
+    for ours, theirs in zip(actual, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())
+
+
+# Each step -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=["stress", "strain"])
+@pytest.mark.parametrize("spacing", SPACINGS)
+@pytest.mark.parametrize("ratio", [4.0, 1e4])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
+    given = example(shape, prior, spacing, ratio)
+    hosts = host_levels(given)
+    for number, (host, below) in enumerate(pairwise([*hosts, None])):
+        load = given.planes(host)
+        for steps in (STEPS[:1], STEPS[:2], STEPS):
+
+            def job(level, coarse, load=load, steps=steps, below=below):
+                level.load = level.vector(load.copy())
+                level.descend(steps, coarse)
+                made = [level.planes(level.correction).copy()]
+                if coarse is not None:
+                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
+                return made
+
+            loops, shaders = with_levels(stage, given, job, number)
+            assert_same(shaders, loops)
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=["stress", "strain"])
+@pytest.mark.parametrize("spacing", SPACINGS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_coarse_correction_comes_up_alike(stage, shape, spacing, prior):
+    given = example(shape, prior, spacing)
+    hosts = host_levels(given)
+    for number, (host, below) in enumerate(pairwise(hosts)):
+        random = [given.planes(each) for each in (host, host, below)]
+
+        def job(level, coarse, random=random):
+            load, correction, of_coarse = random
+            level.load = level.vector(load.copy())
+            level.correction = level.vector(correction.copy())
+            coarse.correction = coarse.vector(of_coarse.copy())
+            level.ascend(STEPS, coarse)
+            return [level.planes(level.correction).copy()]
+
+        loops, shaders = with_levels(stage, given, job, number)
+        assert_same(shaders, loops)
+
+
+def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage):
+    given = example((31, 37), PRIORS[1])
+    hosts = host_levels(given)
+    load = given.planes(hosts[-1])
+
+    def job(level, _):
+        level.load = level.vector(load.copy())
+        made = []
+        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
+            level.descend(steps, None)
+            made.append(level.planes(level.correction).copy())
+        return made
+
+    loops, shaders = with_levels(stage, given, job, len(hosts) - 1)
+    assert_same(shaders, loops, 3e-5)
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=["stress", "strain"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_step_of_conjugate_gradients_is_the_same_everywhere(stage, shape, prior):
+    given = example(shape, prior, (1.0, 2.0))
+    (host, *_) = host_levels(given)
+    first = [given.planes(host) for _ in range(4)]
+
+    def job(level, _):
+        found, rest, direction, steepest = (level.vector(each.copy()) for each in first)
+        image = level.vector()
+        slope = level.product(steepest, rest)
+        square = level.product(rest, rest)
+        share = level.ratio(square, level.largest(steepest))
+        level.turn(steepest, direction, share)
+        curvature = level.apply(direction, image)
+        left = level.advance(found, rest, direction, image, level.ratio(square, curvature))
+        scalars = level.read(slope, square, share, curvature, left, level.largest(rest))
+        return [np.array([each]) for each in scalars] + [
+            level.planes(vector).copy() for vector in (found, rest, direction, image)
+        ]
+
+    loops, shaders = with_levels(stage, given, job)
+    assert_same(shaders[1:], loops[1:])
+    scale = np.sqrt(loops[1] * (first[3] ** 2).sum())  # of a scalar product that may be near 0
+    assert abs(shaders[0] - loops[0]) < 1e-5 * scale
+
+
+def test_a_ratio_is_nothing_unless_both_are_positive(stage):
+    given = example((9, 8))
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        vector, opposite, zero = level.vector(values.copy()), level.vector(-values), level.vector()
+        square, negative = level.product(vector, vector), level.product(vector, opposite)
+        none = level.largest(zero)
+        over = [(square, square), (square, negative), (negative, square), (square, none)]
+        ratios = [level.ratio(*each) for each in over]
+        used = []
+        for share in ratios:
+            direction = level.vector(values.copy())
+            level.turn(vector, direction, share)
+            used.append(level.planes(direction).copy())
+        return level.read(*ratios), used
+
+    for numbers, used in with_levels(stage, given, job):
+        assert numbers == (1, 0, 0, 0)
+        for number, turned in zip(numbers, used, strict=True):
+            np.testing.assert_array_equal(turned, (1 + number) * values)
+
+
+@pytest.mark.parametrize("shape", [(1200, 3), (65, 131), (600, 2), (4, 5)])
+def test_sums_and_largest_values_take_in_every_site(stage, shape):
+    held = np.zeros((*shape, 2))
+    held[0, 0] = 1
+    given = Example(Problem(0 * held, held, np.ones(shape)), PRIORS[0])
+    sites = np.zeros((2, shape[0] + 4, shape[1] + 4), np.float32)
+    sites[:, 2:-2, 2:-2] = 1
+    peak = sites.copy()
+    peak[1, -3, -3] = -7
+
+    def job(level, _):
+        ones, peaked = level.vector(sites.copy()), level.vector(peak.copy())
+        numbers = level.product(ones, ones), level.product(ones, peaked), level.largest(peaked)
+        return level.read(*numbers)
+
+    count = 2 * shape[0] * shape[1]
+    for numbers in with_levels(stage, given, job):
+        assert numbers == (count, count - 8, 7)
+
+
+def test_a_whole_cycle_is_the_same_everywhere(stage):
+    given = example((70, 55), PRIORS[1], (1.0, 1.5))
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                cycle, finest = Cycle(model), model.levels[0]
+                vector = finest.vector(load.copy())
+                answers.append([finest.planes(cycle.run(vector)).copy() for _ in range(2)])
+            finally:
+                backend.close()
+        return answers
+
+    loops, shaders = on_compute_thread(both)
+    assert_same(shaders, loops, 3e-5)
+    np.testing.assert_array_equal(*shaders)
+
+
+# Whole solves ----------------------------------------------------------------------------------
+
+
+def torn(shape=(67, 90), ratio=1e4, spacing=(1.0, 1.0)) -> Problem:
+    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
+    rows, cols = np.indices(shape)
+    m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
+    m[np.hypot(rows - 30, cols - 30) < 9] = 0
+    m[:6, 20:] = 0
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    c[:, :2] = c[:, -2:] = 1
+    y[:, -2:] = (1.5, 4)
+    return Problem(y * spacing, c, m, spacing)
+
+
+@pytest.mark.parametrize(
+    ("prior", "ratio", "spacing"),
+    [
+        (ElasticPrior(0.0), 1e4, (1.0, 1.0)),
+        (ElasticPrior(0.45), 1e4, (1.0, 1.0)),
+        (ElasticPrior(0.45), 1e4, (2.0, 0.5)),
+        (ElasticPrior(0.45, "strain"), 10.0, (1.0, 1.5)),
+        (ElasticPrior(0.499, "strain"), 1.0, (1.0, 1.0)),
+    ],
+)
+def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing):
+    problem = torn(ratio=ratio, spacing=spacing)
+    loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
+    off = np.abs(shaders.displacement - loops.displacement) / np.array(spacing)
+    assert off.max() < 2e-3
+    assert (shaders.displacement[~problem.tissue] == 0).all()
+    assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=1e-4)
+    assert abs(shaders.iterations - loops.iterations) <= max(2, loops.iterations // 4)
+
+
+@pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
+def test_a_phantom_moves_alike_everywhere(stage, name):
+    problem = phantom(name, 150).problem
+    loops = solve(problem, ElasticPrior(), backend="cpu")
+    shaders = solve(problem, ElasticPrior(), backend=f"opengl:{stage}")
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+    assert shaders.iterations == loops.iterations
+
+
+def test_the_same_solve_gives_the_same_bits(stage):
+    first, second = (solve(torn(), ElasticPrior(), backend=f"opengl:{stage}") for _ in range(2))
+    np.testing.assert_array_equal(first.displacement, second.displacement)
+
+
+def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
+    given = example((33, 41))
+    other = example((33, 41))
+    other.problem = Problem(given.problem.y, np.roll(given.problem.c, 5, axis=0), given.problem.m)
+
+    def fields(*held):
+        backend = OpenGLBackend(lambda: None, stage)
+        try:
+            model = given.model(backend)
+            finest, cycle = model.levels[0], Cycle(model)
+            for mask in held:
+                planes = np.zeros((2, 37, 45), bool)
+                planes[:, 2:-2, 2:-2] = np.moveaxis(mask > 0, -1, 0)
+                model.hold(planes)
+                load = np.where(planes, 0, 1).astype(np.float32)
+                load[:, 2:-2, 2:-2] *= given.problem.tissue
+                corrected = finest.planes(cycle.run(finest.vector(load))).copy()
+            return corrected
+        finally:
+            backend.close()
+
+    masks = given.problem.c, other.problem.c
+    twice, once = (on_compute_thread(lambda h=h: fields(*h)) for h in (masks, masks[1:]))
+    np.testing.assert_array_equal(twice, once)
+    assert not twice[:, 2:-2, 2:-2][np.moveaxis(masks[1] > 0, -1, 0)].any()
+
+
+# What stays behind -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Every texture and framebuffer that is made; `left` of it says how many OpenGL still has."""
+    import moderngl
+
+    require_opengl()
+    on_compute_thread(the_device)
+    objects = []
+
+    def noted(make):
+        def note(ctx, *args, **kwargs):
+            objects.append(make(ctx, *args, **kwargs))
+            return objects[-1]
+
+        return note
+
+    for kind in ("texture", "depth_texture", "framebuffer", "buffer"):
+        monkeypatch.setattr(moderngl.Context, kind, noted(getattr(moderngl.Context, kind)))
+    return objects
+
+
+def left(objects) -> int:
+    return sum(type(each.mglo).__name__ != "InvalidObject" for each in objects)
+
+
+def test_an_iteration_allocates_nothing(stage, made):
+    given = example((70, 55))
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def job():
+        backend = OpenGLBackend(lambda: None, stage)
+        try:
+            model = given.model(backend)
+            level, cycle = model.levels[0], Cycle(model)
+            counts = []
+            rest, found, direction, image = level.vector(load), *(level.vector() for _ in "123")
+            for _ in range(6):
+                steepest = cycle.run(rest)
+                slope = level.product(steepest, rest)
+                level.turn(steepest, direction, slope)
+                curvature = level.apply(direction, image)
+                length = level.ratio(slope, curvature)
+                level.read(level.advance(found, rest, direction, image, length), length)
+                counts.append(len(made))
+            return counts
+        finally:
+            backend.close()
+
+    counts = on_compute_thread(job)
+    assert counts[3:] == [counts[3]] * 3
+    assert left(made) == 0
+
+
+def _batches(stage: str, stop_at: int | None = None) -> int:
+    """Solve, cancelled at one of the looks; how many looks there were."""
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        if looks == stop_at:
+            raise Cancelled
+        looks += 1
+
+    def job() -> int:
+        backend = OpenGLBackend(look, stage)
+        try:
+            Multigrid().run(torn(), ElasticPrior(), backend, lambda _: None)
+        finally:
+            backend.close()
+        return looks
+
+    return on_compute_thread(job)
+
+
+@pytest.mark.parametrize("where", [0.0, 0.1, 0.5, 0.999])
+def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where):
+    backend = f"opengl:{stage}"
+    before = solve(torn(), ElasticPrior(), backend=backend)
+    looks = _batches(stage)
+    assert looks >= before.iterations  # one in every cycle at least
+    with pytest.raises(Cancelled):
+        _batches(stage, stop_at=int(where * looks))
+    assert left(made) == 0
+    after = solve(torn(), ElasticPrior(), backend=backend)
+    np.testing.assert_array_equal(after.displacement, before.displacement)
+    assert left(made) == 0
+
+
+def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
+    from napari_hmrf.backends.opengl import backend, regions
+
+    whole = solve(torn(), ElasticPrior(), backend=f"opengl:{stage}").displacement
+    monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
+    monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
+    monkeypatch.setattr(regions, "_ACROSS", 2)
+    cut = solve(torn(), ElasticPrior(), backend=f"opengl:{stage}").displacement
+    np.testing.assert_array_equal(cut, whole)
+
+
+def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
+    monkeypatch.setattr(on_compute_thread(the_device), "largest", 80)
+    with pytest.raises(BackendError, match=r"67 x 90 pixels, but .* at most 80 x 80"):
+        solve(torn(), ElasticPrior(), backend="opengl")
+    assert left(made) == 0
+
+
+# A wrong shader --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "right", "wrong"),
+    [
+        ("elements", "f01 += cols - rows - twist", "f01 += cols - rows + twist"),
+        ("elements", "shape[2] * lame.x * cols.y", "shape[2] * lame.y * cols.y"),
+        ("elements", "min(pair.x, pair.y) < 0", "pair.x < -1"),
+        ("forces", "force[1] += carried[1]", "force[1] -= carried[1]"),
+        (
+            "smooth",
+            "momentum * texelFetch(last, at, 0)",
+            "momentum * texelFetch(correction, at, 0)",
+        ),
+        ("smooth", "row[0] = 0.25 * (before + on)", "row[0] = 0.25 * (before + after)"),
+        ("smooth", "odd ? first.xy : first.zw", "odd ? first.zw : first.xy"),
+        ("restrict", "(first.zw + second.zw)", "(first.zw + second.xy)"),
+        ("restrict", "in_image(pair, size) ? rest : vec4(0.0)", "rest"),
+        ("restrict", "half_above = next", "half_above = middle"),
+        ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
+    ],
+)
+def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
+    from napari_hmrf.backends.opengl import source
+
+    require_opengl("compute")
+    text = source._text
+
+    def broken(name):
+        if name != file:
+            return text(name)
+        assert right in text(name)
+        return text(name).replace(right, wrong)
+
+    monkeypatch.setattr(source, "_text", broken)
+    given = example((33, 47), ElasticPrior(0.4), (1.0, 1.5))
+    hosts = host_levels(given)
+    load, coarse_load = given.planes(hosts[0]), given.planes(hosts[1])
+    assert hosts[1].grid[0] > 8  # so that an invocation of the coarse level has rows below
+
+    def job(level, coarse):
+        level.load = level.vector(load.copy())
+        level.descend(STEPS, coarse)
+        given_down = np.where(hosts[1].inverse > 0, coarse.planes(coarse.load), 0)
+        coarse.correction = coarse.vector(coarse_load.copy())
+        level.ascend(STEPS, coarse)
+        image = level.vector()
+        work = level.apply(level.correction, image)
+        return [level.planes(level.correction).copy(), given_down, np.array(level.read(work))]
+
+    device = on_compute_thread(the_device)
+    monkeypatch.setattr(device, "_programs", {})
+    monkeypatch.setattr(device, "rows", 4)
+    loops, shaders = with_levels("compute", given, job)
+    with pytest.raises(AssertionError):
+        assert_same(shaders, loops)
