@@ -307,6 +307,27 @@ def test_a_phantom_moves_alike_everywhere(stage, name):
     assert shaders.iterations == loops.iterations
 
 
+def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stage):
+    problem = torn(ratio=5.0)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.c
+    problem = Problem(problem.y, graded, problem.m)
+    poisson = np.where(problem.m > 1, 0.2, 0.45)
+    prior = ElasticPrior(poisson, penalty=0.03)
+    loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
+    slipped = np.abs(loops.displacement - problem.y)[problem.c > 0] > 0.01
+    assert 0.05 < slipped.mean() < 0.95
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+
+
+def test_an_earlier_solution_is_a_good_beginning(stage):
+    backend = f"opengl:{stage}"
+    first = solve(torn(), ElasticPrior(), backend=backend)
+    again = solve(torn(), ElasticPrior(), backend=backend, start=first)
+    assert again.iterations < first.iterations / 3
+    assert np.abs(again.displacement - first.displacement).max() < 4e-3
+
+
 def test_the_same_solve_gives_the_same_bits(stage):
     first, second = (solve(torn(), ElasticPrior(), backend=f"opengl:{stage}") for _ in range(2))
     np.testing.assert_array_equal(first.displacement, second.displacement)

@@ -154,9 +154,14 @@ class GLElasticModel:
         """- A d everywhere, in double precision."""
         return self._host.pull(d)
 
-    def energy(self, d: Planes) -> float:
-        """The elastic energy."""
-        return self._host.energy(d)
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The elastic energy, and the norm of the forces."""
+        return self._host.work(d)
+
+    @property
+    def steepness(self) -> Planes:
+        """The diagonal of the stiffness matrix."""
+        return self._host.steepness
 
     def close(self) -> None:
         """Free every texture."""
