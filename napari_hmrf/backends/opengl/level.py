@@ -114,6 +114,9 @@ class GLLevel:
             self._passes.device.check("uploading a vector")
         return made
 
+    def free(self, *vectors: Vector) -> None:
+        """Nothing to do: textures come back with the last reference to a vector."""
+
     def planes(self, vector: Vector) -> FloatArray:
         """Bring a vector back; a device that has stopped computing is found out."""
         self._passes.wait()
