@@ -229,7 +229,7 @@ def _prepare(
     c[0] = c[-1] = 1
     y[-1] = 1
     small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))
-    rehearsal.run(small, prior, device, lambda _: None)
+    rehearsal.run(small, prior.rehearsal(small.shape), device, lambda _: None)
     _prepared.add(key)
 
 

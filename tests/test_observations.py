@@ -1,5 +1,7 @@
 """What is observed with some confidence only: the L1 data term of elastic tissue, exactly."""
 
+import sys
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -180,6 +182,13 @@ def test_poissons_ratio_may_differ_from_site_to_site():
         found = solve(problem, prior, Multigrid(1e-4)).displacement.ravel()
         assert np.abs(found - field)[free].max() < 1e-3
         assert np.abs(found - uniform.ravel())[free].max() > 0.05
+
+
+def test_the_first_solve_of_a_process_may_have_a_map_and_weak_observations(monkeypatch):
+    monkeypatch.setattr(sys.modules["napari_hmrf.solve"], "_prepared", set())
+    problem = phantom("bar", 32).problem
+    prior = ElasticPrior(np.full(problem.shape, 0.3), penalty=0.5)
+    assert solve(problem, prior, backend="cpu").iterations > 0
 
 
 def test_a_map_of_poissons_ratios_must_fit_the_tissue():

@@ -168,8 +168,15 @@ class ElasticPrior:
 
     @property
     def kernels(self) -> str:
-        """Which kernels it takes."""
-        return "elastic"
+        """Which kernels it takes: a map of Poisson's ratio and a penalty have some of their own."""
+        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
+        return f"elastic{', mapped' * mapped}{', slipping' * slips}"
+
+    def rehearsal(self, shape: tuple[int, ...]) -> ElasticPrior:
+        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
+        poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
+        return ElasticPrior(poisson, self.plane, 1.0 if slips else math.inf)
 
     def resolved(self, problem: Problem) -> ElasticPrior:
         """Return this prior, once it is sure that the problem has one answer.
