@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.label_images import labels_present, values_at
+from napari_hmrf.priors.elastic import POISSON_RANGE
 
 FloatArray = npt.NDArray[np.float32]
 Action = Literal["fixed", "move", "expand"]
@@ -28,6 +29,8 @@ _SMOOTHING = 1.5
 _LINE = 8.0
 #: Pixels that touch at a corner belong together, as in a ring one pixel wide.
 _EIGHT = np.ones((3, 3), dtype=bool)
+#: The common choice for soft tissue, where nothing better is known.
+USUAL_POISSON = 0.45
 
 
 @dataclass(frozen=True)
@@ -43,11 +46,14 @@ class Material:
     stiffness : float
         Young's modulus in any unit, the same for all materials: only ratios matter. 0 is void (no
         tissue: air, or whatever does not hold on to its surroundings).
+    poisson : float
+        Poisson's ratio, 0 to 0.499; only elastic tissue knows it.
     """
 
     label: int
     name: str
     stiffness: float
+    poisson: float = USUAL_POISSON
 
 
 @dataclass(frozen=True)
@@ -111,6 +117,44 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     _require("m", "stiffness", present, table)
     values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
     return values_at(image, present, values)
+
+
+def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float | FloatArray:
+    """Give every pixel the Poisson's ratio of its material.
+
+    Parameters
+    ----------
+    labels, materials
+        As for `stiffness_image`.
+
+    Returns
+    -------
+    float or ndarray, shape (H, W), float32
+        `poisson` of an `ElasticPrior`: one number if all tissue has the same. 0 in void.
+
+    Raises
+    ------
+    ProblemError
+        If a label has no material or two, or a tissue's ratio is out of range.
+    """
+    image = _as_labels("m", labels)
+    table = _by_label("m", "materials", materials)
+    present = labels_present(image)
+    _require("m", "Poisson's ratio", present, table)
+    there = [table[int(label)] for label in present]
+    low, high = POISSON_RANGE
+    tissues = [material for material in there if material.stiffness > 0]
+    for material in tissues:
+        if not low <= material.poisson <= high:
+            raise ProblemError(
+                "m",
+                f"gives {_quoted(material)} a Poisson's ratio of {material.poisson}. Give a "
+                f"number from {low:g} to {high:g}.",
+            )
+    if len({material.poisson for material in tissues}) <= 1:
+        return float(tissues[0].poisson) if tissues else USUAL_POISSON
+    values = [material.poisson if material.stiffness > 0 else 0.0 for material in there]
+    return values_at(image, present, np.array(values, dtype=np.float32))
 
 
 def boundary_images(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from napari_hmrf.annotation import BoundaryRule, Material
 
@@ -12,9 +13,11 @@ _STIFFNESS = 20.0
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
     """A new tissue behaves as the first known one, until told otherwise."""
-    stiff = [material.stiffness for material in known if material.stiffness > 0]
     name = UNPAINTED if label == 0 else f"tissue {label}"
-    return Material(label, name, stiff[0] if stiff else _STIFFNESS)
+    first = next((material for material in known if material.stiffness > 0), None)
+    if first is None:
+        return Material(label, name, _STIFFNESS)
+    return replace(first, label=label, name=name)
 
 
 def default_rule(label: int) -> BoundaryRule:

@@ -1,4 +1,4 @@
-"""Layers and tables become a problem."""
+"""Layers and tables become a problem, and complete its prior."""
 
 from __future__ import annotations
 
@@ -8,27 +8,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
-from napari_hmrf.annotation import boundary_images, stiffness_image
-from napari_hmrf.hierarchy import levels, nearest_pixels
+from napari_hmrf.annotation import boundary_images, poisson_image, stiffness_image
 from napari_hmrf.label_images import labels_present
+from napari_hmrf.layers.caveats import caveats
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import LayerError, Named, naming
 from napari_hmrf.layers.observations import arrow_observations
 from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.snapshot import Request, Snapshot, copy_layers
+from napari_hmrf.optimizers import ICM, Optimizer
+from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
 __all__ = ["Inputs", "Request", "Snapshot", "copy_layers", "prepare", "read_layers"]
 
 FloatArray = npt.NDArray[np.float32]
-
-# How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
-# of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
-_ENOUGH = 0.32
-_SMALLEST_TREE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +34,8 @@ class Inputs:
     Attributes
     ----------
     problem : Problem
+    prior : SeilerPrior or ElasticPrior
+        The energy asked for; an elastic one with the Poisson's ratios of the table of tissues.
     frame : Frame
         Where the slice lies.
     pictures : Pictures
@@ -49,18 +47,23 @@ class Inputs:
     """
 
     problem: Problem
+    prior: Prior
     frame: Frame
     pictures: Pictures
     ignored: int = 0
     notes: tuple[str, ...] = ()
 
 
-def read_layers(request: Request) -> Inputs:
-    """Turn layers and tables into a problem; the one way to do so.
+def read_layers(
+    request: Request, prior: Prior | None = None, optimizer: Optimizer | None = None
+) -> Inputs:
+    """Turn layers and tables into a problem and its prior; the one way to do so.
 
     Parameters
     ----------
     request : Request
+    prior, optimizer
+        As for `prepare`.
 
     Returns
     -------
@@ -72,17 +75,26 @@ def read_layers(request: Request) -> Inputs:
     ProblemError
         Naming the layer, what is wrong with it and what to do.
     """
-    return prepare(copy_layers(request))
+    return prepare(copy_layers(request), prior, optimizer)
 
 
 def prepare(
-    snapshot: Snapshot, complete: bool = False, checkpoint: Callable[[], None] = lambda: None
+    snapshot: Snapshot,
+    prior: Prior | None = None,
+    optimizer: Optimizer | None = None,
+    complete: bool = False,
+    checkpoint: Callable[[], None] = lambda: None,
 ) -> Inputs:
     """Turn copies of layers into a problem; on any thread, for it takes a while on large images.
 
     Parameters
     ----------
     snapshot : Snapshot
+    prior : SeilerPrior or ElasticPrior, optional
+        The energy; by default the paper's. Where tissues are labels, Poisson's ratios are those of
+        their table; where the layer is an image of stiffness, the prior's own.
+    optimizer : ICM or Multigrid, optional
+        The schedule, by default the paper's: some notes are about what it does badly.
     complete : bool
         Whether a label without a row gets a default one, and a note, instead of an error.
     checkpoint : callable
@@ -104,8 +116,11 @@ def prepare(
     checkpoint()
     tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
     with naming(m=tissue):
+        prior = prior or SeilerPrior()
         if snapshot.tissue_labelled:
             m = stiffness_image(snapshot.tissue, snapshot.materials)
+            if isinstance(prior, ElasticPrior):
+                prior = replace(prior, poisson=poisson_image(snapshot.tissue, snapshot.materials))
         else:
             m = snapshot.tissue
             notes += _check_digits(tissue, m)
@@ -127,10 +142,11 @@ def prepare(
     ignored = int(((problem.c > 0).any(axis=-1) & ~problem.tissue).sum())
     return Inputs(
         problem=problem,
+        prior=prior,
         frame=snapshot.frame,
         pictures=snapshot.pictures,
         ignored=ignored,
-        notes=(*notes, *_thin_boundary(problem), *_loose_pieces(problem)),
+        notes=(*notes, *caveats(problem, prior, optimizer or ICM())),
     )
 
 
@@ -230,42 +246,3 @@ def _refuse_in_words(snapshot: Snapshot, m: npt.NDArray[Any], c: FloatArray) -> 
             f"All of '{boundary.name}' lies where there is no tissue (stiffness 0). Paint it on "
             f"tissue, or give that place of '{tissue.name}' a stiffness.",
         )
-
-
-def _thin_boundary(problem: Problem) -> tuple[str, ...]:
-    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary.
-
-    There its motion begins; what they miss, the sweeps on the finest level do not make up for.
-    """
-    tree = levels(problem.shape)
-    if len(tree) <= _SMALLEST_TREE:
-        return ()
-    seen: npt.NDArray[np.bool_] = problem.tissue & np.any(problem.c > 0, axis=-1)
-    shares = []
-    for level in tree[1:4]:
-        rows, cols = nearest_pixels(level, problem.shape)
-        size = 2**level.number
-        whole = np.zeros([sites * size for sites in level.shape], dtype=bool)
-        whole[: seen.shape[0], : seen.shape[1]] = seen
-        there = whole.reshape(len(rows), size, len(cols), size).any(axis=(1, 3))
-        sampled = seen.take(rows, axis=0).take(cols, axis=1)
-        shares.append(float(sampled.sum()) / max(1.0, float(there.sum())))
-    if np.mean(shares) > _ENOUGH:
-        return ()
-    note = (
-        "most of the boundary is so thin that the coarse levels miss it, and the motion falls "
-        "short: make it at least 3 pixels wide"
-    )
-    return (note,)
-
-
-def _loose_pieces(problem: Problem) -> tuple[str, ...]:
-    """Say so where tissue hangs on nothing that was observed."""
-    pieces, count = ndimage.label(problem.tissue, structure=np.ones((3, 3)))
-    held = np.unique(pieces[(problem.c > 0).any(axis=-1)])
-    loose = count - int((held > 0).sum())
-    if not loose:
-        return ()
-    pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
-    what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return (f"{what} no boundary ({pixels} pixels): how it moves is not determined",)

@@ -18,6 +18,7 @@ from napari_hmrf.layers.colours import fold_colours
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.view import unit_symbol
+from napari_hmrf.models import in_words, short_name
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import inverse_map_and_overlaps, resample
 
@@ -166,6 +167,7 @@ class _Maker:
             "source": pictures.name,
             "slice": frame.slice_name,
             "unit": frame.unit,
+            "model": in_words(solution.provenance.parameters),
             "folds": int(folded.sum()),
             "provenance": asdict(solution.provenance),
         }
@@ -276,4 +278,5 @@ class _Maker:
     def _name(self, what: str, labels: bool = False) -> str:
         source = self._pictures.labels_name if labels else self._pictures.name
         where = f" ({self._frame.slice_name})" if self._frame.slice_name else ""
-        return f"{source} {what}".strip() + where
+        model = short_name(self._solution.provenance.parameters)
+        return f"{source} {what}".strip() + (f", {model}" if model else "") + where

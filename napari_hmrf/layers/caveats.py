@@ -1,0 +1,84 @@
+"""What a prior and an optimizer make of a problem that its owner may not expect."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.hierarchy import levels, nearest_pixels
+from napari_hmrf.models import converges
+from napari_hmrf.optimizers import Optimizer
+from napari_hmrf.priors import ElasticPrior, Prior
+from napari_hmrf.problem import Problem
+
+# How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
+# of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
+_ENOUGH = 0.32
+_SMALLEST_TREE = 6
+
+
+def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
+    """Say what may surprise, as clauses for people; nothing that is refused anyway.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : SeilerPrior or ElasticPrior
+    optimizer : ICM or Multigrid
+    """
+    if isinstance(prior, ElasticPrior):
+        return _held_exactly(problem) if prior.penalty == math.inf else ()
+    thin = () if converges(optimizer) else _thin_boundary(problem)
+    return (*thin, *_loose_pieces(problem))
+
+
+def _held_exactly(problem: Problem) -> tuple[str, ...]:
+    """Say so where a doubt about the boundary does not count."""
+    doubted = (problem.c > 0) & (problem.c < 1) & problem.tissue[..., None]
+    count = int(doubted.any(axis=-1).sum())
+    if not count:
+        return ()
+    what = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
+    return (f"{what} held exactly, though of a confidence below 1, as elastic tissue is",)
+
+
+def _thin_boundary(problem: Problem) -> tuple[str, ...]:
+    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary.
+
+    There its motion begins; what they miss, the sweeps on the finest level do not make up for.
+    """
+    tree = levels(problem.shape)
+    if len(tree) <= _SMALLEST_TREE:
+        return ()
+    seen: npt.NDArray[np.bool_] = problem.tissue & np.any(problem.c > 0, axis=-1)
+    shares = []
+    for level in tree[1:4]:
+        rows, cols = nearest_pixels(level, problem.shape)
+        size = 2**level.number
+        whole = np.zeros([sites * size for sites in level.shape], dtype=bool)
+        whole[: seen.shape[0], : seen.shape[1]] = seen
+        there = whole.reshape(len(rows), size, len(cols), size).any(axis=(1, 3))
+        sampled = seen.take(rows, axis=0).take(cols, axis=1)
+        shares.append(float(sampled.sum()) / max(1.0, float(there.sum())))
+    if np.mean(shares) > _ENOUGH:
+        return ()
+    note = (
+        "most of the boundary is so thin that the coarse levels miss it, and the motion falls "
+        "short: make it at least 3 pixels wide"
+    )
+    return (note,)
+
+
+def _loose_pieces(problem: Problem) -> tuple[str, ...]:
+    """Say so where tissue hangs on nothing that was observed."""
+    pieces, count = ndimage.label(problem.tissue, structure=np.ones((3, 3)))
+    held = np.unique(pieces[(problem.c > 0).any(axis=-1)])
+    loose = count - int((held > 0).sum())
+    if not loose:
+        return ()
+    pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
+    what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
+    return (f"{what} no boundary ({pixels} pixels): how it moves is not determined",)
