@@ -19,6 +19,7 @@ from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.face import Face
+from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.new_layers import layers_to_paint_on
 from napari_hmrf.widgets.settings import SolverSettings
 from napari_hmrf.widgets.words import WELCOME
@@ -106,8 +107,13 @@ class Chooser(Container):
         self._face.outputs = kinds
 
     @property
+    def model(self) -> TissueModel:
+        """What tissue is taken to be, and how far that is solved."""
+        return self._face.model
+
+    @property
     def settings(self) -> SolverSettings:
-        """How to solve."""
+        """How to solve, in detail."""
         return self._face.settings
 
     def add_layers(self) -> None:

@@ -14,8 +14,8 @@ from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.inputs import Request, copy_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.naming import LayerError
-from napari_hmrf.optimizers import ICM
-from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.optimizers import Optimizer
+from napari_hmrf.priors import Prior
 from napari_hmrf.solution import Solution
 from napari_hmrf.widgets.chooser import Chooser
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
@@ -23,7 +23,7 @@ from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.watch import Watch
-from napari_hmrf.widgets.words import CANCELLED, MAKE, PAINT, READY, WELCOME
+from napari_hmrf.widgets.words import CANCELLED, MAKE, PAINT, READY, WELCOME, refusal
 from napari_hmrf.widgets.words import details as details_of
 from napari_hmrf.widgets.words import progress as progress_of
 
@@ -36,8 +36,8 @@ class DeformTissue(Chooser):
     """Paint tissue and boundary beside an image, and see how the tissue moves.
 
     Everything the user can do a script can do too: choose layers (`image`, `tissue`, `boundary`,
-    `confidence`), fill the tables (`materials`, `rules`), set `settings` and `outputs`, then
-    `deform()`, and wait for `finished`.
+    `confidence`), fill the tables (`materials`, `rules`), set `model`, `settings` and `outputs`,
+    then `deform()`, and wait for `finished`.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class DeformTissue(Chooser):
             self._say(*self._latest.words)
 
     @property
-    def _solver(self) -> tuple[SeilerPrior, ICM]:
+    def _solver(self) -> tuple[Prior, Optimizer]:
         return self.settings.prior, self.settings.optimizer
 
     def _start(self, request: Request, work: Work) -> None:
@@ -249,9 +249,7 @@ class DeformTissue(Chooser):
         self._say(status)
 
     def _refuse(self, error: Exception) -> None:
-        known = isinstance(error, HmrfError | ValueError)
-        failed = f"The deformation failed: {type(error).__name__}: {error}"
-        self._set_idle(str(error) if known else failed)
+        self._set_idle(refusal(error))
         self._latest.outdate()
         self._watch.settle()
         show_error(error.sentence if isinstance(error, LayerError) else self._status)

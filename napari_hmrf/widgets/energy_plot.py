@@ -1,4 +1,4 @@
-"""The mean energy after each sweep, coarse to fine."""
+"""The mean energy after each sweep, coarse to fine, or after each cycle over all levels."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import numpy as np
 from qtpy.QtWidgets import QVBoxLayout, QWidget
 from superqt import QCollapsible
 
+from napari_hmrf.models import is_multigrid
 from napari_hmrf.solution import Solution
 
 #: Height of the plot, in pixels.
 _HEIGHT = 170
+_LINE = "#4ea6dc"
 
 
 class EnergyPlot(QCollapsible):
@@ -83,9 +85,13 @@ def draw_energy(canvas: Any, solution: Solution | None, colour: str) -> None:
     axes = canvas.figure.axes[0]
     axes.clear()
     axes.patch.set_alpha(0)
-    if solution is not None:
+    if solution is not None and is_multigrid(solution.provenance.parameters):
+        _draw_cycles(axes, solution, colour)
+    elif solution is not None:
         _draw_levels(axes, solution, colour)
-    axes.set_xlabel("sweep (levels on top, coarse to fine)", fontsize=7, color=colour)
+    if not axes.get_xlabel():
+        axes.set_xlabel("sweep (levels on top, coarse to fine)")
+    axes.xaxis.label.set(fontsize=7, color=colour)
     axes.set_ylabel("mean energy (px²)", fontsize=7, color=colour)
     axes.tick_params(labelsize=6, colors=colour, which="both")
     for spine in axes.spines.values():
@@ -94,12 +100,27 @@ def draw_energy(canvas: Any, solution: Solution | None, colour: str) -> None:
     canvas.draw_idle()
 
 
+def _draw_cycles(axes: Any, solution: Solution, colour: str) -> None:
+    """Cycles go over all levels, and there are few: a point for each, and how near they led."""
+    cycles = np.arange(1, len(solution.energy) + 1)
+    axes.plot(cycles, solution.energy, color=_LINE, linewidth=1.2, marker="o", markersize=3)
+    axes.set_xlim(0.5, len(cycles) + 0.5)
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.set_xlabel("cycle over all levels")
+    if solution.convergence is not None:
+        axes.set_title(
+            f"within {solution.convergence.error:.1g} px of the converged field",
+            fontsize=7,
+            color=colour,
+        )
+
+
 def _draw_levels(axes: Any, solution: Solution, colour: str) -> None:
     sweeps = np.arange(1, len(solution.energy) + 1)
     positive = solution.energy > 0
     if positive.any():
         axes.set_yscale("log")
-        axes.plot(sweeps[positive], solution.energy[positive], color="#4ea6dc", linewidth=1.2)
+        axes.plot(sweeps[positive], solution.energy[positive], color=_LINE, linewidth=1.2)
     begin = 0
     for level in solution.levels:
         axes.axvline(begin + 0.5, color=colour, alpha=0.25, linewidth=0.6)

@@ -13,6 +13,7 @@ from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.widgets.energy_plot import EnergyPlot
 from napari_hmrf.widgets.footer import Footer
 from napari_hmrf.widgets.layer_choice import LayerChoice
+from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.sections import BoundarySection, Layers, Shown, TissueSection
 from napari_hmrf.widgets.settings import SolverSettings
 
@@ -59,9 +60,12 @@ class Face:
             kind: CheckBox(text=words, tooltip=tooltip, value=on)
             for kind, (words, tooltip, on) in _OUTPUTS.items()
         }
-        self.settings = SolverSettings()
+        self.model = TissueModel()
+        self.settings = SolverSettings(self.model)
         self.footer = Footer()
         self.energy = EnergyPlot()
+        self.tissue.choice.changed.connect(self.model.tissue_is)
+        self.model.energy.changed.connect(self._on_energy)
         self._assemble(outer)
 
     @property
@@ -101,7 +105,14 @@ class Face:
             for part in (kinds[:3], kinds[3:])
         ]
         body = Container(
-            widgets=[first, self.tissue, self.boundary, Label(value="Show as layers"), *rows],
+            widgets=[
+                first,
+                self.tissue,
+                self.boundary,
+                self.model,
+                Label(value="Show as layers"),
+                *rows,
+            ],
             labels=False,
         )
         advanced = QCollapsible("Advanced", expandedIcon="▾", collapsedIcon="▸")
@@ -121,5 +132,8 @@ class Face:
         outer.native.layout().addWidget(scroll)
         outer.native.layout().addWidget(self.footer.build())
         self.make.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
-        for container in (outer, body, first, self.tissue, self.boundary, *rows):
+        for container in (outer, body, first, self.tissue, self.boundary, self.model, *rows):
             container.margins = (2, 2, 2, 2)
+
+    def _on_energy(self, _: str) -> None:
+        self.tissue.table.poisson_shown = self.model.is_elastic

@@ -10,9 +10,10 @@ from typing import NamedTuple
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.inputs import Snapshot, prepare
+from napari_hmrf.layers.naming import naming
 from napari_hmrf.layers.outputs import Kind, Outputs, result_layers
 from napari_hmrf.optimizers import Monitor, Optimizer
-from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.priors import Prior
 from napari_hmrf.solution import Solution
 from napari_hmrf.solve import run_here
 
@@ -33,7 +34,7 @@ Work = Callable[[Report, threading.Event], Done]
 
 def deforming(
     snapshot: Snapshot,
-    prior: SeilerPrior,
+    prior: Prior,
     optimizer: Optimizer,
     backend: str,
     kinds: Collection[Kind],
@@ -43,8 +44,10 @@ def deforming(
     def work(report: Report, cancel: threading.Event) -> Done:
         checkpoint = _checkpoint(cancel)
         report(Monitor("reading what is painted", 0.0))
-        inputs = prepare(snapshot, complete=True, checkpoint=checkpoint)
-        solution = run_here(inputs.problem, prior, optimizer, backend, report, cancel)
+        inputs = prepare(snapshot, prior, optimizer, complete=True, checkpoint=checkpoint)
+        tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
+        with naming(m=tissue, poisson=tissue, c=boundary):
+            solution = run_here(inputs.problem, inputs.prior, optimizer, backend, report, cancel)
         report(Monitor("drawing the result", 1.0))
         outputs = result_layers(solution, inputs.frame, inputs.pictures, kinds, checkpoint)
         return Done(outputs, snapshot, inputs.ignored, inputs.notes)

@@ -1,4 +1,4 @@
-"""The table of tissues: how stiff each label is."""
+"""The table of tissues: how stiff each label is, and how much it bulges."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QMenu, QPushButton
 
 from napari_hmrf.annotation import Material
 from napari_hmrf.layers.defaults import default_material
 from napari_hmrf.presets import PRESETS, Preset
+from napari_hmrf.priors.elastic import POISSON_RANGE
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
+from napari_hmrf.widgets.words import ABOUT_POISSON
+
+_NAME, _STIFFNESS, _POISSON = range(1, 4)
 
 
 class MaterialTable(LabelTable):
-    """Label, name and stiffness; `rows` are `Material`s."""
+    """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -23,10 +28,12 @@ class MaterialTable(LabelTable):
                 ("", "Label and colour; click a row to paint with it"),
                 ("Tissue", "Any name"),
                 ("Stiffness", ""),
+                ("Poisson's\nratio", ABOUT_POISSON),
             ],
-            stretch=1,
+            stretch=_NAME,
         )
         self.unit = ""
+        self.poisson_shown = False
 
     @property
     def unit(self) -> str:
@@ -36,12 +43,22 @@ class MaterialTable(LabelTable):
     @unit.setter
     def unit(self, unit: str) -> None:
         self._unit = unit
-        header = self.horizontalHeaderItem(2)
+        header = self.horizontalHeaderItem(_STIFFNESS)
         header.setText(f"Stiffness ({unit})" if unit else "Stiffness")
         header.setToolTip(
             "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
             "matter.\n0 is no tissue, such as air."
         )
+
+    @property
+    def poisson_shown(self) -> bool:
+        """Whether there is a column of Poisson's ratios: only elastic tissue has them."""
+        return not self.isColumnHidden(_POISSON)
+
+    @poisson_shown.setter
+    def poisson_shown(self, is_shown: bool) -> None:
+        self.setColumnHidden(_POISSON, not is_shown)
+        self._fit()
 
     def apply_preset(self, preset: Preset) -> None:
         """Take over a preset's tissues.
@@ -50,9 +67,11 @@ class MaterialTable(LabelTable):
         preset does not have, since their old stiffness may be in another unit.
         """
         given = {material.label: material for material in preset.materials}
-        first = preset.materials[0].stiffness
+        first = preset.materials[0]
         others = [
-            replace(row, stiffness=first if row.stiffness > 0 else 0.0)
+            replace(
+                row, stiffness=first.stiffness if row.stiffness > 0 else 0.0, poisson=first.poisson
+            )
             for row in self._rows
             if row.label not in given
         ]
@@ -72,14 +91,23 @@ class MaterialTable(LabelTable):
             if value.label == 0
             else ""
         )
-        self._text(row, 1, value.name, about, number=False)
-        tip = "No tissue, such as air" if value.stiffness == 0 else about
-        self._text(row, 2, shown(value.stiffness), tip)
+        self._text(row, _NAME, value.name, about, number=False)
+        void = value.stiffness == 0
+        tip = "No tissue, such as air" if void else about
+        self._text(row, _STIFFNESS, shown(value.stiffness), tip)
+        item = self._text(row, _POISSON, "" if void else shown(value.poisson), tip)
+        editable = Qt.ItemFlag.ItemIsEditable
+        item.setFlags(item.flags() & ~editable if void else item.flags() | editable)
 
     def _parse(self, row: int, column: int, text: str, value: Any) -> Material:
         material: Material = value
-        if column == 1:
+        if column == _NAME:
             return replace(material, name=text)
+        if column == _POISSON:
+            poisson, (low, high) = number(text), POISSON_RANGE
+            if not low <= poisson <= high:
+                raise ValueError(f"Poisson's ratio must be a number from {low:g} to {high:g}")
+            return replace(material, poisson=poisson)
         stiffness = number(text)
         if not (math.isfinite(stiffness) and stiffness >= 0):
             raise ValueError("Stiffness must be a number, 0 or more")

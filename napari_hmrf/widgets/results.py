@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from napari.layers import Layer
 
@@ -13,6 +13,14 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import FILLING, Kind, LayerData, Outputs
 
 _PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+
+
+class _Shown(NamedTuple):
+    """A layer that holds a result, the name meant for it and what napari made of that."""
+
+    reference: weakref.ref[Any]
+    meant: str
+    name: str
 
 
 class ResultLayers:
@@ -29,7 +37,7 @@ class ResultLayers:
     def __init__(self, viewer: Any) -> None:
         self._viewer = viewer
         # By the source itself, not its id: that is given to another layer when the source is gone.
-        self._layers: weakref.WeakKeyDictionary[Any, dict[tuple[Kind, str], weakref.ref[Any]]]
+        self._layers: weakref.WeakKeyDictionary[Any, dict[tuple[Kind, str], _Shown]]
         self._layers = weakref.WeakKeyDictionary()
         self._aside: list[weakref.ref[Any]] = []
 
@@ -60,9 +68,10 @@ class ResultLayers:
                     layers.insert(above if kind in FILLING else len(layers), layer)
                     if kind == "magnitude":
                         layer.colorbar.visible = True
-                    known[key] = weakref.ref(layer)
+                    known[key] = _Shown(weakref.ref(layer), made.attributes["name"], layer.name)
                 else:
                     update_layer(layer, made)
+                    known[key] = _rename(layer, made.attributes["name"], known[key])
                 if kind in FILLING:
                     above = layers.index(layer) + 1
                 shown[kind] = layer
@@ -78,16 +87,24 @@ class ResultLayers:
         Paint says where tissue is before it moves, so it must be put on the image as it was.
         """
         for known in self._layers.values():
-            for (kind, _), reference in known.items():
-                layer = reference()
+            for (kind, _), made in known.items():
+                layer = made.reference()
                 if kind in FILLING and layer is not None and layer.visible:
                     layer.visible = False
-                    self._aside.append(reference)
+                    self._aside.append(made.reference)
         return bool(self._aside)
 
-    def _existing(self, reference: weakref.ref[Any] | None) -> Any:
-        layer = None if reference is None else reference()
+    def _existing(self, made: _Shown | None) -> Any:
+        layer = None if made is None else made.reference()
         return layer if layer is not None and layer in self._viewer.layers else None
+
+
+def _rename(layer: Any, meant: str, before: _Shown) -> _Shown:
+    """Name a layer after what it holds now, unless the user has named it."""
+    if meant == before.meant or layer.name != before.name:
+        return before
+    layer.name = meant
+    return _Shown(before.reference, meant, layer.name)
 
 
 def _fits(layer: Any, made: LayerData) -> bool:

@@ -49,6 +49,7 @@ class Watch:
         face.image.changed.connect(self._on_image)
         face.boundary.edited.connect(self._on_edited)
         face.tissue.edited.connect(self._on_edited)
+        face.model.changed.connect(self._check_soon)
         face.settings.changed.connect(self._check_soon)
         for check in face.checks:
             check.changed.connect(self._check_soon)

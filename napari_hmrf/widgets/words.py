@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.layers.view import unit_symbol
+from napari_hmrf.models import Model, Schedule, in_words, is_multigrid
 from napari_hmrf.optimizers import Monitor
+from napari_hmrf.priors.elastic import Plane
 from napari_hmrf.widgets.job import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -20,8 +23,49 @@ OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this 
 CANCELLED = "Cancelled; nothing was changed."
 COMPILING = "Compiling for the first time: up to a minute, once."
 
+MODELS: dict[Model, str] = {
+    "paper": "paper's: Markov random field",
+    "elastic": "elastic: as finite elements",
+}
+SCHEDULES: dict[Schedule, str] = {
+    "paper": "paper's schedule: 70 sweeps per level",
+    "converged": "to convergence",
+}
+PLANES: dict[Plane, str] = {
+    "stress": "thin slice, free to bulge",
+    "strain": "slice held between its neighbours",
+}
+# The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
+_SAMPLE = "px from finite elements on a sample brain that moves by 7.4 px"
+_WHEN_PAPERS: dict[Schedule, str] = {
+    "paper": f"To have the paper's own results, which stop early: after 0.02 s, 1.03 {_SAMPLE}. "
+    "Squeezed tissue does not bulge.",
+    "converged": f"To have all that the paper's energy can give: after 0.5 s, 0.22 {_SAMPLE}. "
+    "Squeezed tissue does not bulge.",
+}
+_WHEN_ELASTIC = (
+    "To have tissue stretch and bulge as linear elasticity says: after 0.02 s, 0.0002 "
+    f"{_SAMPLE}. Boundaries are held exactly. "
+)
+_WHEN_PLANE: dict[Plane, str] = {
+    "stress": "Squeezed tissue can bulge out of the image.",
+    "strain": "Squeezed tissue can give way only within the image.",
+}
+ABOUT_POISSON = (
+    "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
+    "hardly any volume.\n0.45 is common for soft tissue."
+)
+PAPERS = "Back to the paper's"
+
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
+
+
+def when_to_take(model: Model, schedule: Schedule, plane: Plane) -> str:
+    """What a choice is good for, and what was measured of it."""
+    if model == "elastic":
+        return _WHEN_ELASTIC + _WHEN_PLANE[plane]
+    return _WHEN_PAPERS[schedule]
 
 
 def report(done: Done) -> str:
@@ -53,6 +97,15 @@ def report(done: Done) -> str:
     return " ".join(parts)
 
 
+def refusal(error: Exception) -> str:
+    """Why there is no result, as one sentence or two."""
+    if isinstance(error, ConvergenceError):
+        return f"No result: {str(error).rstrip('.')}."
+    if isinstance(error, HmrfError | ValueError):
+        return str(error)
+    return f"The deformation failed: {type(error).__name__}: {error}"
+
+
 def details(done: Done) -> str:
     """What ran, how long and how well; for those who want to know."""
     solution = done.outputs.solution
@@ -61,9 +114,12 @@ def details(done: Done) -> str:
     if run.preparation_seconds >= 0.1:
         seconds += f" (after {run.preparation_seconds:.1f} s of preparation)"
     folds = f", {done.outputs.folds} folded pixels" if done.outputs.folds else ""
+    turns = "cycles" if is_multigrid(run.parameters) else "sweeps"
+    model, reached = in_words(run.parameters), solution.convergence
+    near = "" if reached is None else f", within {reached.error:.1g} px of the converged field"
     return (
-        f"{solution.iterations} sweeps in {seconds} on {run.renderer}; mean energy "
-        f"{solution.mean_energy:.3g} px²{folds}."
+        f"{model[0].upper()}{model[1:]}: {solution.iterations} {turns} in {seconds}{near}, on "
+        f"{run.renderer}; mean energy {solution.mean_energy:.3g} px²{folds}."
     )
 
 

@@ -1,0 +1,386 @@
+"""What tissue is taken to be, as the user chooses it beside the painted layers."""
+
+import numpy as np
+import pytest
+from napari.layers import Image
+
+from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.snapshot import Request
+from napari_hmrf.models import converges
+from napari_hmrf.presets import PRESETS
+from napari_hmrf.widgets.words import when_to_take
+
+POISSON = 3  # the column of the table of tissues
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+def names(widget):
+    return [layer.name for layer in viewer_of(widget).layers]
+
+
+def elastic(widget):
+    widget.model.energy.value = "elastic"
+
+
+# What is chosen
+
+
+def test_it_starts_with_the_papers_prior_and_schedule(widget):
+    widget.settings.sweeps.value = 70  # tests are in a hurry otherwise
+    assert (widget.settings.prior, widget.settings.optimizer) == (SeilerPrior(), ICM())
+    assert widget.model.energy.value == "paper"
+    assert not widget.model.back.visible
+
+
+def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.model.schedule.value = "converged"
+    assert widget.settings.prior == SeilerPrior()
+    assert converges(widget.settings.optimizer)
+    solution = run(widget).solution
+    longer = solve_again(widget, SeilerPrior(), ICM(100_000, steps=None, tolerance=1e-9))
+    np.testing.assert_allclose(solution.displacement, longer.displacement, atol=0.01)
+
+
+def solve_again(widget, prior, optimizer=None):
+    """The problem of the widget's layers, solved from a script."""
+    from napari_hmrf.layers.inputs import read_layers
+
+    inputs = read_layers(widget.request(), prior)
+    return solve(inputs.problem, inputs.prior, optimizer, backend="cpu")
+
+
+def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    elastic(widget)
+    widget.model.plane.value = "strain"
+    solution = run(widget).solution
+    expected = solve_again(widget, ElasticPrior(0.45, "strain"))
+    np.testing.assert_array_equal(solution.displacement, expected.displacement)
+    stress = solve_again(widget, ElasticPrior(0.45, "stress"))
+    assert np.abs(solution.displacement - stress.displacement).max() > 0.05
+
+
+def test_only_what_applies_is_asked(docked, small_sample):
+    image, *_ = small_sample(viewer_of(docked))
+    settings, model = docked.settings, docked.model
+    always = {"device"}
+    papers = {"reading", "sentence", "penalty"}
+    sweeps = {"method", "sweeps", "tolerance"}
+
+    def asked():
+        return {widget.name for widget in settings if not widget.native.isHidden()}
+
+    assert asked() == always | papers | sweeps
+    model.schedule.value = "converged"
+    assert asked() - {"accuracy"} == always | papers
+    elastic(docked)
+    assert asked() == always | {"accuracy", "grip"}
+    assert model.schedule.native.isHidden()
+    assert not model.plane.native.isHidden()
+    assert model.poisson.native.isHidden()  # the table has them
+    docked.tissue = image
+    assert not model.poisson.native.isHidden()
+    model.energy.value = "paper"
+    assert model.plane.native.isHidden()
+    assert model.poisson.native.isHidden()
+
+
+def test_how_near_to_converged_can_be_chosen(widget):
+    elastic(widget)
+    assert widget.settings.optimizer == Multigrid()
+    widget.settings.accuracy.value = 0.1
+    assert widget.settings.optimizer == Multigrid(0.1)
+
+
+def test_one_click_leads_back_to_the_paper(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    settings, model = widget.settings, widget.model
+    settings.sweeps.value = 70
+    papers = run(widget).solution
+    elastic(widget)
+    model.schedule.value = "converged"
+    settings.sweeps.value, settings.penalty.value = 12, 5.0
+    settings.reading.value, settings.method.value = "blanket", "closed form"
+    settings.accuracy.value = 0.1
+    run(widget)
+    model.back.changed.emit(True)
+    assert (settings.prior, settings.optimizer) == (SeilerPrior(), ICM())
+    assert model.energy.value == "paper"
+    assert settings.device.value == "cpu"
+    again = run(widget).solution
+    np.testing.assert_array_equal(again.displacement, papers.displacement)
+    np.testing.assert_array_equal(again.energy, papers.energy)
+
+
+def test_the_way_back_is_offered_when_something_differs(docked):
+    docked.settings.sweeps.value = 70
+    for change in (
+        lambda: setattr(docked.model.energy, "value", "elastic"),
+        lambda: setattr(docked.model.schedule, "value", "converged"),
+        lambda: setattr(docked.settings.sweeps, "value", 71),
+    ):
+        assert docked.model.back.native.isHidden()
+        change()
+        assert not docked.model.back.native.isHidden()
+        docked.model.back.changed.emit(True)
+
+
+@pytest.mark.parametrize("plane", ["stress", "strain"])
+def test_every_choice_has_a_sentence_with_what_was_measured(plane):
+    said = {
+        when_to_take("paper", "paper", plane),
+        when_to_take("paper", "converged", plane),
+        when_to_take("elastic", "paper", plane),
+    }
+    assert len(said) == 3
+    assert all("px from finite elements" in sentence for sentence in said)
+
+
+# Poisson's ratio
+
+
+def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._face.tissue.table
+    assert table.isColumnHidden(POISSON)
+    elastic(widget)
+    assert not table.isColumnHidden(POISSON)
+    assert [table.item(row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
+    widget.model.energy.value = "paper"
+    assert table.isColumnHidden(POISSON)
+
+
+def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    elastic(widget)
+    table = widget._face.tissue.table
+    table.item(1, POISSON).setText("0,3")
+    assert widget.materials[1].poisson == 0.3
+    assert tissue.metadata[METADATA]["materials"][1]["poisson"] == 0.3
+    for nonsense in ("0.5", "-0.1", "much", "nan", ""):
+        table.item(1, POISSON).setText(nonsense)
+        assert widget.materials[1].poisson == 0.3
+        assert widget.status == "Poisson's ratio must be a number from 0 to 0.499; kept 0.3."
+
+
+def test_tables_of_before_poisson_ratios_still_open(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    kept = dict(tissue.metadata[METADATA])
+    kept["materials"] = [{"label": 1, "name": "gel", "stiffness": 7.0}]
+    other = viewer_of(widget).add_labels(tissue.data, name="old", metadata={METADATA: kept})
+    widget.tissue = other
+    assert Material(1, "gel", 7.0, 0.45) in widget.materials
+
+
+def test_tissue_that_bulges_more_needs_more_room(widget, small_sample, run):
+    """Squeezed between two walls that let it slide, a block grows across by its ratio."""
+    _, tissue, boundary = small_sample(viewer_of(widget))
+    elastic(widget)
+    widget.rules = (
+        BoundaryRule(1, "move", vector=(0.0, 2.0), confidence=(0.0, 1.0)),
+        BoundaryRule(2, "move", vector=(0.0, -2.0), confidence=(0.0, 1.0)),
+    )
+    boundary.data[9, 11] = 3
+    boundary.refresh()
+    widget.rules = (*widget.rules, BoundaryRule(3, "fixed", confidence=(1.0, 0.0)))
+    grown = []
+    for poisson in (0.0, 0.3):
+        widget.materials = (widget.materials[0], Material(1, "gel", 20.0, poisson))
+        d = run(widget).solution.displacement
+        inside = tissue.data == 1
+        rows = np.nonzero(inside.any(axis=1))[0]
+        top, bottom = rows.min(), rows.max()
+        grown.append(float((d[bottom, 11, 0] - d[top, 11, 0]) / (bottom - top)))
+        cols = np.nonzero(inside.any(axis=0))[0]
+        squeezed = -4.0 / (cols.max() - cols.min())
+    np.testing.assert_allclose(grown, [0.0, -0.3 * squeezed], atol=2e-3)
+
+
+def test_each_tissue_has_its_own_poisson_ratio(widget, small_sample, run):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    tissue.data[2:-2, 12:-2] = 2
+    tissue.refresh()
+    elastic(widget)
+    air = Material(0, "air", 0.0)
+    fields = []
+    for first, second in ((0.1, 0.1), (0.1, 0.45), (0.45, 0.45)):
+        widget.materials = (air, Material(1, "a", 20.0, first), Material(2, "b", 20.0, second))
+        fields.append(run(widget).solution.displacement)
+    low, mixed, high = fields
+    left, right = np.s_[8, 7, :], np.s_[4, 17, 0]
+    assert np.abs(mixed - low).max() > 0.05
+    assert np.abs(mixed - high).max() > 0.05
+    assert np.isfinite(mixed[left]).all()
+    assert abs(mixed[right] - high[right]) < abs(mixed[right] - low[right])
+
+
+def test_a_preset_brings_its_poisson_ratios(widget, small_sample):
+    small_sample(viewer_of(widget))
+    glia = PRESETS[1]
+    widget._face.tissue.table.apply_preset(glia)
+    found = {material.label: material.poisson for material in widget.materials}
+    assert (found[1], found[2], found[3]) == (0.4, 0.1, 0.45)
+    for preset in PRESETS:
+        assert "Poisson" in preset.source
+
+
+def test_a_new_tissue_is_as_the_first_in_all_but_its_name(widget, small_sample):
+    small_sample(viewer_of(widget))
+    widget.materials = (widget.materials[0], Material(1, "gel", 33.0, 0.2))
+    widget._face.tissue.table.add()
+    assert widget.materials[-1] == Material(2, "tissue 2", 33.0, 0.2)
+
+
+def test_an_image_of_stiffness_has_one_poisson_ratio(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    stiffness = viewer.add_image(20.0 * (tissue.data == 1), name="stiffness")
+    elastic(widget)
+    widget.tissue = stiffness
+    widget.model.poisson.value = 0.2
+    solution = run(widget).solution
+    assert solution.provenance.parameters["prior"]["poisson"] == 0.2
+    widget.tissue = tissue
+    widget.materials = (widget.materials[0], Material(1, "gel", 20.0, 0.2))
+    np.testing.assert_array_equal(run(widget).solution.displacement, solution.displacement)
+
+
+# What comes of it
+
+
+def test_results_say_which_model_made_them(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    run(widget)
+    assert "MR arrows" in names(widget)
+    assert widget.details.startswith("The paper's prior (centred), 3 sweeps per level: ")
+    elastic(widget)
+    run(widget)
+    assert {"MR arrows, elastic", "MR deformed, elastic"} < set(names(widget))
+    assert "MR arrows" not in names(widget)
+    assert "cycles in" in widget.details
+    assert "px of the converged field" in widget.details
+    known = viewer_of(widget).layers["MR arrows, elastic"].metadata[METADATA]
+    assert known["model"] == "elastic (Poisson's ratio 0.45, plane stress), converged"
+    assert known["provenance"]["parameters"]["prior"]["name"] == "ElasticPrior"
+    widget.model.energy.value = "paper"
+    widget.model.schedule.value = "converged"
+    run(widget)
+    assert "MR arrows, converged" in names(widget)
+
+
+def test_a_name_of_the_users_stays(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    run(widget)
+    viewer_of(widget).layers["MR arrows"].name = "mine"
+    for energy in ("elastic", "paper", "elastic"):
+        widget.model.energy.value = energy
+        run(widget)
+        assert "mine" in names(widget)
+    assert "MR deformed, elastic" in names(widget)
+
+
+def test_another_model_means_that_the_result_is_old(widget, small_sample, run, wait_for):
+    small_sample(viewer_of(widget))
+    run(widget)
+    elastic(widget)
+    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    widget.model.energy.value = "paper"
+    wait_for(lambda: widget.status.startswith("Tissue moved"))
+
+
+def test_the_plot_copes_with_cycles(docked, small_sample, run):
+    small_sample(viewer_of(docked))
+    plot = docked._face.energy
+    plot.expand(animate=False)
+    run(docked)
+    axes = plot._canvas.figure.axes[0]
+    assert len(axes.lines) > 3
+    elastic(docked)
+    solution = run(docked).solution
+    (curve,) = axes.lines
+    np.testing.assert_array_equal(curve.get_ydata(), solution.energy)
+    assert axes.get_xlabel() == "cycle over all levels"
+    assert axes.get_title().endswith("px of the converged field")
+    docked.model.energy.value = "paper"
+    run(docked)
+    assert len(axes.lines) > 3
+    assert axes.get_title() == ""
+    assert axes.get_xlabel().startswith("sweep")
+
+
+# What can go wrong
+
+
+def test_tissue_that_could_turn_is_refused_in_one_sentence(widget, small_sample, run):
+    *_, boundary = small_sample(viewer_of(widget))
+    boundary.data[:] = 0
+    boundary.data[10, 10] = 1
+    boundary.refresh()
+    elastic(widget)
+    assert run(widget) is None
+    assert widget.status.startswith("'Boundary' leaves a piece of tissue free: the one of 320 ")
+    assert "could still move by turning" in widget.status
+    assert "Fix some of it in place" in widget.status
+    assert not any("arrows" in name for name in names(widget))
+    widget.model.energy.value = "paper"
+    assert run(widget) is not None
+
+
+def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, run, monkeypatch):
+    small_sample(viewer_of(widget))
+    elastic(widget)
+    monkeypatch.setattr(
+        "napari_hmrf.widgets.settings.converging", lambda *_: Multigrid(1e-3, max_iterations=1)
+    )
+    assert run(widget) is None
+    assert widget.status.startswith("No result: ")
+    assert "px from converged" in widget.status
+    assert widget.status.endswith(".")
+    assert not any("arrows" in name for name in names(widget))
+
+
+def test_a_doubt_about_the_boundary_that_does_not_count_is_told(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", (0.0, 3.0), confidence=(0.5, 0.5)))
+    run(widget)
+    assert "held exactly" not in widget.status
+    elastic(widget)
+    run(widget)
+    assert "16 boundary pixels were held exactly" in widget.status
+    widget.settings.grip.value = 0.05
+    run(widget)
+    assert "held exactly" not in widget.status
+
+
+def test_a_boundary_with_little_grip_slips(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    elastic(widget)
+    pushed = np.s_[10, -3, 1]
+    assert run(widget).solution.displacement[pushed] == pytest.approx(3, abs=1e-3)
+    widget.settings.grip.value = 0.05
+    assert 0.1 < run(widget).solution.displacement[pushed] < 2.9
+
+
+def test_a_boundary_too_thin_for_the_schedule_is_none_for_elastic_tissue():
+    from napari.layers import Labels
+
+    from napari_hmrf.layers.inputs import read_layers
+
+    rows, cols = np.mgrid[:160, :160]
+    r = np.hypot(rows - 80, cols - 80)
+    labels = ((r > 50) & (r <= 51)).astype(np.uint8)
+    wanted = Request(
+        tissue=Labels(np.ones((160, 160), np.uint8), name="Tissue"),
+        boundary=Labels(labels, name="Boundary"),
+        image=Image(np.zeros((160, 160)), name="MR"),
+        materials=(Material(1, "gel", 20.0),),
+        rules=(BoundaryRule(1, "expand", amount=3.0),),
+    )
+    assert any("so thin" in note for note in read_layers(wanted).notes)
+    assert not read_layers(wanted, ElasticPrior()).notes
