@@ -6,14 +6,19 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import napari_hmrf
+from napari_hmrf.annotation import USUAL_POISSON
 from napari_hmrf.backends import BACKEND_NAMES
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.models import Model, converging
 from napari_hmrf.optimizers import Monitor
 from napari_hmrf.phantoms import PHANTOM_NAMES, SMALLEST
+from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.priors.elastic import POISSON_RANGE, Plane
 
 if TYPE_CHECKING:
     from napari_hmrf.demo import Demonstration
@@ -61,6 +66,31 @@ def _parser() -> argparse.ArgumentParser:
         "--phantom", choices=PHANTOM_NAMES, default=PHANTOM_NAMES[0], help="default: %(default)s"
     )
     demo.add_argument(
+        "--prior",
+        choices=get_args(Model),
+        default="paper",
+        help="what tissue is taken to be: the paper's Markov random field, or linear elasticity "
+        "(default: %(default)s)",
+    )
+    demo.add_argument(
+        "--converged",
+        action="store_true",
+        help="go on where the paper's schedule stops; elastic tissue always is converged",
+    )
+    low, high = POISSON_RANGE
+    demo.add_argument(
+        "--poisson",
+        type=_poisson,
+        metavar="NU",
+        help=f"of elastic tissue: Poisson's ratio, {low:g} to {high:g} (default: {USUAL_POISSON})",
+    )
+    demo.add_argument(
+        "--plane",
+        choices=get_args(Plane),
+        help="of elastic tissue: a thin slice, free to bulge (stress, the default), or one held "
+        "between its neighbours (strain)",
+    )
+    demo.add_argument(
         "--size",
         type=_size,
         default=300,
@@ -94,6 +124,27 @@ def _size(text: str) -> int:
     return size
 
 
+def _poisson(text: str) -> float:
+    low, high = POISSON_RANGE
+    try:
+        poisson = float(text)
+    except ValueError:
+        poisson = -1.0
+    if not low <= poisson <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
+    return poisson
+
+
+def _prior(options: argparse.Namespace) -> Prior:
+    """The energy asked for."""
+    if options.prior == "elastic":
+        nu = USUAL_POISSON if options.poisson is None else options.poisson
+        return ElasticPrior(nu, options.plane or "stress")
+    if options.poisson is not None or options.plane is not None:
+        raise HmrfError("--poisson and --plane are for --prior elastic: the paper's has neither")
+    return SeilerPrior()
+
+
 def _selftest() -> int:
     from napari_hmrf.selftest import selftest
 
@@ -103,11 +154,13 @@ def _selftest() -> int:
 def _demo(options: argparse.Namespace) -> int:
     from napari_hmrf.demo import demonstrate, write_results
 
+    prior = _prior(options)
+    optimizer = converging(prior) if options.converged else None
     # Before the work, so that it is not done in vain.
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()
     demonstration = demonstrate(
-        options.phantom, options.size, options.backend, progress.show, _tell
+        options.phantom, options.size, options.backend, progress.show, _tell, prior, optimizer
     )
     progress.end()
     print(demonstration.table(), flush=True)
@@ -116,7 +169,7 @@ def _demo(options: argparse.Namespace) -> int:
     print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
     if not options.no_window and _has_display():
         _tell("opening napari ...")
-        _open_napari(demonstration)
+        _open_napari(demonstration, prior, options.converged)
     return 0
 
 
@@ -156,7 +209,7 @@ def _has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _open_napari(demonstration: Demonstration) -> None:
+def _open_napari(demonstration: Demonstration, prior: Prior, converged: bool) -> None:
     """Show a demonstration in napari, with the widget beside it, until the window is closed."""
     import napari
     from napari.layers import Layer
@@ -167,6 +220,10 @@ def _open_napari(demonstration: Demonstration) -> None:
     for data, attributes, kind in phantom_layers(demonstration.phantom):
         viewer.add_layer(Layer.create(data, attributes, kind))
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    widget.model.schedule.value = "converged" if converged else "paper"
+    if isinstance(prior, ElasticPrior):
+        widget.model.energy.value, widget.model.plane.value = "elastic", prior.plane
+        widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
     # Solved again, so that the layers of the result are the widget's own, which it will update.
     widget.deform()
     napari.run()

@@ -12,13 +12,17 @@ import numpy.typing as npt
 
 from napari_hmrf.deformation import count_folds
 from napari_hmrf.errors import BackendError
-from napari_hmrf.optimizers import Monitor
+from napari_hmrf.models import in_words
+from napari_hmrf.optimizers import Monitor, Optimizer
 from napari_hmrf.phantoms import Phantom, phantom, reference_displacement, sample
+from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.solution import Solution
 from napari_hmrf.solve import solve
 
 #: The size that `sample_data` has phantoms and finite-element fields of, in pixels.
 SAMPLE_SIZE = 300
+#: The material of those fields.
+FEM = ElasticPrior(poisson=0.3, plane="stress")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +52,26 @@ class Demonstration:
         size = " x ".join(str(pixels) for pixels in solution.tissue.shape)
         rows = (
             ("sample", f"{self.phantom.title}, {size}"),
+            ("model", in_words(run.parameters)),
             ("renderer", f"{run.renderer} ({run.backend})"),
             ("levels", f"{len(solution.levels)}"),
             ("iterations", f"{solution.iterations}"),
             ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
             ("mean energy", f"{solution.mean_energy:.4g} px^2 per site"),
-            ("RMSD to FEM", "-" if self.rmsd is None else f"{self.rmsd:.2f} px"),
+            ("RMSD to FEM", "-" if self.rmsd is None else self._distance(self.rmsd)),
             ("folds", f"{self.folds}"),
         )
         width = max(len(name) for name, _ in rows)
         return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+    def _distance(self, rmsd: float) -> str:
+        """To the finite elements there are, which may be another material's."""
+        px = f"{rmsd:.2f} px" if rmsd >= 0.1 else f"{rmsd:.1g} px"
+        prior = self.solution.provenance.parameters["prior"]
+        own = (prior.get("poisson", FEM.poisson), prior.get("plane", FEM.plane))
+        if own == (FEM.poisson, FEM.plane):
+            return px
+        return f"{px} (of Poisson's ratio {FEM.poisson}, plane {FEM.plane})"
 
 
 def demonstrate(
@@ -66,8 +80,10 @@ def demonstrate(
     backend: str | None,
     progress: Callable[[Monitor], None],
     notice: Callable[[str], None],
+    prior: Prior | None = None,
+    optimizer: Optimizer | None = None,
 ) -> Demonstration:
-    """Solve a phantom with the paper's schedule.
+    """Solve a phantom.
 
     Parameters
     ----------
@@ -76,12 +92,14 @@ def demonstrate(
     size : int
         Pixels along each side.
     backend : str or None
-        One of `BACKEND_NAMES`; None takes the shaders, and the compiled loops where there is no
-        OpenGL.
+        One of `BACKEND_NAMES`; None takes the shaders where they know the prior, and the compiled
+        loops where there is no OpenGL.
     progress : callable
         Is given a `Monitor` now and then.
     notice : callable
         Is told, in words, if the shaders could not be taken.
+    prior, optimizer : optional
+        As for `solve`: by default the paper's.
 
     Raises
     ------
@@ -92,12 +110,14 @@ def demonstrate(
     """
     subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
     try:
-        solution = solve(subject.problem, backend=backend or "opengl", progress=progress)
+        solution = solve(
+            subject.problem, prior, optimizer, backend=backend or "opengl", progress=progress
+        )
     except BackendError as error:
         if backend is not None:
             raise
         notice(f"The shaders cannot run here: {error} Taking the compiled loops instead.")
-        solution = solve(subject.problem, backend="cpu", progress=progress)
+        solution = solve(subject.problem, prior, optimizer, backend="cpu", progress=progress)
     return Demonstration(
         phantom=subject,
         solution=solution,

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.deformation import arrows, deformation_grid
+from napari_hmrf.models import is_multigrid
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import warp
@@ -138,7 +139,9 @@ def energy_picture(solution: Solution) -> Figure:
     if (solution.energy > 0).any():
         axes.set_yscale("log", nonpositive="mask")
     axes.margins(x=0, y=0.15)
-    axes.set_xlabel("iteration (number of the scale level on top)")
+    cycles = is_multigrid(solution.provenance.parameters)
+    words = "cycle over all levels" if cycles else "iteration (number of the scale level on top)"
+    axes.set_xlabel(words)
     axes.set_ylabel("mean energy per site / pixel²")
     return figure
 

@@ -31,7 +31,7 @@ def test_the_demo_measures_the_sample_against_finite_elements(tmp_path, capsys):
     assert demo(tmp_path) == 0
     measured = table(capsys.readouterr().out)
     assert set(measured) == {
-        *("sample", "renderer", "levels", "iterations", "seconds", "mean energy"),
+        *("sample", "model", "renderer", "levels", "iterations", "seconds", "mean energy"),
         *("RMSD to FEM", "folds"),
     }
     assert measured["levels"] == "10"
@@ -46,6 +46,38 @@ def test_the_demo_has_no_finite_elements_at_other_sizes(tmp_path, capsys):
     measured = table(capsys.readouterr().out)
     assert measured["RMSD to FEM"] == "-"
     assert measured["sample"] == "Brain with a growing tumour, 40 x 40"
+
+
+def test_elastic_tissue_of_the_same_material_is_the_finite_element_field(tmp_path, capsys):
+    assert demo(tmp_path, "--prior", "elastic", "--poisson", "0.3") == 0
+    measured = table(capsys.readouterr().out)
+    assert measured["model"] == "elastic (Poisson's ratio 0.3, plane stress), converged"
+    # The field it is held against is stored to a thousandth of a pixel.
+    assert 0 < float(measured["RMSD to FEM"].removesuffix(" px")) < 0.001
+    assert demo(tmp_path, "--prior", "elastic", "--plane", "strain") == 0
+    measured = table(capsys.readouterr().out)
+    assert measured["RMSD to FEM"].endswith(" px (of Poisson's ratio 0.3, plane stress)")
+
+
+def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
+    options = ("--size", "40", "--converged")
+    assert demo(tmp_path, *options) == 0
+    measured = table(capsys.readouterr().out)
+    assert measured["model"] == "the paper's prior (centred), converged"
+
+
+@pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
+def test_the_papers_prior_has_no_poisson_ratio_to_give(tmp_path, capsys, option):
+    assert demo(tmp_path, "--size", "40", *option) == 1
+    assert "are for --prior elastic" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("poisson", ["0.5", "-1", "nan", "much"])
+def test_a_poisson_ratio_that_is_none_is_refused_before_any_work(tmp_path, capsys, poisson):
+    with pytest.raises(SystemExit):
+        demo(tmp_path, "--prior", "elastic", "--poisson", poisson)
+    assert "is not a number from 0 to 0.499" in capsys.readouterr().err
 
 
 def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys):
@@ -99,10 +131,10 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
 def test_without_opengl_the_demo_says_so_and_takes_the_loops(monkeypatch):
     import napari_hmrf.demo as module
 
-    def without_opengl(problem, backend, progress):
+    def without_opengl(*given, backend, progress):
         if backend == "opengl":
             raise BackendError("no driver offers OpenGL.")
-        return solve(problem, backend=backend, progress=progress)
+        return solve(*given, backend=backend, progress=progress)
 
     monkeypatch.setattr(module, "solve", without_opengl)
     notices = []
@@ -216,8 +248,11 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     monkeypatch.setattr(cli, "_has_display", lambda: True)
     monkeypatch.setattr(napari, "Viewer", lambda: viewer)
     monkeypatch.setattr(napari, "run", lambda: None)
-    assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect") == 0
+    options = ("--prior", "elastic", "--poisson", "0.3", "--plane", "strain")
+    assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect", *options) == 0
     (widget,) = viewer.window.dock_widgets.values()
     qtbot.waitUntil(lambda: widget.idle, timeout=60_000)
     assert widget.solution.displacement.shape == (48, 48, 2)
+    prior = widget.solution.provenance.parameters["prior"]
+    assert (prior["name"], prior["poisson"], prior["plane"]) == ("ElasticPrior", 0.3, "strain")
     assert {"image", "labels", "vectors"} <= {layer._type_string for layer in viewer.layers}
