@@ -36,7 +36,8 @@ class Vector:
 
     def __init__(self, take: Callable[[], Any], spare: list[Any]) -> None:
         self._take, self._spare = take, spare
-        self._textures = [take()]
+        self._textures: list[Any] = []  # what gives back must be there even if there is nothing
+        self._textures.append(take())
 
     @property
     def texture(self) -> Any:
