@@ -217,7 +217,7 @@ def _prepare(
 ) -> None:
     """Compile what a schedule needs by running it on a small problem, once per process.
 
-    Small, but with a level between others and something to find. Square pixels have kernels of
+    Small, but with levels between others and something to find. Square pixels have kernels of
     their own.
     """
     rehearsal = optimizer.rehearsal()
@@ -225,7 +225,8 @@ def _prepare(
     key = (device.name, device.renderer, prior.kernels, repr(rehearsal), square)
     if key in _prepared:
         return
-    y, c, m = np.zeros((12, 12, 2)), np.zeros((12, 12, 2)), np.ones((12, 12))
+    size = 24
+    y, c, m = np.zeros((size, size, 2)), np.zeros((size, size, 2)), np.ones((size, size))
     c[0] = c[-1] = 1
     y[-1] = 1
     small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))

@@ -13,7 +13,8 @@ from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
 from napari_hmrf.priors.elastic import ElasticMaterial
 
-# A level of fewer sites is visited by one thread.
+# A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
+# kernels that a large one does, so that a rehearsal compiles them.
 _SMALL = 8000
 
 
@@ -32,13 +33,13 @@ class CpuElasticLevel(CpuLevel):
         Where each row's moving sites begin and end.
     """
 
-    def __init__(self, grid: tuple[int, ...], shape: Vector, finest: bool) -> None:
+    def __init__(self, grid: tuple[int, ...], shape: Vector, number: int) -> None:
         super().__init__(grid)
         self.shape = shape
         self._used = False
-        self._small = not finest and grid[0] * grid[1] < _SMALL
+        self._small = number > 1 and grid[0] * grid[1] < _SMALL
         self.lame, self.pins = self.vector(), self.vector()
-        self.weight = None if finest else self.vector()
+        self.weight = None if number == 0 else self.vector()
         self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
 
     def hold(self, held: HeldPlanes) -> None:
@@ -155,7 +156,7 @@ class CpuElasticModel:
     def __init__(self, material: ElasticMaterial) -> None:
         self._shape = np.array(material.shape, dtype=np.float32)
         self.levels = [
-            CpuElasticLevel(grid, self._shape, finest=number == 0)
+            CpuElasticLevel(grid, self._shape, number)
             for number, grid in enumerate(grids(material.m.shape))
         ]
         self._exact_lame, self._exact_rest = (np.zeros(self.levels[0].lame.shape) for _ in range(2))
