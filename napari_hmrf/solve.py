@@ -7,7 +7,7 @@ import platform
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -25,6 +25,8 @@ from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution
 
 Progress = Callable[[Monitor], None]
+#: What a solve may begin with.
+Start = Solution | Sequence[Solution]
 _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
 _prepared: set[tuple[str | bool, ...]] = set()
@@ -45,7 +47,7 @@ def solve(
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
-    start: Solution | None = None,
+    start: Start | None = None,
 ) -> Solution:
     """Find how the tissue moves.
 
@@ -66,10 +68,12 @@ def solve(
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
         Set it to stop; looked at several times a second.
-    start : Solution, optional
+    start : Solution or sequence of Solution, optional
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
-        the problem multigrid then has little to do. The result is the same. The paper's schedule
-        begins with zero on its coarsest level, and takes none.
+        the problem multigrid then has less to do. Of several, with the combination that comes
+        closest to what is observed: how far tissue moves is proportional to how far it is pushed,
+        so that a patch moved once more takes hardly a cycle. The result is the same. The paper's
+        schedule begins with zero on its coarsest level, and takes none.
 
     Returns
     -------
@@ -121,7 +125,7 @@ def run_here(
     backend: str,
     progress: Progress | None,
     cancel: CancelFlag,
-    start: Solution | None = None,
+    start: Start | None = None,
 ) -> Solution:
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
@@ -129,7 +133,7 @@ def run_here(
     begun = time.perf_counter()
     prior = (prior or SeilerPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
-    begin = None if start is None else _beginning(start, problem)
+    begin = _beginning(start, problem) if start else None
     resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
@@ -185,7 +189,7 @@ def run_here(
     )
 
 
-def _beginning(start: Solution, problem: Problem) -> FloatArray:
+def _beginning(start: Start, problem: Problem) -> FloatArray:
     """The displacement to begin with, in pixels.
 
     Raises
@@ -193,13 +197,26 @@ def _beginning(start: Solution, problem: Problem) -> FloatArray:
     ValueError
         If it is of another grid.
     """
-    theirs, ours = (start.tissue.shape, start.spacing), (problem.shape, problem.spacing)
-    if theirs != ours:
-        raise ValueError(
-            f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
-            f"{ours[0]} pixels of size {ours[1]}. Leave it out"
-        )
-    return start.displacement / np.float32(problem.unit)
+    first, *others = [start] if isinstance(start, Solution) else start
+    for each in (first, *others):
+        theirs, ours = (each.tissue.shape, each.spacing), (problem.shape, problem.spacing)
+        if theirs != ours:
+            raise ValueError(
+                f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
+                f"{ours[0]} pixels of size {ours[1]}. Leave it out"
+            )
+    begin = first.displacement
+    if others:
+        observed = (problem.c > 0) & problem.tissue[..., None]
+        at = np.flatnonzero(observed)
+        known = first.displacement.ravel()[at]
+        changes = [each.displacement.ravel()[at] - known for each in others]
+        shares = np.linalg.lstsq(
+            np.stack(changes, axis=1).astype(np.float64), problem.y.ravel()[at] - known, rcond=1e-5
+        )[0]
+        for share, each in zip(shares, others, strict=True):
+            begin = begin + np.float32(share) * (each.displacement - first.displacement)
+    return begin / np.float32(problem.unit)
 
 
 class _Either:

@@ -158,6 +158,17 @@ def test_a_known_field_is_a_good_start_where_observations_slip_too(penalty):
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=5e-4)
 
 
+def test_a_patch_that_was_moved_before_is_known_to_move_in_proportion():
+    problem = phantom("mass-effect", 128).problem
+    patch = (np.arange(128)[:, None, None] < 40) & (problem.c > 0)
+    moved = [Problem(problem.y + k * patch, problem.c, problem.m) for k in (0, 1, 3)]
+    known = [solve(each, ElasticPrior(), Multigrid(1e-3)) for each in moved[:2]]
+    cold = solve(moved[2], ElasticPrior(), Multigrid(0.01))
+    warm = solve(moved[2], ElasticPrior(), Multigrid(0.01), start=known)
+    assert warm.iterations <= 1
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=0.02)
+
+
 def test_a_start_of_another_grid_is_refused():
     small, large = (phantom("bar", size).problem for size in (32, 48))
     with pytest.raises(ValueError, match="start is of a grid"):

@@ -106,7 +106,10 @@ class LinearModel(Protocol):
         ...
 
     def pull(self, d: Planes) -> Planes:
-        """What the tissue pulls with everywhere, held or not: - A d, in double precision."""
+        """What the tissue pulls with everywhere, held or not: - A d, in double precision.
+
+        Valid until the next call of this or `work`.
+        """
         ...
 
     def work(self, d: Planes) -> tuple[float, float]:

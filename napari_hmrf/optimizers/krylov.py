@@ -140,7 +140,5 @@ class _Spectrum:
             self._beside.append(math.sqrt(turn) / self._length)
         self._length = length
         if self._beside:
-            least = scipy.linalg.eigh_tridiagonal(
-                self._diagonal, self._beside, True, select="i", select_range=(0, 0)
-            )[0]
+            least = scipy.linalg.lapack.dsterf(self._diagonal, self._beside)[0][0]
             self.least = min(self.least, max(float(least), _LEAST))

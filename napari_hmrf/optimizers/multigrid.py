@@ -134,7 +134,9 @@ class Multigrid:
                 arrived = True
                 if before is not None:
                     way = d - before
-                    arrived = states.step(d, before, way, model.pull(before), model.pull(way))
+                    arrived = states.step(
+                        d, before, way, model.pull(before).copy(), model.pull(way)
+                    )
                 elif states.lost:
                     states.follow(d)
                     if free(states.held) is not None:

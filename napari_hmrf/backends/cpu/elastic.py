@@ -99,21 +99,6 @@ def pull(d, lame, shape, out):
             out[1, i + 2, j] = -col
 
 
-@numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath={"reassoc", *_ARITHMETIC}
-)
-def work(d, lame, shape, row_products, row_squares):
-    """The product of d and A d, twice the energy, and the square of A d, row by row."""
-    for i in prange(d.shape[1] - 4):
-        total, square = 0.0, 0.0
-        for j in range(2, d.shape[2] - 2):
-            row, col = _force(d, lame, shape, i + 2, j)
-            total += row * d[0, i + 2, j] + col * d[1, i + 2, j]
-            square += row * row + col * col
-        row_products[i] = total
-        row_squares[i] = square
-
-
 @_parallel
 def apply(d, lame, inverse, shape, spans, out, row_totals):
     """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""

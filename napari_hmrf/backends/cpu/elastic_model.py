@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.cpu import assembly, elastic, small, vectors
+from napari_hmrf.backends.cpu import assembly, elastic, exact, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
@@ -159,7 +159,9 @@ class CpuElasticModel:
             CpuElasticLevel(grid, self._shape, number)
             for number, grid in enumerate(grids(material.m.shape))
         ]
-        self._exact_lame, self._exact_rest = (np.zeros(self.levels[0].lame.shape) for _ in range(2))
+        self._exact_lame, self._exact_rest, self._exact_pull = (
+            np.zeros(self.levels[0].lame.shape) for _ in range(3)
+        )
         self.assemble(material)
 
     def assemble(self, material: ElasticMaterial) -> None:
@@ -209,16 +211,15 @@ class CpuElasticModel:
         return out
 
     def pull(self, d: Planes) -> Planes:
-        """- A d everywhere, in double precision."""
-        out = np.zeros(d.shape)
-        elastic.pull(d, self._exact_lame, self._exact_shape, out)
-        return out
+        """- A d everywhere, in double precision; valid until the next call of this or `work`."""
+        elastic.pull(d, self._exact_lame, self._exact_shape, self._exact_pull)
+        return self._exact_pull
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
         products, squares = np.zeros((2, d.shape[1] - 4))
-        elastic.work(d, self._exact_lame, self._exact_shape, products, squares)
-        return float(products.sum()) / 2, math.sqrt(squares.sum())
+        exact.work(d, self.pull(d), products, squares)
+        return -float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
     def steepness(self) -> Planes:

@@ -25,6 +25,25 @@ def prescribe(y, c, m, unit, d, held):
                 d[k, i + 2, j + 2] = y[i, j, k] / unit if given else 0.0
 
 
+@numba.njit(
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    parallel=True,
+    fastmath={"reassoc", "contract", "nsz"},
+)
+def work(d, pull, row_products, row_squares):
+    """The product of a displacement and the forces at it, and the square of these, by rows."""
+    for i in prange(d.shape[1] - 4):
+        total, square = 0.0, 0.0
+        for k in range(2):
+            for j in range(d.shape[2]):
+                total += d[k, i + 2, j] * pull[k, i + 2, j]
+                square += pull[k, i + 2, j] * pull[k, i + 2, j]
+        row_products[i] = total
+        row_squares[i] = square
+
+
 @_parallel
 def measure(rest, row_most, row_squares):
     """The largest absolute value and the sum of squares of each row."""
