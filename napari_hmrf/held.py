@@ -60,13 +60,18 @@ def check_held(problem: Problem) -> None:
             return
     free = free_motion(problem, held)
     if free is not None:
-        centre = tuple(int(np.mean(at)) for at in np.nonzero(free.piece))
-        raise ProblemError(
-            "c",
-            f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
-            f"{centre} {free.how}. Fix some of it in place, or give it no stiffness.",
-        )
+        raise refusal(free)
     _held[:] = [(held, problem.m)]
+
+
+def refusal(free: FreeMotion) -> ProblemError:
+    """Return an error that names the piece that could move, and how."""
+    centre = tuple(int(np.mean(at)) for at in np.nonzero(free.piece))
+    return ProblemError(
+        "c",
+        f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
+        f"{centre} {free.how}. Fix some of it in place, or give it no stiffness.",
+    )
 
 
 def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:

@@ -18,7 +18,6 @@ from napari_hmrf import (
     Multigrid,
     Problem,
     ProblemError,
-    SeilerPrior,
     phantom,
     solve,
 )
@@ -299,8 +298,6 @@ def test_priors_and_optimizers_that_do_not_go_together_are_refused():
     problem = phantom("bar", 32).problem
     with pytest.raises(ValueError, match="ElasticPrior takes Multigrid"):
         solve(problem, ElasticPrior(), ICM())
-    with pytest.raises(ValueError, match="SeilerPrior takes ICM"):
-        solve(problem, SeilerPrior(), Multigrid())
 
 
 def test_smoothers_know_how_steep_their_model_can_be():

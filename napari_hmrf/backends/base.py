@@ -18,6 +18,7 @@ import numpy.typing as npt
 from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level
 from napari_hmrf.priors.elastic import ElasticMaterial
+from napari_hmrf.priors.seiler import SeilerMaterial
 
 FloatArray = npt.NDArray[np.float32]
 EnergyArray = npt.NDArray[np.float64]
@@ -134,6 +135,16 @@ class Backend(Protocol[FieldType]):
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device, on all levels of multigrid."""
+        ...
+
+    def seiler_model(self, material: SeilerMaterial) -> LinearModel:
+        """Bring the paper's cliques to the device, on all levels of multigrid.
+
+        Raises
+        ------
+        BackendError
+            If this backend has none.
+        """
         ...
 
     def release(self, *fields: FieldType) -> None:

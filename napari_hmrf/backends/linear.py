@@ -84,6 +84,22 @@ class LinearLevel(Protocol):
         ...
 
 
+class UnsymmetricLevel(LinearLevel, Protocol):
+    """One level of a model that is not symmetric: it takes another iteration, with more steps."""
+
+    def quotient(self, a: Any, b: Any) -> Any:
+        """A scalar over another of either sign; 0 where that is 0."""
+        ...
+
+    def times(self, a: Any, b: Any) -> Any:
+        """A scalar times another."""
+        ...
+
+    def lean(self, rest: Any, direction: Any, image: Any, share: Any, stride: Any) -> None:
+        """Direction = rest + share (direction - stride image)."""
+        ...
+
+
 class LinearModel(Protocol):
     """A prior's model of one problem, and the same model again on coarser levels."""
 

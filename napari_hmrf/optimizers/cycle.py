@@ -2,27 +2,49 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from napari_hmrf.backends.linear import LinearModel, Steps
 
-# The part of the spectrum of D^-1 A that a level's smoother is for, as a fraction of its largest.
-_SMOOTHED = 0.1
-_COARSEST_SMOOTHED = 0.02
-_SWEEPS = 2
-_COARSEST_SWEEPS = 20
+
+class Smoothing(NamedTuple):
+    """How much each level smooths, each time it is visited.
+
+    Attributes
+    ----------
+    part, sweeps : float, int
+        The part of the spectrum of D^-1 A that the smoother is for, as a fraction of its largest,
+        and its Chebyshev steps.
+    coarsest_part, coarsest_sweeps : float, int
+        The same, for the coarsest level.
+    """
+
+    part: float
+    sweeps: int
+    coarsest_part: float
+    coarsest_sweeps: int
+
+
+#: For models that stretch: elastic tissue.
+STRETCHING = Smoothing(0.1, 2, 0.02, 20)
+#: For models of means of neighbours, which are not symmetric.
+AVERAGING = Smoothing(0.3, 2, 0.02, 20)
+#: For models that bend: their spectra are wider, and bilinear transfer leaves more to do.
+BENDING = Smoothing(0.1, 4, 0.005, 40)
 
 
 class Cycle:
-    """A V(2, 2) cycle from the finest level down and back.
+    """A V-cycle from the finest level down and back.
 
     Parameters
     ----------
     model : LinearModel
+    smoothing : Smoothing
     """
 
-    def __init__(self, model: LinearModel) -> None:
+    def __init__(self, model: LinearModel, smoothing: Smoothing = STRETCHING) -> None:
         self.levels = model.levels
+        self._smoothing = smoothing
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
@@ -39,8 +61,9 @@ class Cycle:
 
     def _smooth_up_to(self, bound: float) -> None:
         self._bound = bound
-        self._steps = chebyshev(_SMOOTHED * bound, bound, _SWEEPS)
-        self._coarsest = chebyshev(_COARSEST_SMOOTHED * bound, bound, _COARSEST_SWEEPS)
+        part, sweeps, coarsest_part, coarsest_sweeps = self._smoothing
+        self._steps = chebyshev(part * bound, bound, sweeps)
+        self._coarsest = chebyshev(coarsest_part * bound, bound, coarsest_sweeps)
 
     def run(self, load: Any) -> Any:
         """Return the correction for a load on the finest level; valid until the next run."""

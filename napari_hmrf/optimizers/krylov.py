@@ -1,16 +1,17 @@
-"""Conjugate gradients, preconditioned by a V-cycle, and what they learn on the way."""
+"""Krylov iterations, preconditioned by a V-cycle, and what they learn on the way."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.backends.linear import UnsymmetricLevel
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.cycle import Cycle
 
@@ -19,6 +20,8 @@ _INNER = 1e-5
 # Below this a residual in single precision is rounding, and so is an eigenvalue.
 _ROUNDING = 1e-7
 _LEAST = 1e-6
+# A residual of this part of the solution is as small as single precision can tell.
+_ATTAINED = 3e-7
 # What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
 # sees what is left.
 _FASTEST = 0.25
@@ -118,6 +121,62 @@ class ConjugateGradients:
         rest = max(math.sqrt(after), _ROUNDING * math.sqrt(first))
         fall = max(math.sqrt(after / before), _FASTEST)
         return Step(far * fall / min(self._spectrum.least, _USUAL_LEAST) / rest, rest, gain)
+
+
+class StabilisedGradients:
+    """Stabilised biconjugate gradients: the iteration for models that are not symmetric.
+
+    Two cycles to a step. What a step tells of the residual is its largest value; how far the
+    solution is from there, the iteration does not know.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    """
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+
+    def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
+        """Return a correction for a residual (planes), in single precision.
+
+        Raises
+        ------
+        ConvergenceError
+            If numbers overflow.
+        """
+        level = cast(UnsymmetricLevel, self._cycle.levels[0])
+        rest, shadow = level.vector(residual.copy()), level.vector(residual)
+        found, direction, image, second = (level.vector() for _ in range(4))
+        along = level.product(shadow, rest)
+        (first,) = level.read(along)
+        level.turn(rest, direction, along)
+        while True:
+            steepest = self._cycle.run(direction)
+            level.apply(steepest, image)
+            length = level.quotient(along, level.product(shadow, image))
+            level.advance(found, rest, steepest, image, length)
+            steepest = self._cycle.run(rest)
+            level.apply(steepest, second)
+            stride = level.quotient(level.product(second, rest), level.product(second, second))
+            left = level.advance(found, rest, steepest, second, stride)
+            before, along = along, level.product(shadow, rest)
+            share = level.quotient(level.times(along, length), level.times(before, stride))
+            level.lean(rest, direction, image, share, stride)
+            values = level.read(level.largest(rest), level.largest(found), left, share)
+            if not all(math.isfinite(value) for value in values):
+                raise ConvergenceError(
+                    "the iteration overflowed: bring the softest and the stiffest tissue closer "
+                    "together"
+                )
+            most, far, square, again = values
+            step = Step(math.inf, most, 0.0)
+            # A residual this small beside the solution is rounding: it must be computed anew.
+            small = square <= _INNER**2 * first or most <= _ATTAINED * far
+            if enough(step) or small or again == 0:
+                break
+        level.free(rest, direction, image, second)
+        return np.asarray(level.planes(found))
 
 
 class _Spectrum:

@@ -7,6 +7,7 @@ pixels can see.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,13 +16,15 @@ import numpy as np
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend, FloatArray
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.bending import check_bent, free_bend
 from napari_hmrf.errors import ConvergenceError
-from napari_hmrf.held import free_motion
+from napari_hmrf.held import FreeMotion, free_motion
+from napari_hmrf.optimizers import centred
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report
-from napari_hmrf.optimizers.cycle import Cycle
+from napari_hmrf.optimizers.cycle import BENDING, STRETCHING, Cycle, Smoothing
 from napari_hmrf.optimizers.krylov import ConjugateGradients, Step
-from napari_hmrf.priors import ElasticPrior, Prior
+from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
 # The states of what is observed are found at so many times the tolerance, and then confirmed.
@@ -32,9 +35,12 @@ _TINY = 1e-300
 
 @dataclass(frozen=True)
 class Multigrid:
-    """Conjugate gradients with a V(2, 2) cycle, Chebyshev-Jacobi smoothing, and refinement.
+    """A Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
-    The iteration runs in single precision; the residual that decides is computed in double.
+    The iteration runs in single precision; the residual that decides is computed in double. It is
+    that of conjugate gradients for a prior with an energy to be least: `ElasticPrior`, and
+    `SeilerPrior` in its blanket reading. For its centred reading, which is not symmetric, it is
+    that of stabilised biconjugate gradients (`napari_hmrf.optimizers.centred`).
 
     Parameters
     ----------
@@ -42,6 +48,7 @@ class Multigrid:
         Stop when no site is estimated to be further than this from the converged field, in
         pixels. The estimate is what the last cycle corrected, times the residual it left, over
         the least eigenvalue of the preconditioned system as the iteration has come to know it.
+        In the centred reading it is a bound, by a maximum principle.
     max_iterations : int
         Give up after so many cycles, with an error. Where observations may slip, that many for
         each set of those that do.
@@ -74,15 +81,17 @@ class Multigrid:
         start: FloatArray | None = None,
     ) -> Outcome:
         """Solve; lengths are in pixels from here on."""
-        if not isinstance(prior, ElasticPrior):
-            raise ValueError(
-                f"Multigrid is for ElasticPrior, so far; {type(prior).__name__} takes ICM"
-            )
+        if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
+            return centred.converge(self, problem, prior, backend, report, start)
         d, observed = host.prescribed(problem)
         begin = None if start is None else host.planes(start)
         limit = prior.limit(problem)
-        model = backend.elastic_model(prior.material(problem))
-        refinement = _Refinement(self, model, report)
+        if isinstance(prior, ElasticPrior):
+            model, smoothing = backend.elastic_model(prior.material(problem)), STRETCHING
+        else:
+            check_bent(problem)
+            model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
+        refinement = _Refinement(self, model, smoothing, report)
         try:
             if limit is None:
                 if begin is not None:
@@ -92,9 +101,13 @@ class Multigrid:
                 energy, forces = model.work(d)
                 refinement.settle(energy)
             else:
-                y, d = d, d.copy() if begin is None else begin
-                states = ActiveSet(observed, y, host.planes(limit), d)
-                forces = self._slip(problem, model, states, refinement, d)
+                y, d = d, d.copy()
+                moves = model.steepness > 0
+                if begin is not None:
+                    np.copyto(d, begin, where=moves)
+                states = ActiveSet(observed & moves, y, host.planes(limit), d)
+                find = free_motion if isinstance(prior, ElasticPrior) else free_bend
+                forces = self._slip(problem, model, states, refinement, d, find)
         finally:
             model.close()
         energies = np.array(refinement.energies) / max(1, int(problem.tissue.sum()))
@@ -112,6 +125,7 @@ class Multigrid:
         states: ActiveSet,
         refinement: _Refinement,
         d: Planes,
+        find: Callable[..., FreeMotion | None],
     ) -> float:
         """Solve in place for ever other states of what is observed, until none contradicts itself.
 
@@ -119,7 +133,7 @@ class Multigrid:
         """
 
         def free(held: HeldPlanes) -> Planes | None:
-            found = free_motion(problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
+            found = find(problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
             return None if found is None else host.planes(found.motion)
 
         if free(states.held) is not None:
@@ -173,9 +187,11 @@ class _Refinement:
         The total energy after each cycle.
     """
 
-    def __init__(self, settings: Multigrid, model: LinearModel, report: Report) -> None:
+    def __init__(
+        self, settings: Multigrid, model: LinearModel, smoothing: Smoothing, report: Report
+    ) -> None:
         self._settings, self._model, self._report = settings, model, report
-        self._iteration = ConjugateGradients(Cycle(model))
+        self._iteration = ConjugateGradients(Cycle(model, smoothing))
         self.estimate = math.inf
         self.residual = 0.0
         self.energies: list[float] = []

@@ -65,6 +65,37 @@ def line_weights(spacing: tuple[float, ...]) -> Float64Array:
     )
 
 
+class SeilerMaterial(NamedTuple):
+    """What the kernels of multigrid need to know of a problem's tissue.
+
+    Attributes
+    ----------
+    m : ndarray, shape (H, W), float32
+        Stiffness; 0 is void. Only its ratios matter.
+    lines : ndarray, shape (4, 2)
+        What each line of cliques counts for each component: `line_weights`.
+    square : bool
+        Whether the pixels are.
+    blanket : bool
+        Whether every clique that contains a site pulls at it, or those whose middle it is.
+    """
+
+    m: npt.NDArray[np.float32]
+    lines: Float64Array
+    square: bool
+    blanket: bool
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Upper bounds of the spectrum of D^-1 A, for usual and for any materials.
+
+        Centred, a row is 1 less a weighted mean; blanket, each term of the energy is the square
+        of a sum of three, which is at most three times the sum of their squares.
+        """
+        most = 3.0 if self.blanket else 2.0
+        return most, most
+
+
 class SiteParabola(NamedTuple):
     """A site's prior energy as a function of its own displacement: curvature * (d - lowest)^2."""
 
@@ -149,6 +180,17 @@ class SeilerPrior:
         """Return this prior with the penalty in force for a problem."""
         return replace(self, penalty=self.penalty_for(problem))
 
+    def limit(self, problem: Problem) -> Float64Array:
+        """P = K c of every component (H, W, 2)."""
+        limit: Float64Array = self.penalty_for(problem) * problem.c.astype(np.float64)
+        return limit
+
+    def material(self, problem: Problem) -> SeilerMaterial:
+        """What the kernels of multigrid need to know of a problem's tissue."""
+        square = len(set(problem.spacing)) == 1
+        blanket = self.conditional == "blanket"
+        return SeilerMaterial(problem.m, line_weights(problem.spacing), square, blanket)
+
     def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
 
@@ -208,6 +250,17 @@ class SeilerPrior:
                 slope[u] += weight * (first + ratio_s * second)
         way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
         return SiteParabola(curvature, (d + way) * problem.unit)
+
+
+def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
+    """Which sites are in a clique that carries each component, (H, W, 2)."""
+    found = np.zeros((*problem.shape, 2), dtype=np.bool_)
+    carried = line_weights(problem.spacing) > 0
+    for line, sites in _cliques(problem.shape):
+        exists = np.logical_and.reduce([problem.tissue[at] for at in sites])
+        for at in sites:
+            found[at] |= exists[..., None] & carried[line]
+    return found
 
 
 def _is_penalty(number: object) -> bool:

@@ -15,6 +15,7 @@ from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level, nearest_pixels
 from napari_hmrf.priors import line_weights
 from napari_hmrf.priors.elastic import ElasticMaterial
+from napari_hmrf.priors.seiler import SeilerMaterial
 
 # A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.
 _SLOWEST_SITE_SECONDS = 10e-9
@@ -169,6 +170,12 @@ class CpuBackend:
         from napari_hmrf.backends.cpu.elastic_model import the_model
 
         return the_model(material)
+
+    def seiler_model(self, material: SeilerMaterial) -> LinearModel:
+        """Bring the paper's cliques to the device, on all levels of multigrid."""
+        from napari_hmrf.backends.cpu.seiler_model import CpuSeilerModel
+
+        return CpuSeilerModel(material)
 
     def _other_planes(self, stiffness: CpuField) -> FloatArray:
         """Planes to write displacement to, 0 in void; nobody else holds them."""

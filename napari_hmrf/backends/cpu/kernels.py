@@ -27,6 +27,8 @@ _TINY = float32(1e-30)
 # Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
 _ARITHMETIC = {"contract", "nsz"}
 _inline = numba.njit(inline="always", error_model="numpy")
+# Compiled once for all callers and inlined by LLVM: as fast, and ready in half the time.
+_shared = numba.njit(error_model="numpy", fastmath=_ARITHMETIC, forceinline=True)
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 _parallel = numba.njit(
     cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
@@ -72,7 +74,7 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 
 @_inline
-def _square(d, stiffness, i, j):
+def square(d, stiffness, i, j):
     """Curvature, slope and energy of the four cliques around (i + 2, j + 2), for square pixels.
 
     There the vertical line carries the row component only, the horizontal line the col component.
@@ -104,7 +106,7 @@ def _square(d, stiffness, i, j):
     return a0, a1, b0, b1, energy
 
 
-@_inline
+@_shared
 def _middle_line(d, stiffness, weights, line, si, sj, ti, tj, ui, uj):
     """Curvature, slope (per component) and energy of a weighted clique, from its middle."""
     s, u, exists = _ratios(stiffness, si, sj, ti, tj, ui, uj)
@@ -116,8 +118,8 @@ def _middle_line(d, stiffness, weights, line, si, sj, ti, tj, ui, uj):
 
 
 @_inline
-def _weighted(d, stiffness, weights, i, j):
-    """As `_square`, for pixels of any shape."""
+def weighted(d, stiffness, weights, i, j):
+    """As `square`, for pixels of any shape."""
     a0, a1, b0, b1, e = _middle_line(
         d, stiffness, weights, 0, i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
     )
@@ -146,7 +148,7 @@ def _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj):
     return w0 * a, w1 * a, w0 * b0, w1 * b1
 
 
-@_inline
+@_shared
 def _both_ends(d, stiffness, weights, line, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
     """The two cliques of one line that (i, j) is an end of: (i, j) - t - u and (i, j) - v - x."""
     a0, a1, b0, b1 = _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj)
@@ -155,9 +157,9 @@ def _both_ends(d, stiffness, weights, line, i, j, ti, tj, ui, uj, vi, vj, xi, xj
 
 
 @_inline
-def _blanket(d, stiffness, weights, i, j):
-    """As `_weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
-    a0, a1, b0, b1, e = _weighted(d, stiffness, weights, i, j)
+def around(d, stiffness, weights, i, j):
+    """As `weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
+    a0, a1, b0, b1, e = weighted(d, stiffness, weights, i, j)
     p0, p1, q0, q1 = _both_ends(
         d, stiffness, weights, 0, i + 2, j + 2, i + 1, j + 2, i, j + 2, i + 3, j + 2, i + 4, j + 2
     )
@@ -283,11 +285,11 @@ def icm(
         for k in range(spans[i, 1] - start):
             j = start + k
             if blanket is not None:
-                a0, a1, b0, b1, prior = _blanket(source, stiffness, weights, i, j)
+                a0, a1, b0, b1, prior = around(source, stiffness, weights, i, j)
             elif weights is None:
-                a0, a1, b0, b1, prior = _square(source, stiffness, i, j)
+                a0, a1, b0, b1, prior = square(source, stiffness, i, j)
             else:
-                a0, a1, b0, b1, prior = _weighted(source, stiffness, weights, i, j)
+                a0, a1, b0, b1, prior = weighted(source, stiffness, weights, i, j)
             share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
             new0, new1 = _moved(
                 source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
@@ -299,16 +301,18 @@ def icm(
 
 @_parallel
 def energy(source, stiffness, observation, spans, weights, share, row_totals):
-    """U_total of `source`, row by row; `share` is scratch."""
+    """U_total of `source`, row by row, or of its cliques if nothing is observed (None)."""
     for i in prange(source.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
             if weights is None:
-                _, _, _, _, prior = _square(source, stiffness, i, j)
+                _, _, _, _, prior = square(source, stiffness, i, j)
             else:
-                _, _, _, _, prior = _weighted(source, stiffness, weights, i, j)
-            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+                _, _, _, _, prior = weighted(source, stiffness, weights, i, j)
+            if observation is not None:
+                prior += _observed(source, observation, i + 2, j + 2)
+            share[i, j] = prior
         row_totals[i] = _row_total(share, i, start, spans[i, 1])
 
 

@@ -107,6 +107,14 @@ class CpuLevel:
         """A over b; 0 unless both are positive."""
         return a / b if a > 0 and b > 0 else 0.0
 
+    def quotient(self, a: float, b: float) -> float:
+        """A over b; 0 where b is 0."""
+        return a / b if b != 0 else 0.0
+
+    def times(self, a: float, b: float) -> float:
+        """A times b."""
+        return a * b
+
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
@@ -117,6 +125,12 @@ class CpuLevel:
     def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
         """Direction = steepest + share direction."""
         vectors.turn(steepest, direction, np.float32(share))
+
+    def lean(
+        self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float
+    ) -> None:
+        """Direction = rest + share (direction - stride image)."""
+        vectors.lean(rest, direction, image, np.float32(share), np.float32(stride))
 
     def read(self, *scalars: float) -> tuple[float, ...]:
         """Return them."""

@@ -108,6 +108,17 @@ def turn(steepest, direction, share):
 
 
 @_parallel
+def lean(rest, direction, image, share, stride):
+    """Direction = rest + share * (direction - stride * image)."""
+    for i in prange(direction.shape[1] - 4):
+        for component in range(2):
+            for j in range(direction.shape[2]):
+                direction[component, i + 2, j] = rest[component, i + 2, j] + share * (
+                    direction[component, i + 2, j] - stride * image[component, i + 2, j]
+                )
+
+
+@_parallel
 def product(a, b, row_totals):
     """The scalar product, row by row."""
     for i in prange(a.shape[1] - 4):

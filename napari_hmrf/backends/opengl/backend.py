@@ -34,6 +34,7 @@ from napari_hmrf.errors import BackendError
 from napari_hmrf.hierarchy import Level
 from napari_hmrf.priors import line_weights
 from napari_hmrf.priors.elastic import ElasticMaterial
+from napari_hmrf.priors.seiler import SeilerMaterial
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
 # observation 16, displacement 2 x 8, energy 2; a third more for the coarser levels.
@@ -176,6 +177,13 @@ class OpenGLBackend:
         passes = Passes(self._device, self._stage, self._pace)
         self._of_models.append(passes)
         return GLElasticModel(passes, material)
+
+    def seiler_model(self, material: SeilerMaterial) -> LinearModel:
+        """Refuse: the shaders have no multigrid for it yet."""
+        raise BackendError(
+            "multigrid for the paper's prior runs on the compiled loops only, so far. Take "
+            'backend="cpu".'
+        )
 
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""

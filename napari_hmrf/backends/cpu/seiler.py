@@ -1,0 +1,203 @@
+"""The paper's cliques as a linear model, as compiled loops.
+
+Arrays are padded as those of the other kernels are, by two sites of void. `stiffness` is (m, 1/m),
+0 in void; `lines` is what each line of cliques counts for each component, None for square pixels;
+`blanket` is None unless every clique that contains a site pulls at it (`lines` is needed then).
+
+Centred, the model is d - q(d): how far a site is from the weighted mean of its neighbours, so that
+its diagonal is 1. Blanket, it is half the slope of U_total's cliques (all of it, if `lines` are
+twice what they are). Both are built from
+differences of displacement. `inverse` is the inverse of the diagonal, springs included, and 0 where
+a component does not move.
+
+Numba's cache does not notice when `napari_hmrf.backends.cpu.kernels` changes: touch this file then.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+import numba
+from numba import float32, int64, prange
+
+from napari_hmrf.backends.cpu.kernels import around, square, weighted
+from napari_hmrf.backends.cpu.vectors import row_product
+
+_TINY = float32(1e-30)
+_ARITHMETIC = {"contract", "nsz"}
+_inline = numba.njit(inline="always", error_model="numpy")
+# Compiled once for all kernels, and inlined by LLVM: that takes a tenth of the time.
+_shared = numba.njit(error_model="numpy", fastmath=_ARITHMETIC, forceinline=True)
+_parallel = numba.njit(
+    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
+)
+
+
+@_shared
+def _cliques(d, stiffness, lines, blanket, i, j):
+    """Curvature and slope, per component, of the cliques that pull at (i + 2, j + 2)."""
+    if blanket is not None:
+        a0, a1, b0, b1, _ = around(d, stiffness, lines, i, j)
+    elif lines is None:
+        a0, a1, b0, b1, _ = square(d, stiffness, i, j)
+    else:
+        a0, a1, b0, b1, _ = weighted(d, stiffness, lines, i, j)
+    return a0, a1, b0, b1
+
+
+@_inline
+def _pull(d, stiffness, lines, blanket, i, j):
+    """What the tissue pulls with at (i + 2, j + 2): - A d."""
+    a0, a1, b0, b1 = _cliques(d, stiffness, lines, blanket, i, j)
+    if blanket is None:
+        b0, b1 = b0 / max(a0, _TINY), b1 / max(a1, _TINY)
+    return b0, b1
+
+
+@_inline
+def _rest(d, load, stiffness, weight, lines, blanket, i, j):
+    """Load - (A + W) d at (i + 2, j + 2); `weight` is W's diagonal or None, as `load` may be."""
+    row, col = _pull(d, stiffness, lines, blanket, i, j)
+    if weight is not None:
+        row -= weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
+        col -= weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
+    if load is not None:
+        row += load[0, i + 2, j + 2]
+        col += load[1, i + 2, j + 2]
+    return row, col
+
+
+@_parallel
+def residual(d, load, stiffness, inverse, weight, lines, blanket, spans, out):
+    """Out = load - (A + W) d, and 0 at sites that do not move."""
+    for i in prange(d.shape[1] - 4):
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _rest(d, load, stiffness, weight, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = row if inverse[0, i + 2, j + 2] > float32(0) else row - row
+            out[1, i + 2, j + 2] = col if inverse[1, i + 2, j + 2] > float32(0) else col - col
+
+
+@_parallel
+def pull(d, stiffness, lines, blanket, out):
+    """Out = - A d everywhere."""
+    for i in prange(d.shape[1] - 4):
+        for j in range(d.shape[2] - 4):
+            row, col = _pull(d, stiffness, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = row
+            out[1, i + 2, j + 2] = col
+
+
+@_parallel
+def apply(d, stiffness, inverse, lines, blanket, spans, out, row_totals):
+    """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
+    for i in prange(d.shape[1] - 4):
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _pull(d, stiffness, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = -row if inverse[0, i + 2, j + 2] > float32(0) else float32(0)
+            out[1, i + 2, j + 2] = -col if inverse[1, i + 2, j + 2] > float32(0) else float32(0)
+        row_totals[i] = row_product(d, out, i + 2)
+
+
+@_parallel
+def smooth(d, load, stiffness, inverse, weight, lines, blanket, spans, step, out, scale, momentum):
+    """A Chebyshev step: step = scale D^-1 (load - (A + W) d) + momentum step, out = d + step."""
+    for i in prange(d.shape[1] - 4):
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _rest(d, load, stiffness, weight, lines, blanket, i, j)
+            row = scale * inverse[0, i + 2, j + 2] * row + momentum * step[0, i + 2, j + 2]
+            col = scale * inverse[1, i + 2, j + 2] * col + momentum * step[1, i + 2, j + 2]
+            step[0, i + 2, j + 2] = row
+            step[1, i + 2, j + 2] = col
+            out[0, i + 2, j + 2] = d[0, i + 2, j + 2] + row
+            out[1, i + 2, j + 2] = d[1, i + 2, j + 2] + col
+
+
+@_parallel
+def curvature(stiffness, lines, blanket, out):
+    """Each site's curvature: of the cliques that pull at it."""
+    for i in prange(out.shape[1] - 4):
+        for j in range(out.shape[2] - 4):
+            a0, a1, _, _ = _cliques(stiffness, stiffness, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = a0
+            out[1, i + 2, j + 2] = a1
+
+
+@_parallel
+def coarsen(fine, coarse, even):
+    """A coarse site's stiffness: the mean of the tissue around it, and void where there is none.
+
+    `even` gets what makes a sum over that tissue as large as one over tissue everywhere.
+    """
+    for i in prange(coarse.shape[1] - 4):
+        for j in range(coarse.shape[2] - 4):
+            total, share = float32(0), float32(0)
+            for a in range(3):
+                for b in range(3):
+                    m = fine[0, 2 * i + 1 + a, 2 * j + 1 + b]
+                    near = float32((2 - abs(a - 1)) * (2 - abs(b - 1))) * float32(0.25)
+                    total += near * m
+                    share += near if m > float32(0) else float32(0)
+            coarse[0, i + 2, j + 2] = total / share if total > float32(0) else float32(0)
+            coarse[1, i + 2, j + 2] = share / total if total > float32(0) else float32(0)
+            even[i + 2, j + 2] = float32(4) / max(share, float32(1))
+
+
+@_parallel
+def even_out(load, even):
+    """Multiply each component."""
+    for i in prange(load.shape[1] - 4):
+        for k in range(2):
+            for j in range(load.shape[2]):
+                load[k, i + 2, j] *= even[i + 2, j]
+
+
+@_inline
+def _span(inverse, spans, i):
+    """Where row i's moving sites begin and end."""
+    first, past = int64(0), int64(0)
+    for j in range(inverse.shape[2] - 4):
+        if inverse[0, i + 2, j + 2] > float32(0) or inverse[1, i + 2, j + 2] > float32(0):
+            if past == 0:
+                first = j
+            past = j + 1
+    spans[i, 0] = first
+    spans[i, 1] = past
+
+
+@_parallel
+def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
+    """The finest level's inverse diagonal, 0 where held; `pins` counts tissue that cannot move."""
+    for i in prange(inverse.shape[1] - 4):
+        for k in range(2):
+            for j in range(2, inverse.shape[2] - 2):
+                steep = curvatures[k, i + 2, j]
+                moves = steep > float32(0) and not held[k, i + 2, j]
+                diagonal = float32(1) if blanket is None else steep
+                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
+                pinned = stiffness[0, i + 2, j] > float32(0) and not moves
+                pins[k, i + 2, j] = float32(1) if pinned else float32(0)
+        _span(inverse, spans, i)
+
+
+@_parallel
+def spring(curvatures, blanket, pins, most, strength, inverse, weight, spans):
+    """A coarser level's springs, and the inverse of the diagonal of model and springs.
+
+    A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
+    """
+    for i in prange(inverse.shape[1] - 4):
+        for k in range(2):
+            for j in range(2, inverse.shape[2] - 2):
+                steep = curvatures[k, i + 2, j]
+                diagonal = float32(1) if blanket is None else steep
+                pins[k, i + 2, j] = min(pins[k, i + 2, j], most)
+                weight[k, i + 2, j] = strength * pins[k, i + 2, j] * diagonal
+                diagonal += weight[k, i + 2, j]
+                moves = steep > float32(0)
+                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
+        _span(inverse, spans, i)

@@ -1,0 +1,215 @@
+"""The paper's cliques on the processor: their levels, and their pulls in double precision."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends import host
+from napari_hmrf.backends.cpu import kernels, seiler, vectors
+from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
+from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.coarsening import MOST_PINS, SPRING, grids
+from napari_hmrf.priors.seiler import SeilerMaterial
+
+
+class CpuSeilerLevel(CpuLevel):
+    """One level's cliques and springs.
+
+    Attributes
+    ----------
+    stiffness : ndarray, shape (2, H + 4, W + 4)
+        (m, 1/m); 0 in void.
+    weight : ndarray, shape (2, H + 4, W + 4), or None
+        The springs; the finest level has none.
+    pins : ndarray, shape (2, H + 4, W + 4)
+        How much of what does not move counts at each site.
+    spans : ndarray, shape (H, 2)
+        Where each row's moving sites begin and end.
+    """
+
+    def __init__(
+        self, grid: tuple[int, ...], lines: Vector | None, blanket: bool, finest: bool
+    ) -> None:
+        super().__init__(grid)
+        self.lines, self.blanket = lines, blanket or None
+        self.stiffness, self.pins, self._curvature = (self.vector() for _ in range(3))
+        self._even = self.vector()[0]
+        self.weight = None if finest else self.vector()
+        self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
+
+    def coarsen(self, finer: CpuSeilerLevel) -> None:
+        """Take the finer level's tissue."""
+        seiler.coarsen(finer.stiffness, self.stiffness, self._even)
+
+    def settle(self) -> None:
+        """Take in the stiffness."""
+        seiler.curvature(self.stiffness, self.lines, self.blanket, self._curvature)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on the finest level."""
+        seiler.hold(
+            self.stiffness,
+            self._curvature,
+            self.blanket,
+            held,
+            self.inverse,
+            self.pins,
+            self.spans,
+        )
+        self._forget()
+
+    def hold_as(self, finer: CpuSeilerLevel) -> None:
+        """Put the sites near those that the finer level holds on springs."""
+        vectors.restrict(finer.pins, self.pins)
+        seiler.spring(
+            self._curvature,
+            self.blanket,
+            self.pins,
+            np.float32(MOST_PINS),
+            np.float32(SPRING),
+            self.inverse,
+            self.weight,
+            self.spans,
+        )
+        self._forget()
+
+    def descend(self, steps: Steps, coarse: Self | None) -> None:
+        """Relax from zero, and hand what is left of the load down.
+
+        Centred, a load is a mean over sites: at the border of tissue, over those that exist.
+        """
+        super().descend(steps, coarse)
+        if coarse is not None and not self.blanket:
+            seiler.even_out(coarse.load, coarse._even)
+
+    def _forget(self) -> None:
+        """The kernels write within the spans only: beyond them there must be 0."""
+        for vector in (self.correction, self._other, self._step, self._rest):
+            vector.fill(0)
+
+    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
+        seiler.smooth(
+            self.correction,
+            self.load,
+            self.stiffness,
+            self.inverse,
+            self.weight,
+            self.lines,
+            self.blanket,
+            self.spans,
+            self._step,
+            self._other,
+            scale,
+            momentum,
+        )
+
+    def _leave(self) -> None:
+        seiler.residual(
+            self.correction,
+            self.load,
+            self.stiffness,
+            self.inverse,
+            self.weight,
+            self.lines,
+            self.blanket,
+            self.spans,
+            self._rest,
+        )
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Image = A direction; their scalar product."""
+        seiler.apply(
+            direction,
+            self.stiffness,
+            self.inverse,
+            self.lines,
+            self.blanket,
+            self.spans,
+            image,
+            self._rows,
+        )
+        return float(self._rows.sum())
+
+
+class CpuSeilerModel:
+    """`LinearModel` of the paper's cliques.
+
+    Parameters
+    ----------
+    material : SeilerMaterial
+    """
+
+    def __init__(self, material: SeilerMaterial) -> None:
+        self.bounds = material.bounds
+        self._blanket = material.blanket or None
+        # Square pixels have kernels of their own.
+        lines = None if material.square and not material.blanket else material.lines
+        # Blanket, what pulls is the slope of the energy; the kernels have half of it.
+        self._lines = 2 * material.lines if material.blanket else lines
+        m = material.m / np.float64(material.m.max())
+        inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
+        self.levels = []
+        for number, grid in enumerate(grids(m.shape)):
+            # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
+            share = 0.25**number if material.blanket else 1.0
+            each = None if self._lines is None else (share * self._lines).astype(np.float32)
+            self.levels.append(CpuSeilerLevel(grid, each, material.blanket, finest=number == 0))
+        finest = self.levels[0]
+        self._stiffness = np.zeros(finest.stiffness.shape)
+        inside(self._stiffness)[...] = m, inverse
+        finest.stiffness[...] = self._stiffness
+        finest.settle()
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.coarsen(fine)
+            coarse.settle()
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        self.levels[0].hold(held)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.hold_as(fine)
+
+    def residual(self, d: Planes, load: Planes | None) -> Planes:
+        """Load - A d in double precision, 0 where held."""
+        finest, out = self.levels[0], np.zeros_like(d)
+        seiler.residual(
+            d,
+            load,
+            self._stiffness,
+            finest.inverse,
+            None,
+            self._lines,
+            self._blanket,
+            finest.spans,
+            out,
+        )
+        return out
+
+    def pull(self, d: Planes) -> Planes:
+        """- A d everywhere, in double precision."""
+        out = np.zeros_like(d)
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, out)
+        return out
+
+    @property
+    def steepness(self) -> Planes:
+        """The second derivative of each site's energy; 0 where no clique pulls."""
+        out = np.zeros(self._stiffness.shape)
+        seiler.curvature(self._stiffness, self._lines, self._blanket, out)
+        return out if self._blanket else 2 * out
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The cliques' share of U_total, and the norm of all pulls."""
+        height, width = self.levels[0].grid
+        rows = np.zeros(height)
+        whole = np.tile([0, width], (height, 1))
+        share = np.empty((height, width))
+        kernels.energy(d, self._stiffness, None, whole, self._lines, share, rows)
+        _, norm = host.measure(self.pull(d))
+        return float(rows.sum()) / (2 if self._blanket else 1), norm
+
+    def close(self) -> None:
+        """Nothing to do: memory goes with the last reference."""

@@ -1,0 +1,233 @@
+"""The converged field of the paper's centred update, and how sure that is.
+
+Where it has converged, each site is at the weighted mean q of its neighbours, at most p / 2 A from
+there towards what was observed at it (A is the curvature of its energy, p = K c), or at what was
+observed. No energy is least there, and the equations are not symmetric; but weights that are
+positive and sum to one make a maximum principle:
+
+    a field w >= 0 with w - q(w) >= 1 bounds every error: |d - exact| <= max w * max |d - q(d)|.
+
+Such a *barrier* is found by the same iteration, to a coarse tolerance, and proves the result.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends import host
+from napari_hmrf.backends.base import Backend, FloatArray
+from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report
+from napari_hmrf.optimizers.cycle import AVERAGING, Cycle
+from napari_hmrf.optimizers.krylov import StabilisedGradients, Step
+from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.problem import Problem
+
+if TYPE_CHECKING:
+    from napari_hmrf.optimizers.multigrid import Multigrid
+
+# How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
+_BARRIER = 0.5
+_BARRIER_AIM = 0.4
+# Exchanges of all contradictions at once that may pass without fewer of them than ever before.
+_PATIENCE = 6
+# Runs of the iteration that may pass without a smaller residual than ever before: where stiff
+# tissue swims in soft, single precision gains little in each.
+_VAIN_RUNS = 20
+_TINY = 1e-300
+
+
+def converge(
+    settings: Multigrid,
+    problem: Problem,
+    prior: SeilerPrior,
+    backend: Backend[Any],
+    report: Report,
+    start: FloatArray | None,
+) -> Outcome:
+    """Solve; lengths are in pixels."""
+    d, observed = host.prescribed(problem)
+    y = d.copy()
+    model = backend.seiler_model(prior.material(problem))
+    refinement = _Refinement(settings, model, report)
+    try:
+        steep = model.steepness
+        force = host.planes(prior.limit(problem))
+        force[~observed] = 0
+        if start is not None:
+            np.copyto(d, host.planes(start), where=~observed & (steep > 0))
+        # A site that is the middle of no clique stays where it is: nothing pulls at it.
+        states = _States(observed & (steep > 0), y, force, steep)
+        changed = True
+        while changed:
+            states.place(d)
+            model.hold(states.held)
+            refinement.run(d, states.load)
+            changed = states.exchange(d, model.pull(d), settings.tolerance / 2)
+        energy, forces = model.work(d)
+    finally:
+        model.close()
+    energy += float((force * np.abs(y - d)).sum())
+    cycles = max(1, refinement.cycles)
+    return Outcome(
+        displacement=host.gathered(d),
+        energy=np.full(cycles, energy / max(1, int(problem.tissue.sum()))),
+        levels=(LevelRun(0, problem.shape, cycles),),
+        convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
+    )
+
+
+class _States:
+    """Which observed components are held, and which slip: eq. 19 for the centred update.
+
+    A component is held where q is within p / 2 A of what was observed. Which ones are is found by
+    exchanging all that contradict their state; where that leads nowhere, only the last of them,
+    which ends for certain in a system with this sign structure (Murty's rule).
+    """
+
+    def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
+        self._grid = candidates.shape
+        self._at = np.flatnonzero(candidates)
+        self._y = y.ravel()[self._at]
+        self._limit = force.ravel()[self._at] / steep.ravel()[self._at]
+        # The direction that those that slip are pulled in; 0 where held.
+        self._slips: npt.NDArray[Any] = np.zeros(len(self._at))
+        self._fewest, self._patience = len(self._at) + 1, _PATIENCE
+
+    @property
+    def held(self) -> HeldPlanes:
+        """Which are held."""
+        made = np.zeros(self._grid, dtype=np.bool_)
+        made.ravel()[self._at] = self._slips == 0
+        return made
+
+    @property
+    def load(self) -> Planes | None:
+        """How far from q those that slip are pulled."""
+        if not self._slips.any():
+            return None
+        made = np.zeros(self._grid)
+        made.ravel()[self._at] = self._slips * self._limit
+        return made
+
+    def place(self, d: Planes) -> None:
+        """Move those that are held to what was observed, in place."""
+        here = self._slips == 0
+        d.ravel()[self._at[here]] = self._y[here]
+
+    def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
+        """Let go of what is pulled too far, and hold what has passed its mark.
+
+        `pull` is q - d. Returns whether any state has changed.
+        """
+        towards = pull.ravel()[self._at]
+        held = self._slips == 0
+        excess = np.abs(towards) - self._limit
+        passed = self._slips * (d.ravel()[self._at] - self._y)
+        wrong = np.where(held, excess, passed) > tolerance
+        count = int(wrong.sum())
+        if count < self._fewest:
+            self._fewest, self._patience = count, _PATIENCE
+        elif self._patience > 0:
+            self._patience -= 1
+        else:
+            last = np.flatnonzero(wrong)[-1]
+            wrong[:] = False
+            wrong[last] = True
+        self._slips = np.where(wrong, np.where(held, -np.sign(towards), 0.0), self._slips)
+        return count > 0
+
+
+class _Refinement:
+    """An iteration in single precision, begun anew from each residual in double, and its proof.
+
+    Attributes
+    ----------
+    cycles : int
+        Steps so far.
+    estimate : float
+        What no site is further from the solution than, in pixels.
+    residual : float
+        The norm of the residual, in double precision.
+    """
+
+    def __init__(self, settings: Multigrid, model: Any, report: Report) -> None:
+        self._settings, self._model, self._report = settings, model, report
+        self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
+        self._barrier: Planes | None = None
+        self.cycles = 0
+        self.estimate, self.residual = math.inf, 0.0
+        self._begun = 0
+        self._first: float | None = None
+
+    def run(self, d: Planes, load: Planes | None) -> None:
+        """Move `d` in place to where each site is at q plus its load, to the tolerance."""
+        self._begun = self.cycles
+        reach = self._reach(d.shape)
+        tolerance = self._settings.tolerance
+
+        def enough(step: Step, scale: float) -> bool:
+            self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
+            return scale * reach * step.rest <= tolerance
+
+        self._solve(d, load, tolerance / reach if reach > 0 else math.inf, enough)
+        rest = self._model.residual(d, load)
+        most, self.residual = host.measure(rest)
+        self.estimate = reach * most
+
+    def _reach(self, shape: tuple[int, ...]) -> float:
+        """How far a site can be from the solution per unit of the largest residual."""
+        if self._barrier is None:
+            self._barrier = np.zeros(shape)
+
+        def enough(step: Step, scale: float) -> bool:
+            self._say("finding what bounds the error", math.inf)
+            return scale * step.rest <= _BARRIER_AIM
+
+        barrier, ones = self._barrier, np.ones(shape)
+        moves = self._model.residual(np.zeros(shape), ones) > 0
+        barrier[~moves] = 0
+        off = self._solve(barrier, ones, _BARRIER, enough)
+        return float(barrier.max()) / (1 - off)
+
+    def _solve(self, d: Planes, load: Planes | None, most: float, enough: Any) -> float:
+        """Move `d` to where no residual exceeds `most`; returns the largest."""
+        rest = self._model.residual(d, load)
+        scale, _ = host.measure(rest)
+        least, in_vain = math.inf, 0
+        while scale > most:
+            here = scale
+            correction = self._iteration.run(host.shrunk(rest, here), lambda s: enough(s, here))  # noqa: B023
+            host.add(d, correction, here)
+            rest = self._model.residual(d, load)
+            scale, _ = host.measure(rest)
+            in_vain = 0 if scale < 0.9 * least else in_vain + 1
+            least = min(least, scale)
+            if in_vain > _VAIN_RUNS:
+                self._give_up()
+        return scale
+
+    def _say(self, message: str, estimate: float) -> None:
+        """Report, count, and give up in time."""
+        self.cycles += 1
+        done = 0.0
+        if math.isfinite(estimate):
+            self._first = self._first or estimate
+            tolerance = self._settings.tolerance
+            way = math.log(max(self._first / tolerance, 1 + 1e-9))
+            done = 1 - math.log(max(estimate / tolerance, 1.0)) / way
+        self._report(Monitor(f"cycle {self.cycles}, {message}", min(max(done, 0.0), 1.0)))
+        if self.cycles - self._begun > self._settings.max_iterations:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        raise ConvergenceError(
+            f"the field is not sure to be within {self._settings.tolerance:g} px of converged "
+            f"after {self.cycles} cycles. Raise max_iterations, or bring the softest and the "
+            "stiffest tissue closer together"
+        )
