@@ -4,7 +4,7 @@
 
 Needs a display (on Linux without one: ``sh scripts/headless.sh python benchmarks/soak.py``). Every
 solve goes through the dock widget, as a user's would, in turn on the shaders and on the compiled
-loops. Prints what was found and exits with 1 if memory grew by more than 5 MiB after the tenth
+loops, of the paper's energy and of elastic tissue. Prints what was found and exits with 1 if memory grew by more than 5 MiB after the tenth
 solve, a result was wrong, a thread was left over, the viewer's picture changed, or closing the
 viewer during a solve took 2 s.
 """
@@ -26,6 +26,8 @@ import psutil
 
 from napari_hmrf import BackendError, phantom, solve
 from napari_hmrf.backends import compute_thread
+
+ENERGIES = ("paper", "elastic")
 
 
 @dataclass
@@ -82,7 +84,7 @@ def soak(
     from napari_hmrf.contributions import phantom_layers
     from napari_hmrf.widgets.deform import DeformTissue
 
-    backends = _available(size)
+    turns = [(backend, energy) for energy in ENERGIES for backend in _available(size)]
     before = {thread.name for thread in threading.enumerate()}
     dice = random.Random(seed)
     found = Findings()
@@ -91,24 +93,23 @@ def soak(
         viewer._add_layer_from_data(*data)
     widget = DeformTissue(viewer)
     viewer.window.add_dock_widget(widget, name="Deform tissue")
-    expected = {name: _deform(widget, name).displacement for name in backends}
+    expected = {turn: _deform(widget, turn).displacement for turn in turns}
     camera = viewer.scene.camera if hasattr(viewer, "scene") else viewer.camera
     zoom = camera.zoom
     picture = viewer.screenshot(canvas_only=True, flash=False)
-    usual = _seconds(lambda: _deform(widget, backends[-1]))
+    usual = _seconds(lambda: _deform(widget, turns[-1]))
     plan = [True] * solves + [False] * cancels
     dice.shuffle(plan)
     process = psutil.Process()
-    names = list(backends)
     for number, finish in enumerate(plan):
-        name = names[number % len(names)]
+        turn = turns[number % len(turns)]
         camera.zoom = zoom * (1.001 if number % 2 else 1)  # the canvas draws itself again
         if finish:
-            solution = _deform(widget, name)
+            solution = _deform(widget, turn)
             found.finished += 1
-            found.wrong += not np.array_equal(solution.displacement, expected[name])
+            found.wrong += not np.array_equal(solution.displacement, expected[turn])
         else:
-            _start(widget, name)
+            _start(widget, turn)
             _pump(dice.uniform(0, usual))
             asked = time.perf_counter()
             widget.cancel()
@@ -120,11 +121,11 @@ def soak(
             gc.collect()
             found.megabytes.append(process.memory_info().rss / 2**20)
     camera.zoom = zoom
-    _deform(widget, names[-1])
+    _deform(widget, turns[-1])
     found.picture_changed = not np.array_equal(
         picture, viewer.screenshot(canvas_only=True, flash=False)
     )
-    _start(widget, names[0])
+    _start(widget, turns[0])
     found.close_seconds = _seconds(lambda: (viewer.close(), QApplication.processEvents()))
     compute_thread.stop()
     after = {thread.name for thread in threading.enumerate()}
@@ -144,13 +145,13 @@ def _available(size: int) -> list[str]:
     return names
 
 
-def _start(widget: Any, backend: str) -> None:
-    widget.settings.device.value = backend
+def _start(widget: Any, turn: tuple[str, str]) -> None:
+    widget.settings.device.value, widget.model.energy.value = turn
     widget.deform()
 
 
-def _deform(widget: Any, backend: str) -> Any:
-    _start(widget, backend)
+def _deform(widget: Any, turn: tuple[str, str]) -> Any:
+    _start(widget, turn)
     deadline = time.perf_counter() + 120
     while not widget.idle:
         _pump(0.005)
