@@ -4,9 +4,9 @@
 
 Needs a display (on Linux without one: ``sh scripts/headless.sh python benchmarks/soak.py``). Every
 solve goes through the dock widget, as a user's would, in turn on the shaders and on the compiled
-loops, of the paper's energy and of elastic tissue. Prints what was found and exits with 1 if memory grew by more than 5 MiB after the tenth
-solve, a result was wrong, a thread was left over, the viewer's picture changed, or closing the
-viewer during a solve took 2 s.
+loops, of the paper's energy and of elastic tissue. Prints what was found and exits with 1 if memory
+grew by more than 5 MiB after the tenth solve, a result was wrong, a thread was left over, the
+viewer's picture changed, or closing the viewer during a solve took 2 s.
 """
 
 from __future__ import annotations
