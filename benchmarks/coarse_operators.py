@@ -1,0 +1,167 @@
+"""What multigrid loses by "the same model again" on coarse levels, against Galerkin's operators.
+
+    python benchmarks/coarse_operators.py [--sizes 75 150 300]
+
+Galerkin's coarse matrix P' A P knows what is held and every jump of stiffness exactly, but is a
+matrix: nine blocks of 2 x 2 for each site instead of two numbers, to be multiplied out anew when
+what is held changes. Both get the same transfer, smoother and iteration, in double precision here;
+printed are the cycles until the residual has fallen by 1e-6, and what the matrices cost to make.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+
+from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf.coarsening import COARSEST, smoother_bounds
+from napari_hmrf.optimizers.cycle import STRETCHING, chebyshev
+from napari_hmrf.priors.elastic import element_forces
+
+_FALL = 1e-6
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[75, 150, 300])
+    options = parser.parse_args(arguments)
+    prior = ElasticPrior(0.45)
+    header = f"{'phantom':14}{'size':>6}{'Galerkin':>10}{'its set-up':>12}{'same model':>12}"
+    print(header + f"{'its solve':>12}")
+    for name in ("expansion", "mass-effect"):
+        for size in options.sizes:
+            problem = phantom(name, size).problem
+            cycles, seconds = galerkin(problem, prior)
+            solve(problem, prior, backend="cpu")
+            solution = solve(problem, prior, Multigrid(1e-3), backend="cpu")
+            print(
+                f"{name:14}{size:6}{cycles:10}{1000 * seconds:9.0f} ms"
+                f"{same_model(problem, prior):12}{1000 * solution.provenance.seconds:9.0f} ms",
+                flush=True,
+            )
+
+
+def galerkin(problem: Problem, prior: ElasticPrior) -> tuple[int, float]:
+    """Cycles with Galerkin's operators, and the seconds that multiplying them out takes."""
+    matrix, right = reduced_system(problem, prior)
+    moves = matrix.diagonal() > 0
+    started = time.perf_counter()
+    matrices, transfers = [matrix], []
+    grid = problem.shape
+    while max(grid) > COARSEST:
+        coarse = tuple(size // 2 + 1 for size in grid)
+        transfer = sp.kron(
+            sp.kron(_linear(grid[0], coarse[0]), _linear(grid[1], coarse[1])), sp.eye(2), "csr"
+        )
+        if len(matrices) == 1:
+            transfer = sp.diags_array(moves.astype(float)) @ transfer
+        transfers.append(transfer)
+        matrices.append(sp.csr_array(transfer.T @ matrices[-1] @ transfer))
+        grid = coarse
+    seconds = time.perf_counter() - started
+    usual, _ = smoother_bounds(prior.material(problem))
+    part, sweeps, coarsest_part, coarsest_sweeps = STRETCHING
+    smoother = (
+        chebyshev(part * usual, usual, sweeps),
+        chebyshev(coarsest_part * usual, usual, coarsest_sweeps),
+    )
+    inverses = [_inverse(each.diagonal()) for each in matrices]
+
+    def cycle(load: np.ndarray, number: int = 0) -> np.ndarray:
+        last = number == len(transfers)
+        inner = smoother[1 if last else 0]
+        d = _smoothed(matrices[number], inverses[number], load, np.zeros_like(load), inner)
+        if last:
+            return d
+        rest = transfers[number].T @ (load - matrices[number] @ d)
+        d = d + transfers[number] @ cycle(rest, number + 1)
+        return _smoothed(matrices[number], inverses[number], load, d, inner)
+
+    return _conjugate_gradients(matrix, right, cycle), seconds
+
+
+def same_model(problem: Problem, prior: ElasticPrior) -> int:
+    """Cycles of the package's own V-cycle, on the same criterion."""
+    from napari_hmrf.backends import host
+    from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
+    from napari_hmrf.optimizers.cycle import Cycle
+
+    matrix, right = reduced_system(problem, prior)
+    model = CpuElasticModel(prior.material(problem))
+    model.hold(host.prescribed(problem)[1])
+    own = Cycle(model)
+
+    def cycle(load: np.ndarray) -> np.ndarray:
+        scale = np.abs(load).max()
+        planes = host.planes(load.reshape(*problem.shape, 2) / scale).astype(np.float32)
+        return scale * host.gathered(own.run(planes).astype(np.float64)).ravel().astype(float)
+
+    return _conjugate_gradients(matrix, right, cycle)
+
+
+def reduced_system(problem: Problem, prior: ElasticPrior) -> tuple[sp.csr_array, np.ndarray]:
+    """The stiffness matrix with zero rows and columns where nothing moves, and the load."""
+    lame, shape = prior.lame(problem), prior.shape(problem.spacing)
+    height, width = problem.shape
+    number = np.arange(height * width * 2).reshape(height, width, 2)
+    parts = []
+    for a, b, component in np.ndindex(3, 3, 2):
+        impulse = np.zeros((height, width, 2))
+        impulse[a::3, b::3, component] = 1
+        forces = element_forces(lame, shape, impulse)
+        source = np.full((height + 2, width + 2), -1)
+        source[1:-1, 1:-1][a::3, b::3] = number[a::3, b::3, component]
+        for i, j, along in np.ndindex(3, 3, 2):
+            column = source[i : i + height, j : j + width]
+            there = (column >= 0) & (forces[..., along] != 0)
+            parts.append((forces[..., along][there], number[..., along][there], column[there]))
+    values, rows, columns = (np.concatenate(each) for each in zip(*parts, strict=True))
+    matrix = sp.csr_array((values, (rows, columns)), shape=(number.size, number.size))
+    given = (problem.c.ravel() > 0) & np.repeat(problem.tissue.ravel(), 2)
+    field = np.where(given, problem.y.ravel(), 0).astype(float)
+    free = sp.diags_array((~given).astype(float))
+    return sp.csr_array(free @ matrix @ free), -(free @ (matrix @ field))
+
+
+def _linear(fine: int, coarse: int) -> sp.csr_array:
+    """Linear interpolation along an axis: coarse site i lies on fine site 2 i."""
+    at = np.arange(fine)
+    rows = np.concatenate([at, at])
+    columns = np.concatenate([at // 2, at // 2 + at % 2])
+    values = np.full(2 * fine, 0.5)
+    return sp.csr_array((values, (rows, columns)), shape=(fine, coarse))
+
+
+def _inverse(diagonal: np.ndarray) -> np.ndarray:
+    return np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 1e-12)
+
+
+def _smoothed(matrix, inverse, load, d, steps):  # type: ignore[no-untyped-def]
+    step = np.zeros_like(d)
+    for scale, momentum in steps:
+        step = scale * inverse * (load - matrix @ d) + momentum * step
+        d = d + step
+    return d
+
+
+def _conjugate_gradients(matrix, right, cycle):  # type: ignore[no-untyped-def]
+    rest, direction, before = right.copy(), np.zeros_like(right), np.inf
+    for cycles in range(1, 200):
+        steepest = cycle(rest)
+        slope = steepest @ rest
+        direction = steepest + slope / before * direction
+        image = matrix @ direction
+        rest = rest - slope / (direction @ image) * image
+        before = slope
+        if np.linalg.norm(rest) <= _FALL * np.linalg.norm(right):
+            return cycles
+    return cycles
+
+
+if __name__ == "__main__":
+    main()
