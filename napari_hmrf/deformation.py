@@ -212,8 +212,8 @@ def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
 
     In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
     """
-    by_row = _differences(moved, mask, np.array([1.0, 0.0]))
-    by_col = _differences(moved.swapaxes(0, 1), mask.T, np.array([0.0, 1.0]))
+    by_row = one_sided_differences(moved, mask, np.array([1.0, 0.0]))
+    by_col = one_sided_differences(moved.swapaxes(0, 1), mask.T, np.array([0.0, 1.0]))
     by_col = [difference.swapaxes(0, 1) for difference in by_col]
     return [
         down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
@@ -222,12 +222,26 @@ def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
     ]
 
 
-def _differences(
+def one_sided_differences(
     moved: Float64Array, mask: BoolArray, unstrained: Float64Array
 ) -> list[Float64Array]:
     """Differences to the next and to the previous site along the first axis.
 
     Each stands in for the other where that is missing, and `unstrained` for both.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (H, W, 2)
+        Of `moved_sites`: where every site has moved.
+    mask : ndarray of bool, shape (H, W)
+        The tissue; differences are never taken across its border.
+    unstrained : ndarray, shape (2,)
+        What a step along the axis is without any motion.
+
+    Returns
+    -------
+    list of two ndarrays, shape (H, W, 2)
+        To the next site, and from the previous one.
     """
     exists = mask[1:] & mask[:-1]
     steps = np.diff(moved, axis=0)

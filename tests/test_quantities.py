@@ -1,0 +1,145 @@
+"""Strain, area and folds of fields whose own are known on paper."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ProblemError, count_folds, jacobian_determinant, phantom
+from napari_hmrf.phantoms import reference_displacement
+from napari_hmrf.quantities import (
+    deformation_gradient,
+    equivalent_strain,
+    folds,
+    green_lagrange_strain,
+    principal_strains,
+    small_strain,
+    strain_through_slice,
+)
+
+SPACING = np.array([2.0, 0.5])
+#: Row component along rows and columns, then the column component.
+GRADIENT = np.array([[0.2, 0.1], [-0.3, 0.05]])
+
+
+def places(shape, spacing=SPACING):
+    """Where each site lies, in the unit of the spacing."""
+    return np.moveaxis(np.indices(shape), 0, -1) * spacing
+
+
+def everywhere(found, expected, **tolerance):
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), **tolerance)
+
+
+def turned(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def test_an_affine_motion_has_its_own_gradient_everywhere_borders_included():
+    displacement = places((7, 9)) @ GRADIENT.T
+    found = deformation_gradient(displacement, SPACING)
+    assert found.dtype == np.float32
+    everywhere(found, np.eye(2) + GRADIENT, atol=1e-6)
+    everywhere(small_strain(displacement, SPACING), [[0.2, -0.1], [-0.1, 0.05]], atol=1e-6)
+    large = (GRADIENT + GRADIENT.T + GRADIENT.T @ GRADIENT) / 2
+    everywhere(green_lagrange_strain(displacement, SPACING), large, atol=1e-6)
+
+
+def test_a_body_that_only_turns_is_not_strained_and_only_small_strain_thinks_so():
+    turn = turned(0.5)
+    displacement = places((8, 6)) @ (turn - np.eye(2)).T
+    everywhere(green_lagrange_strain(displacement, SPACING), np.zeros((2, 2)), atol=1e-6)
+    everywhere(deformation_gradient(displacement, SPACING), turn, atol=1e-6)
+    shrunk = np.cos(0.5) - 1
+    everywhere(small_strain(displacement, SPACING), shrunk * np.eye(2), atol=1e-6)
+
+
+def test_a_stretch_that_is_turned_keeps_its_principal_strains():
+    stretch = np.diag([1.3, 0.9])
+    displacement = places((6, 6)) @ (turned(1.0) @ stretch - np.eye(2)).T
+    strain = green_lagrange_strain(displacement, SPACING)
+    everywhere(principal_strains(strain), [(1.3**2 - 1) / 2, (0.9**2 - 1) / 2], atol=1e-6)
+
+
+def test_a_quadratic_motion_has_the_slope_of_its_middle_and_is_one_sided_at_the_border():
+    displacement = np.zeros((4, 12, 2))
+    x = places((4, 12))[..., 1]
+    displacement[..., 0] = 0.01 * x**2
+    gradient = deformation_gradient(displacement, SPACING)
+    np.testing.assert_allclose(gradient[:, 1:-1, 0, 1], 0.02 * x[:, 1:-1], atol=1e-6)
+    np.testing.assert_allclose(gradient[:, 0, 0, 1], 0.01 * SPACING[1], atol=1e-6)
+    everywhere(gradient[..., 1, 1], 1.0, atol=1e-6)
+
+
+def test_principal_strains_are_the_eigenvalues_largest_first():
+    strain = np.random.default_rng(1).normal(size=(20, 2, 2))
+    strain = strain + strain.swapaxes(-1, -2)
+    expected = np.linalg.eigvalsh(strain)[:, ::-1]
+    np.testing.assert_allclose(principal_strains(strain), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_equivalent_strain_is_that_of_the_textbook():
+    bar = np.diag([0.1, -0.05])  # stretched by 0.1, incompressible: -0.05 both ways across
+    assert equivalent_strain(bar, through=-0.05) == pytest.approx(0.1)
+    assert strain_through_slice(bar, 1 / 3) == pytest.approx(-0.025)
+    shear = np.array([[0, 0.03], [0.03, 0]])
+    assert equivalent_strain(shear) == pytest.approx(0.06 / np.sqrt(3))
+    assert equivalent_strain(np.eye(2) * 0.2, through=0.2) == pytest.approx(0, abs=1e-7)
+    turn = turned(0.7)
+    assert equivalent_strain(turn @ bar @ turn.T, -0.05) == pytest.approx(0.1)
+
+
+def test_the_area_ratio_is_the_determinant_of_the_gradient():
+    rng = np.random.default_rng(0)
+    tissue = rng.random((15, 12)) > 0.2
+    displacement = 0.2 * rng.normal(size=(15, 12, 2))
+    gradient = deformation_gradient(displacement, SPACING, tissue)
+    expected = jacobian_determinant(displacement, SPACING, tissue)
+    np.testing.assert_allclose(
+        np.linalg.det(gradient[tissue].astype(float)), expected[tissue], rtol=1e-5, atol=1e-6
+    )
+
+
+def test_folds_are_those_that_are_counted():
+    displacement = np.zeros((8, 20, 2))
+    displacement[:, :10, 1] = 2.5
+    displacement[2, 15, 1] = -1.5  # jumps over its neighbour: central differences do not see it
+    found = folds(displacement)
+    assert found[:, 9:11].all()
+    assert found[2, 15]
+    assert found.sum() == count_folds(displacement)
+    assert not folds(reference_displacement("bar"), tissue=phantom("bar").problem.tissue).any()
+
+
+def test_nothing_is_known_of_void_and_nothing_taken_from_it():
+    tissue = np.zeros((8, 9), dtype=bool)
+    tissue[2:6, 1:7], tissue[7, 8] = True, True
+    displacement = np.where(tissue[..., None], places((8, 9)) @ GRADIENT.T, np.nan)
+    strain = small_strain(displacement, SPACING, tissue)
+    assert np.isnan(strain[~tissue]).all()
+    assert not strain[7, 8].any()  # a lone site is not strained
+    tissue[7, 8] = False
+    strain = small_strain(displacement, SPACING, tissue)
+    everywhere(strain[tissue], [[0.2, -0.1], [-0.1, 0.05]], atol=1e-6)
+    for derived in (principal_strains(strain), equivalent_strain(strain)):
+        assert np.isfinite(derived[tissue]).all()
+        assert np.isnan(derived[~tissue]).all()
+    assert not folds(displacement, SPACING, tissue)[~tissue].any()
+
+
+def test_a_strain_of_a_millionth_is_not_lost():
+    displacement = places((5, 5), 1.0) * 1e-6
+    everywhere(green_lagrange_strain(displacement), 1e-6 * np.eye(2), rtol=1e-4, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("call", "complaint"),
+    [
+        (lambda: small_strain(np.zeros((4, 4))), "displacement: has shape"),
+        (lambda: deformation_gradient(np.zeros((4, 4, 2)), (1, 0)), "spacing"),
+        (lambda: folds(np.zeros((4, 4, 2)), tissue=np.ones((3, 4))), "tissue: has shape"),
+        (lambda: principal_strains(np.zeros((4, 3))), "strain: has shape"),
+        (lambda: strain_through_slice(np.eye(2), 0.5), "poisson"),
+    ],
+)
+def test_what_does_not_fit_is_named(call, complaint):
+    with pytest.raises(ProblemError, match=complaint):
+        call()
