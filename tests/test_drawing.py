@@ -1,0 +1,404 @@
+"""What is drawn: marks on images, found again, saved, undone."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf.drawing import Arrow, Canvas, Drawing, History, Hit, Landmark, Rendering, Stroke
+
+SHAPE = (24, 30)
+SPACING = (1.0, 2.0)
+
+places = st.tuples(
+    st.floats(-5, SHAPE[0] + 5).map(lambda x: round(x, 1)),
+    st.floats(-5, SHAPE[1] + 5).map(lambda x: round(x, 1)),
+)
+lengths = st.tuples(st.integers(-6, 6), st.integers(-6, 6))
+radii = st.sampled_from([0.1, 1.0, 2.5, 6.0])
+sure = st.sampled_from([0.25, 0.5, 1.0])
+components = st.sampled_from(["both", "row", "col"])
+arrows = st.builds(Arrow, places, lengths, radii, sure, components)
+landmarks = st.builds(Landmark, places, places, radii, sure)
+strokes = st.builds(
+    Stroke,
+    st.sampled_from(["pin", "free", "move", "confidence", "tissue"]),
+    st.lists(st.lists(places, min_size=1, max_size=4), min_size=1, max_size=2),
+    radii,
+    by=lengths,
+    confidence=st.sampled_from([0.0, 0.3, 1.0]),
+    softness=st.sampled_from([0.0, 0.5]),
+    label=st.integers(0, 3),
+    components=components,
+)
+dabs = st.builds(
+    Stroke,
+    st.just("expand"),
+    places.map(lambda place: ((place,),)),
+    radii,
+    amount=st.integers(-2, 2),
+)
+marks = arrows | landmarks | strokes | dabs
+#: An edit: what to do, which mark to do it to, and with what.
+edits = st.tuples(
+    st.sampled_from(["add", "replace", "remove", "onward", "drag", "drop", "undo", "redo"]),
+    st.integers(0, 100),
+    marks,
+    places,
+)
+
+
+def canvas(shape=SHAPE, spacing=SPACING):
+    """Images on which something is observed already, everywhere else for each component."""
+    found = Canvas.blank(shape, spacing, np.ones(shape, np.uint8))
+    found.y[::3], found.c[::3] = (0.5, -0.5), 0.75
+    return found
+
+
+def same(one, other):
+    return (
+        np.array_equal(one.y, other.y)
+        and np.array_equal(one.c, other.c)
+        and np.array_equal(one.labels, other.labels)
+    )
+
+
+def edited(drawing, edit):
+    """A drawing after an edit; the same if the edit does not apply."""
+    what, number, mark, place = edit
+    if what == "add" or not drawing.marks:
+        return drawing.with_mark(mark)
+    number %= len(drawing.marks)
+    if what == "remove":
+        return drawing.without(number)
+    there = drawing.marks[number]
+    if what == "onward" and isinstance(there, Stroke) and there.action != "expand":
+        return drawing.replaced(number, there.onward(place))
+    return drawing.replaced(number, mark)
+
+
+# Marks on images
+
+
+def test_an_arrow_moves_its_patch_and_nothing_else():
+    drawn = Drawing((Arrow((10, 12), (3, -2), radius=4, confidence=0.5),)).render(
+        Canvas.blank((30, 40), (1.0, 2.0))
+    )
+    rows, cols = np.indices((30, 40))
+    patch = np.hypot(rows - 10, 2.0 * (cols - 12)) <= 4
+    assert (drawn.y[patch] == (3, -2)).all()
+    assert (drawn.c[patch] == 0.5).all()
+    assert not drawn.y[~patch].any()
+    assert not drawn.c[~patch].any()
+
+
+@given(st.tuples(st.floats(0, SHAPE[0] - 1), st.floats(0, SHAPE[1] - 1)))
+def test_the_smallest_patch_still_has_a_pixel(place):
+    drawn = Drawing((Arrow(place, (1, 1), radius=1e-6),)).render(Canvas.blank(SHAPE, SPACING))
+    nearest = tuple(round(along) for along in place)
+    assert drawn.c[nearest].all()
+    assert 1 <= (drawn.c[..., 0] > 0).sum() <= 4
+
+
+def test_an_arrow_of_one_component_leaves_the_other_as_it_is_beneath():
+    base = Canvas.blank((9, 9))
+    base.y[:], base.c[:] = (0, 5), (0, 1)
+    drawn = Drawing((Arrow((4, 4), (2, 7), radius=1, components="row"),)).render(base)
+    assert tuple(drawn.y[4, 4]) == (2, 5)
+    assert tuple(drawn.c[4, 4]) == (1, 1)
+    assert not drawn.y[0, 0, 0]
+
+
+def test_where_marks_overlap_the_later_one_wins():
+    first, second = Arrow((5, 5), (1, 0), 3), Arrow((5, 7), (0, 1), 3)
+    one = Drawing((first, second)).render(Canvas.blank((12, 14)))
+    other = Drawing((second, first)).render(Canvas.blank((12, 14)))
+    assert tuple(one.y[5, 6]) == (0, 1)
+    assert tuple(other.y[5, 6]) == (1, 0)
+
+
+def test_a_landmark_takes_its_place_to_where_it_should_be():
+    drawn = Drawing((Landmark((4, 5), (6, 2), radius=0.5),)).render(Canvas.blank((9, 9), (0.5, 2)))
+    assert tuple(drawn.y[4, 5]) == (1.0, -6.0)
+
+
+def test_brushes_pin_free_and_move_what_they_touch():
+    line = (((5, 2), (5, 12)),)
+    base = canvas((11, 15), (1.0, 1.0))
+    for action, moved, certain in [("pin", (0, 0), 1), ("free", (0, 0), 0), ("move", (2, 1), 1)]:
+        drawn = Drawing((Stroke(action, line, radius=1, by=(2, 1)),)).render(base)
+        assert (drawn.y[4:7, 2:13] == moved).all()
+        assert (drawn.c[4:7, 2:13] == certain).all()
+        assert np.array_equal(drawn.y[:4], base.y[:4])
+        assert np.array_equal(drawn.c[:, 14], base.c[:, 14])
+
+
+def test_a_painted_ring_expands_outward_and_shrinks_inward():
+    turn = np.linspace(0, 2 * np.pi, 60)
+    ring = tuple(zip(20 + 10 * np.sin(turn), 20 + 10 * np.cos(turn), strict=True))
+    rows, cols = np.indices((41, 41)) - 20
+    outward = np.stack([rows, cols], axis=-1) / np.maximum(np.hypot(rows, cols), 1)[..., None]
+    for amount in (2, -2):
+        stroke = Stroke("expand", (ring,), radius=1.5, amount=amount)
+        drawn = Drawing((stroke,)).render(Canvas.blank((41, 41)))
+        painted = drawn.c[..., 0] > 0
+        assert painted.sum() > 150
+        along = (drawn.y * outward).sum(axis=-1)[painted] / amount
+        assert along.min() > 0.98
+        assert np.allclose(np.linalg.norm(drawn.y[painted], axis=-1), 2, atol=1e-5)
+
+
+def test_an_open_line_cannot_expand_and_nothing_is_changed():
+    good = Drawing((Arrow((5, 5), (1, 0), 2),))
+    bad = good.with_mark(Stroke("expand", (((10, 2), (10, 38)),), radius=1, amount=1))
+    rendering = Rendering(Canvas.blank((20, 40)))
+    rendering.show(good)
+    with pytest.raises(ProblemError, match="open line"):
+        rendering.show(bad)
+    assert rendering.drawing == good
+    assert same(rendering.canvas, good.render(Canvas.blank((20, 40))))
+
+
+def test_a_soft_brush_fades_the_confidence_of_what_is_observed():
+    base = Canvas.blank((21, 21))
+    base.y[:, :15], base.c[:, :15] = (1, 0), 1
+    stroke = Stroke("confidence", (((10, 10),),), radius=8, confidence=0.2, softness=0.5)
+    drawn = Drawing((stroke,)).render(base)
+    across = drawn.c[10, 10:15, 0]
+    assert across[0] == pytest.approx(0.2)
+    assert (np.diff(drawn.c[10, 3:10, 0]) <= 0).all()
+    assert 0.2 < drawn.c[10, 4, 0] < 1
+    assert not drawn.c[:, 15:].any(), "what is not observed stays so"
+    assert np.array_equal(drawn.y, base.y)
+
+
+def test_a_tissue_brush_paints_labels_and_needs_some():
+    stroke = Stroke("tissue", (((5, 5), (5, 9)),), radius=1, label=3)
+    drawn = Drawing((stroke,)).render(canvas((12, 12), (1.0, 1.0)))
+    assert (drawn.labels[4:7, 5:10] == 3).all()
+    assert (drawn.labels == 3).sum() < 25
+    with pytest.raises(ProblemError, match="Choose a Labels layer"):
+        Drawing((stroke,)).render(Canvas.blank((12, 12)))
+
+
+def test_what_is_drawn_is_what_tissue_does():
+    held = Stroke("pin", (((0, 0), (0, 19), (19, 19), (19, 0), (0, 0)),), radius=0.5)
+    drawn = Drawing((held, Arrow((10, 10), (2, 1), radius=2))).render(Canvas.blank((20, 20)))
+    moved = solve(Problem(drawn.y, drawn.c, np.ones((20, 20))), ElasticPrior()).displacement
+    assert moved[10, 10] == pytest.approx((2, 1), abs=1e-3)
+    assert 0.2 < moved[10, 4, 0] < 1.8
+    assert not moved[0].any()
+
+
+@pytest.mark.parametrize(
+    ("make", "field", "hint"),
+    [
+        (lambda: Arrow((0, float("nan")), (1, 1), 2), "y", "Give a number"),
+        (lambda: Arrow((0, 0), (1, float("inf")), 2), "y", "Give a number"),
+        (lambda: Arrow((0, 0, 0), (1, 1), 2), "y", r"Give \(row, col\)"),
+        (lambda: Arrow((0, 0), (1, 1), 0), "y", "above 0"),
+        (lambda: Arrow((0, 0), (1, 1), 2, confidence=0), "c", "Remove the mark"),
+        (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "y", '"row"'),
+        (lambda: Landmark((0, 0), (1, 1), 2, confidence=1.5), "c", "from 0 to 1"),
+        (lambda: Stroke("melt", (((0, 0),),), 1), "y", '"pin"'),
+        (lambda: Stroke("pin", (), 1), "y", "without a place"),
+        (lambda: Stroke("pin", ((),), 1), "y", "without a place"),
+        (lambda: Canvas.blank((4, 4), labels=np.zeros((3, 4), int)), "m", "is needed"),
+    ],
+)
+def test_marks_that_mean_nothing_are_refused(make, field, hint):
+    with pytest.raises(ProblemError, match=hint) as refused:
+        make()
+    assert refused.value.field == field
+
+
+# Edits
+
+
+def test_every_edit_leaves_the_drawing_it_came_from():
+    empty = Drawing()
+    arrow, other = Arrow((1, 1), (1, 0), 1), Arrow((5, 5), (0, 1), 1)
+    one = empty.with_mark(arrow)
+    two = one.with_mark(other)
+    assert (empty.marks, one.marks) == ((), (arrow,))
+    assert two.replaced(0, other).marks == (other, other)
+    assert two.without(0).marks == (other,)
+    assert two.marks == (arrow, other)
+    for number in (-1, 2):
+        with pytest.raises(IndexError):
+            two.without(number)
+
+
+def test_an_arrow_is_picked_up_at_its_head_or_its_base():
+    drawing = Drawing(
+        (
+            Arrow((10, 10), (4, 8), radius=2),
+            Landmark((10, 14.5), (20, 20), radius=2),
+            Stroke("pin", (((0, 0),),), 3),
+        )
+    )
+    spacing = (1.0, 2.0)  # so that the arrow's head is at (14, 14)
+    assert drawing.at((10, 10.2), 1.5, spacing) == Hit(0, "base")
+    assert drawing.at((14, 14), 1.5, spacing) == Hit(0, "head")
+    assert drawing.at((20.5, 20), 1.5, spacing) == Hit(1, "head")
+    assert drawing.at((10, 14), 1.5, spacing) == Hit(1, "base")
+    assert drawing.at((10, 11), 1.5, spacing) is None, "two lengths away, though one pixel"
+    assert drawing.at((0, 0), 1.5, spacing) is None
+    on_top = drawing.with_mark(Arrow((10, 10), (1, 1), 1))
+    assert on_top.at((10, 10), 0.5, spacing) == Hit(3, "base"), "the later of two"
+
+
+@given(st.lists(marks, max_size=4), st.lists(edits, max_size=12))
+@settings(max_examples=150, deadline=None)
+def test_a_rendering_kept_up_to_date_is_that_made_anew(begin, sequence):
+    drawing, base = Drawing(tuple(begin)), canvas()
+    rendering, before = Rendering(base), base.copy()
+    rendering.show(drawing)
+    for edit in sequence:
+        old = rendering.canvas.copy()
+        drawing = edited(drawing, edit)
+        window = rendering.show(drawing)
+        assert same(rendering.canvas, drawing.render(base))
+        if window is not None:
+            top, bottom, left, right = window
+            for mine, its in ((old.y, rendering.canvas.y), (old.c, rendering.canvas.c)):
+                mine[top:bottom, left:right] = its[top:bottom, left:right]
+            old.labels[top:bottom, left:right] = rendering.canvas.labels[top:bottom, left:right]
+        assert same(old, rendering.canvas), "changed beyond the pixels it named"
+    assert same(base, before)
+
+
+@given(st.lists(edits, max_size=25))
+@settings(max_examples=150, deadline=None)
+def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
+    """Against two plain lists, as a person would keep them; a drag counts once."""
+    base, history = canvas(), History()
+    said = []
+    history.changed.connect(said.append)
+    past, now, future = [], Drawing(), []
+
+    def step(new, first):
+        nonlocal now
+        if new != first:
+            past.append(first)
+            future.clear()
+        now = new
+
+    for edit in sequence:
+        what, number, mark, place = edit
+        if what == "undo":
+            assert bool(history.undo()) == bool(past)
+            if past:
+                future.append(now)
+                now = past.pop()
+        elif what == "redo":
+            assert bool(history.redo()) == bool(future)
+            if future:
+                past.append(now)
+                now = future.pop()
+        elif what in ("drag", "drop"):
+            first = now
+            history.begin("dragged")
+            moved = first
+            for kind in ("add", "replace", "onward"):
+                moved = edited(moved, (kind, number, mark, place))
+                history.update(moved)
+            if what == "drag":
+                history.end()
+                step(moved, first)
+            else:
+                history.cancel()
+        else:
+            history.do(edited(now, edit), what)
+            step(edited(now, edit), now)
+        assert history.drawing == now
+        assert same(history.drawing.render(base), now.render(base))
+    assert not said or said[-1] == now
+    for earlier in reversed(past):
+        history.undo()
+        assert history.drawing == earlier
+        assert same(history.drawing.render(base), earlier.render(base))
+    assert history.undo() == ""
+
+
+def test_steps_have_words_and_an_empty_one_is_none():
+    arrow, history = Arrow((1, 1), (1, 0), 1), History()
+    history.do(Drawing((arrow,)), "drew an arrow")
+    history.do(Drawing((arrow,)), "did nothing")
+    history.begin("moved an arrow")
+    for by in (2, 3, 4):
+        history.update(Drawing((Arrow((1, 1), (by, 0), 1),)))
+    assert (history.undo_word, history.in_progress) == ("moved an arrow", True)
+    assert history.undo() == "moved an arrow"
+    assert (history.drawing.marks, history.undo_word) == ((arrow,), "drew an arrow")
+    assert history.redo_word == "moved an arrow"
+    history.redo()
+    assert history.drawing.marks[0].by == (4, 0)
+    assert history.redo() == ""
+    with pytest.raises(RuntimeError, match="begin"):
+        history.update(Drawing())
+
+
+def test_history_forgets_the_oldest_steps():
+    history = History(depth=3)
+    for number in range(1, 6):
+        history.do(Drawing((Arrow((number, 0), (1, 0), 1),)), f"step {number}")
+    assert [history.undo() for _ in range(4)] == ["step 5", "step 4", "step 3", ""]
+    assert history.drawing.marks[0].at == (2, 0)
+
+
+# Keeping
+
+
+@given(st.lists(marks, max_size=5))
+def test_a_drawing_comes_back_from_json_as_it_was(made):
+    drawing = Drawing(tuple(made))
+    assert Drawing.from_dict(json.loads(json.dumps(drawing.as_dict()))) == drawing
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        None,
+        {"version": 99, "marks": []},
+        {"version": 1, "marks": [{"kind": "spell"}]},
+        {"version": 1, "marks": [{"kind": "arrow", "at": [0, 0]}]},
+        {"version": 1, "marks": [{"kind": "arrow", "at": [0], "by": [1, 1], "radius": 1}]},
+        {"version": 1, "marks": [{"at": [0, 0]}]},
+        {"version": 1, "marks": 3},
+    ],
+)
+def test_what_is_no_drawing_is_refused(values):
+    with pytest.raises(ValueError, match=r"not a (drawing|mark)|version"):
+        Drawing.from_dict(values)
+
+
+def test_an_edit_of_a_large_image_takes_a_few_milliseconds():
+    rendering = Rendering(Canvas.blank((1200, 1200)))
+    zigzag = tuple((10.0 + 5 * number % 1100, 3.0 * number) for number in range(390))
+    drawing = Drawing((Stroke("pin", (zigzag,), 12), Arrow((600, 600), (5, 5), 60)))
+    rendering.show(drawing)
+
+    def seconds(edit):
+        nonlocal drawing
+        took = []
+        for number in range(15):
+            drawing = edit(drawing, number)
+            started = time.perf_counter()
+            rendering.show(drawing)
+            took.append(time.perf_counter() - started)
+        return min(took)
+
+    def drag(drawing, number):
+        return drawing.replaced(1, Arrow((600, 600), (5, number), 60))
+
+    def brush(drawing, number):
+        return drawing.replaced(0, drawing.marks[0].onward((900.0, 40.0 + 5 * number)))
+
+    assert seconds(drag) < 0.005
+    assert seconds(brush) < 0.005
