@@ -25,6 +25,7 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
+from napari_hmrf.live import LiveSolver
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
 from napari_hmrf.priors import ElasticPrior, SeilerPrior
@@ -44,6 +45,7 @@ __all__ = [
     "ElasticPrior",
     "FileFormatError",
     "HmrfError",
+    "LiveSolver",
     "Monitor",
     "Multigrid",
     "Phantom",
