@@ -20,7 +20,8 @@ from napari_hmrf.problem import Problem
 # Below this fraction of the largest, what holds a rigid motion is rounding.
 _NOTHING = 1e-9
 _MOTIONS = ("along rows", "along columns", "by turning")
-# The last (c > 0, m) that were found to be held: checking takes as long as a few cycles.
+# Where the last problem that was found to be held has tissue, and where it is observed: checking
+# takes as long as a few cycles.
 _held: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
 
 Labels = npt.NDArray[np.int32]
@@ -55,13 +56,13 @@ def check_held(problem: Problem) -> None:
         Naming the piece by its size and centre, and how it could move.
     """
     held = problem.c > 0
-    for known, m in _held:
-        if np.array_equal(known, held) and np.array_equal(m, problem.m):
+    for known, tissue in _held:
+        if np.array_equal(known, held) and np.array_equal(tissue, problem.tissue):
             return
     free = free_motion(problem, held)
     if free is not None:
         raise refusal(free)
-    _held[:] = [(held, problem.m)]
+    _held[:] = [(held, problem.tissue)]
 
 
 def refusal(free: FreeMotion) -> ProblemError:

@@ -21,7 +21,7 @@ Planes = npt.NDArray[np.float64]
 HeldPlanes = npt.NDArray[np.bool_]
 
 #: (scale, momentum) of each Chebyshev step of a smoother.
-Steps = Sequence[tuple[float, float]]
+Steps = tuple[tuple[float, float], ...]
 
 
 class LinearLevel(Protocol):
@@ -61,6 +61,10 @@ class LinearLevel(Protocol):
 
     def largest(self, a: Any) -> Any:
         """The largest absolute value."""
+        ...
+
+    def weigh(self, a: Any, b: Any) -> tuple[Any, Any]:
+        """The largest absolute value of `a`, and the scalar product of both."""
         ...
 
     def ratio(self, a: Any, b: Any) -> Any:
@@ -135,6 +139,10 @@ class LinearModel(Protocol):
     @property
     def steepness(self) -> Planes:
         """The diagonal of A on the finest level, whatever is held."""
+        ...
+
+    def forget(self) -> None:
+        """Keep nothing for a later solve: numbers have overflowed."""
         ...
 
     def close(self) -> None:

@@ -87,4 +87,4 @@ def chebyshev(low: float, high: float, steps: int) -> Steps:
         following = 1 / (2 * sigma - rho)
         made.append((2 * following / half, following * rho))
         rho = following
-    return made
+    return tuple(made)

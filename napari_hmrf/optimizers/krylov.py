@@ -24,7 +24,7 @@ _LEAST = 1e-6
 _ATTAINED = 3e-7
 # What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
 # sees what is left.
-_FASTEST = 0.25
+_FASTEST = 0.2
 _USUAL_LEAST = 0.4
 
 
@@ -85,7 +85,7 @@ class ConjugateGradients:
         self._spectrum.restart()
         while True:
             steepest = self._cycle.run(rest)
-            most, slope = level.largest(steepest), level.product(steepest, rest)
+            most, slope = level.weigh(steepest, rest)
             turn = slope if before is None else level.ratio(slope, before)
             level.turn(steepest, direction, turn)
             curvature = level.apply(direction, image)

@@ -108,6 +108,9 @@ class Multigrid:
                 states = ActiveSet(observed & moves, y, host.planes(limit), d)
                 find = free_motion if isinstance(prior, ElasticPrior) else free_bend
                 forces = self._slip(problem, model, states, refinement, d, find)
+        except ConvergenceError:
+            model.forget()
+            raise
         finally:
             model.close()
         energies = np.array(refinement.energies) / max(1, int(problem.tissue.sum()))

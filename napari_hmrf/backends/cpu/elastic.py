@@ -113,16 +113,19 @@ def apply(d, lame, inverse, shape, spans, out, row_totals):
 
 
 @_parallel
-def smooth(d, load, lame, inverse, weight, shape, spans, step, out, scale, momentum):
-    """A Chebyshev step: step = scale D^-1 (load - (A + W) d) + momentum step, out = d + step."""
+def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back):
+    """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+
+    What `out` holds before is the displacement before the last step: d - out was that step.
+    """
     for i in prange(d.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k + 2
             row, col = _rest(d, load, lame, weight, shape, i + 2, j)
-            row = scale * inverse[0, i + 2, j] * row + momentum * step[0, i + 2, j]
-            col = scale * inverse[1, i + 2, j] * col + momentum * step[1, i + 2, j]
-            step[0, i + 2, j] = row
-            step[1, i + 2, j] = col
+            row = scale * inverse[0, i + 2, j] * row + ahead * d[0, i + 2, j]
+            col = scale * inverse[1, i + 2, j] * col + ahead * d[1, i + 2, j]
+            row -= back * out[0, i + 2, j]
+            col -= back * out[1, i + 2, j]
             out[0, i + 2, j] = d[0, i + 2, j] + row
             out[1, i + 2, j] = d[1, i + 2, j] + col

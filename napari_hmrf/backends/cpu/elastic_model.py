@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,20 @@ from napari_hmrf.priors.elastic import ElasticMaterial
 # A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
 # kernels that a large one does, so that a rehearsal compiles them.
 _SMALL = 8000
+
+
+@lru_cache(maxsize=16)
+def _paces(steps: Steps, from_zero: bool) -> Vector:
+    """(scale, ahead, back) of each step, for displacements instead of steps.
+
+    A step's momentum takes the difference of the last two displacements; before the first step of
+    all there is none, and if it begins at zero the second takes the first displacement itself.
+    """
+    made = np.zeros((len(steps), 3), dtype=np.float32)
+    made[:, :2] = steps
+    begun = 2 if from_zero else 1
+    made[begun:, 2] = made[begun:, 1]
+    return made
 
 
 class CpuElasticLevel(CpuLevel):
@@ -36,7 +51,6 @@ class CpuElasticLevel(CpuLevel):
     def __init__(self, grid: tuple[int, ...], shape: Vector, number: int) -> None:
         super().__init__(grid)
         self.shape = shape
-        self._used = False
         self._small = number > 1 and grid[0] * grid[1] < _SMALL
         self.lame, self.pins = self.vector(), self.vector()
         self.weight = None if number == 0 else self.vector()
@@ -44,11 +58,13 @@ class CpuElasticLevel(CpuLevel):
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
+        before = self.spans.copy()
         assembly.hold(self.lame, self.shape, held, self.inverse, self.pins, self.spans)
-        self._forget()
+        self._forget(before)
 
     def hold_as(self, finer: CpuElasticLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
+        before = self.spans.copy()
         vectors.restrict(finer.pins, self.pins)
         assembly.spring(
             self.lame,
@@ -60,14 +76,13 @@ class CpuElasticLevel(CpuLevel):
             self.weight,
             self.spans,
         )
-        self._forget()
+        self._forget(before)
 
-    def _forget(self) -> None:
+    def _forget(self, before: npt.NDArray[np.int64]) -> None:
         """The kernels write within the spans only: beyond them there must be 0."""
-        if self._used:
-            for vector in (self.correction, self._other, self._step, self._rest):
+        if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
+            for vector in (self.correction, self._other, self._rest):
                 vector.fill(0)
-        self._used = True
 
     def descend(self, steps: Steps, coarse: CpuElasticLevel | None) -> None:
         """Relax from zero, and hand what is left of the load down."""
@@ -75,14 +90,13 @@ class CpuElasticLevel(CpuLevel):
             super().descend(steps, coarse)
             return
         small.descend(
-            np.array(steps, dtype=np.float32),
+            _paces(steps, from_zero=True),
             self.load,
             self.lame,
             self.inverse,
             self.weight,
             self.shape,
             self.spans,
-            self._step,
             self.correction,
             self._other,
             self._rest,
@@ -97,7 +111,7 @@ class CpuElasticLevel(CpuLevel):
             super().ascend(steps, coarse)
             return
         small.ascend(
-            np.array(steps, dtype=np.float32),
+            _paces(steps, from_zero=False),
             coarse.correction,
             self.load,
             self.lame,
@@ -105,27 +119,32 @@ class CpuElasticLevel(CpuLevel):
             self.weight,
             self.shape,
             self.spans,
-            self._step,
             self.correction,
             self._other,
         )
         if len(steps) % 2 == 1:
             self.correction, self._other = self._other, self.correction
 
-    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
-        elastic.smooth(
-            self.correction,
-            self.load,
-            self.lame,
-            self.inverse,
-            self.weight,
-            self.shape,
-            self.spans,
-            self._step,
-            self._other,
-            scale,
-            momentum,
-        )
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        for number, (scale, ahead, back) in enumerate(_paces(steps, from_zero)):
+            if from_zero and number == 0:
+                vectors.start(self.load, self.inverse, self.correction, scale)
+                continue
+            elastic.smooth(
+                self.correction,
+                self.load,
+                self.lame,
+                self.inverse,
+                self.weight,
+                self.shape,
+                self.spans,
+                self._other,
+                scale,
+                ahead,
+                back,
+            )
+            self.correction, self._other = self._other, self.correction
 
     def _leave(self) -> None:
         elastic.residual(
@@ -227,6 +246,10 @@ class CpuElasticModel:
         out = np.zeros(self._exact_lame.shape)
         assembly.diagonal(self._exact_lame, self._exact_shape, out)
         return out
+
+    def forget(self) -> None:
+        """Be not the last model any more: what is left in its vectors may be no number."""
+        _last[:] = ()
 
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""

@@ -5,6 +5,7 @@ A scalar is a plain number here: the processor is the host.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -35,10 +36,13 @@ class CpuLevel:
         self.grid = grid
         self._spare: list[Vector] = []
         self.inverse = self.vector()
-        self.load, self.correction, self._other, self._step, self._rest = (
-            self.vector() for _ in range(5)
-        )
-        self._rows = np.zeros(grid[0])
+        self.load, self.correction, self._other, self._rest = (self.vector() for _ in range(4))
+        self._rows, self._most = np.zeros((2, grid[0]))
+
+    @cached_property
+    def _step(self) -> Vector:
+        """The last Chebyshev step, for models whose kernels keep it."""
+        return self.vector()
 
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
         """One Chebyshev step from `correction` to `_other`, by way of `_step`."""
@@ -100,8 +104,13 @@ class CpuLevel:
 
     def largest(self, a: Vector) -> float:
         """The largest absolute value."""
-        vectors.largest(a, self._rows)
-        return float(self._rows.max())
+        vectors.largest(a, self._most)
+        return float(self._most.max())
+
+    def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
+        """The largest absolute value of `a`, and the scalar product."""
+        vectors.weigh(a, b, self._most, self._rows)
+        return float(self._most.max()), float(self._rows.sum())
 
     def ratio(self, a: float, b: float) -> float:
         """A over b; 0 unless both are positive."""

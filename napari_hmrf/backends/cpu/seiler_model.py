@@ -211,5 +211,8 @@ class CpuSeilerModel:
         _, norm = host.measure(self.pull(d))
         return float(rows.sum()) / (2 if self._blanket else 1), norm
 
+    def forget(self) -> None:
+        """Nothing to do: no vector outlives a solve."""
+
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""

@@ -43,6 +43,15 @@ def smooth_first(load, inverse, step, d, scale):
 
 
 @_parallel
+def start(load, inverse, d, scale):
+    """The first Chebyshev step from 0, where nobody needs to know the step: d = scale D^-1 load."""
+    for i in prange(load.shape[1] - 4):
+        for j in range(load.shape[2]):
+            d[0, i + 2, j] = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
+            d[1, i + 2, j] = scale * inverse[1, i + 2, j] * load[1, i + 2, j]
+
+
+@_parallel
 def restrict(fine, coarse):
     """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
     for i in prange(coarse.shape[1] - 4):
@@ -139,3 +148,11 @@ def largest(a, row_most):
     """The largest absolute value of each row; what is not a number does not count."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = _row_largest(a, i + 2)
+
+
+@_parallel
+def weigh(a, b, row_most, row_totals):
+    """Both of these, in one go."""
+    for i in prange(a.shape[1] - 4):
+        row_most[i] = _row_largest(a, i + 2)
+        row_totals[i] = row_product(a, b, i + 2)

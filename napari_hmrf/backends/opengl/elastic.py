@@ -163,6 +163,9 @@ class GLElasticModel:
         """The diagonal of the stiffness matrix."""
         return self._host.steepness
 
+    def forget(self) -> None:
+        """Nothing to do: no vector outlives a solve."""
+
     def close(self) -> None:
         """Free every texture."""
         self._passes.close()

@@ -138,6 +138,10 @@ class GLLevel:
         """The largest absolute value."""
         return self._reduced("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
 
+    def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
+        """The largest absolute value of `a`, and the scalar product."""
+        return self.largest(a), self.product(a, b)
+
     def ratio(self, a: Scalar, b: Scalar) -> Ratio:
         """A over b; 0 unless both are positive."""
         return Ratio(a, b)
