@@ -69,7 +69,8 @@ def _diagonal(lame, shape, i, j):
 def diagonal(lame, shape, out):
     """The diagonal of the stiffness matrix."""
     for i in prange(lame.shape[1] - 4):
-        for j in range(2, lame.shape[2] - 2):
+        for k in range(lame.shape[2] - 4):
+            j = k + 2
             out[0, i + 2, j], out[1, i + 2, j] = _diagonal(lame, shape, i + 2, j)
 
 
@@ -90,7 +91,8 @@ def _span(inverse, spans, i):
 def hold(lame, shape, held, inverse, pins, spans):
     """The finest level's inverse diagonal, 0 where held; `pins` counts what is held: 1 or 0."""
     for i in prange(lame.shape[1] - 4):
-        for j in range(2, lame.shape[2] - 2):
+        for k in range(lame.shape[2] - 4):
+            j = k + 2
             row, col = _diagonal(lame, shape, i + 2, j)
             pins[0, i + 2, j] = float32(1) if held[0, i + 2, j] else float32(0)
             pins[1, i + 2, j] = float32(1) if held[1, i + 2, j] else float32(0)
@@ -108,7 +110,8 @@ def spring(lame, shape, pins, most, strength, inverse, weight, spans):
     A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
     """
     for i in prange(lame.shape[1] - 4):
-        for j in range(2, lame.shape[2] - 2):
+        for k in range(lame.shape[2] - 4):
+            j = k + 2
             row, col = _diagonal(lame, shape, i + 2, j)
             pins[0, i + 2, j] = min(pins[0, i + 2, j], most)
             pins[1, i + 2, j] = min(pins[1, i + 2, j], most)

@@ -93,7 +93,8 @@ def residual(d, load, lame, inverse, weight, shape, spans, out):
 def pull(d, lame, shape, out):
     """Out = - A d everywhere."""
     for i in prange(d.shape[1] - 4):
-        for j in range(2, d.shape[2] - 2):
+        for k in range(d.shape[2] - 4):
+            j = k + 2
             row, col = _force(d, lame, shape, i + 2, j)
             out[0, i + 2, j] = -row
             out[1, i + 2, j] = -col

@@ -44,14 +44,21 @@ def work(d, pull, row_products, row_squares):
         row_squares[i] = square
 
 
-@_parallel
+@numba.njit(
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    parallel=True,
+    fastmath={"reassoc", "contract", "nsz", "nnan"},
+)
 def measure(rest, row_most, row_squares):
     """The largest absolute value and the sum of squares of each row."""
     for i in prange(rest.shape[1] - 4):
         most, square = 0.0, 0.0
         for k in range(2):
             for j in range(rest.shape[2]):
-                most = max(most, abs(rest[k, i + 2, j]))
+                value = abs(rest[k, i + 2, j])
+                most = value if value > most else most
                 square += rest[k, i + 2, j] ** 2
         row_most[i] = most
         row_squares[i] = square

@@ -139,7 +139,8 @@ def _row_largest(a: Any, row: int) -> float:
     most = float32(0)
     for component in range(2):
         for j in range(a.shape[2]):
-            most = max(most, abs(a[component, row, j]))
+            value = abs(a[component, row, j])
+            most = value if value > most else most
     return most
 
 
