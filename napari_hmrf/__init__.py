@@ -30,9 +30,10 @@ from napari_hmrf.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
 from napari_hmrf.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.problem import Problem
+from napari_hmrf.resample import resample
 from napari_hmrf.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solve import solve
-from napari_hmrf.warp import inverse_map, resample, warp
+from napari_hmrf.warp import inverse_map, warp
 
 __version__ = "0.1.0"
 

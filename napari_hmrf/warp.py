@@ -8,15 +8,14 @@ triangles of three neighbouring sites; its inverse is then exact, however large 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.resample import as_image, resample
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -62,7 +61,7 @@ def warp(
     --------
     inverse_map, resample : the two halves of this, to move several images by one displacement.
     """
-    picture = _as_image(image, np.shape(displacement)[:2])
+    picture = as_image(image, np.shape(displacement)[:2])
     coordinates, covered = inverse_map(displacement, spacing, tissue)
     return resample(picture, coordinates, covered, order, fill)
 
@@ -134,64 +133,6 @@ def inverse_map_and_overlaps(
     return coordinates, (state > 0) | still, state == TWICE
 
 
-def resample(
-    image: npt.ArrayLike,
-    coordinates: npt.ArrayLike,
-    covered: npt.ArrayLike,
-    order: int = 1,
-    fill: float = 0,
-) -> npt.NDArray[Any]:
-    """Look an image up at the coordinates of an `inverse_map`.
-
-    A pixel that is NaN or infinite stays one pixel: it is left out of the interpolation around it.
-
-    Parameters
-    ----------
-    image : array_like, shape (H, W) or (H, W, channels)
-    coordinates, covered
-        From `inverse_map`.
-    order, fill
-        As in `warp`.
-
-    Returns
-    -------
-    ndarray
-        Of the shape and dtype of `image`.
-
-    Raises
-    ------
-    ProblemError
-        Naming the input at fault.
-    """
-    source = np.asarray(coordinates, dtype=np.float64)
-    there = np.asarray(covered, dtype=bool)
-    if source.shape != (*there.shape, 2) or there.ndim != 2:
-        raise ProblemError(
-            "coordinates",
-            f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
-        )
-    picture = _as_image(image, there.shape)
-    if order not in (0, 1, 2, 3, 4, 5):
-        raise ProblemError("order", f"is {order!r}. Take 0 (nearest), 1 (linear) or up to 5.")
-    background = _checked_fill(fill, picture.dtype)
-    rows, cols = np.moveaxis(source, -1, 0)
-    nearest = tuple(
-        np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
-        for at, size in zip((rows, cols), there.shape, strict=True)
-    )
-    if order == 0 or picture.dtype.kind == "b":
-        moved: npt.NDArray[Any] = picture[nearest]
-    elif picture.ndim == 2:
-        moved = _interpolated(picture, (rows, cols), nearest, order)
-    else:
-        channels = np.moveaxis(picture, -1, 0)
-        moved = np.stack(
-            [_interpolated(channel, (rows, cols), nearest, order) for channel in channels], axis=-1
-        )
-    moved[~there] = background
-    return moved
-
-
 def moved_sites(
     displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, BoolArray]:
@@ -239,12 +180,7 @@ def checked_field(
             f"has shape {d.shape} and type {d.dtype}, but real numbers of shape (H, W, 2) are "
             "needed: one (row, col) vector per pixel.",
         )
-    try:
-        sizes = np.asarray(spacing, dtype=np.float64)
-    except (TypeError, ValueError):
-        sizes = np.zeros(0)
-    if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
-        raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
+    sizes = checked_sizes(spacing)
     mask = np.ones(d.shape[:2], dtype=bool)
     if tissue is not None:
         mask = np.asarray(tissue).astype(bool)
@@ -266,60 +202,12 @@ def checked_field(
     return d, sizes, mask
 
 
-def _as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
-    picture = np.asarray(image)
-    if picture.ndim not in (2, 3) or picture.shape[:2] != tuple(grid):
-        raise ProblemError(
-            "image",
-            f"has shape {picture.shape}, but the displacement is on a grid of {tuple(grid)}. "
-            "Give an image (H, W) or (H, W, channels) on the same pixel grid.",
-        )
-    if picture.dtype.kind not in "biuf":
-        raise ProblemError("image", f"has values of type {picture.dtype}. Give real numbers.")
-    return picture
-
-
-def _checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
+def checked_sizes(spacing: Sequence[float]) -> Float64Array:
+    """Check a pixel spacing: shape (2,)."""
     try:
-        # Integers are compared as such: as floats the largest are one too large.
-        whole = dtype.kind in "iu" and isinstance(fill, int | np.integer)
-        value = fill if whole else float(fill)
-        low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
-        if dtype.kind in "iu":
-            low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
-        fits = dtype.kind == "f" or (low <= value <= high and value == int(value))
-    except (TypeError, ValueError, OverflowError):
-        fits = False
-    if not fits:
-        raise ProblemError("fill", f"is {fill!r}, which an image of type {dtype} cannot hold.")
-    return np.asarray(fill).astype(dtype)
-
-
-def _interpolated(
-    channel: npt.NDArray[Any],
-    at: tuple[Float64Array, Float64Array],
-    nearest: tuple[npt.NDArray[np.intp], ...],
-    order: int,
-) -> npt.NDArray[Any]:
-    """One channel at real-valued coordinates, in its own dtype."""
-    values = channel if channel.dtype in (np.float32, np.float64) else channel.astype(np.float64)
-    bad = ~np.isfinite(values) if channel.dtype.kind == "f" else np.zeros(0, dtype=bool)
-    if bad.any() and not bad.all():
-        # A neighbour's value stands in for each bad pixel; 0 times NaN would be NaN.
-        neighbour = scipy.ndimage.distance_transform_edt(
-            bad, return_distances=False, return_indices=True
-        )
-        values = values[tuple(neighbour)]
-    moved: npt.NDArray[Any] = scipy.ndimage.map_coordinates(values, at, order=order, mode="nearest")
-    if channel.dtype.kind == "f":
-        moved = moved.astype(channel.dtype)
-        if bad.any():
-            moved = np.where(bad[nearest], channel[nearest], moved)
-        return moved
-    bounds = np.iinfo(channel.dtype)
-    # The largest 64-bit integers lie between two floats: the lower one is in range.
-    highest = float(bounds.max)
-    if int(highest) > bounds.max:
-        highest = math.nextafter(highest, 0)
-    whole: npt.NDArray[Any] = np.clip(np.rint(moved), bounds.min, highest).astype(channel.dtype)
-    return whole
+        sizes = np.asarray(spacing, dtype=np.float64)
+    except (TypeError, ValueError):
+        sizes = np.zeros(0)
+    if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
+        raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
+    return sizes

@@ -19,8 +19,9 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.models import in_words, short_name
+from napari_hmrf.resample import resample
 from napari_hmrf.solution import Solution
-from napari_hmrf.warp import inverse_map_and_overlaps, resample
+from napari_hmrf.warp import inverse_map_and_overlaps
 
 Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
 #: The layers there can be, in the order they are stacked, lowest first.

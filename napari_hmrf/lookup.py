@@ -1,0 +1,67 @@
+"""The compiled loop that looks a picture up at an inverse map: `resample`, on all cores.
+
+Imports numba; `warper` imports this module when it is first needed, on the compute thread.
+"""
+
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, moved):
+    """Look an image up where its tissue came from, as `resample` does, by all cores.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W, channels)
+    smooth : ndarray, shape (H, W, channels)
+        The image, finite everywhere: what is interpolated.
+    gaps : bool
+        Whether the two differ: a pixel that is not finite stays one such pixel.
+    source, state
+        Of `rasterise`.
+    tissue : ndarray, shape (H, W), bool
+        Void stays in place where no tissue came.
+    nearest : bool
+        Whether to take the nearest pixel; else the four around the place.
+    whole : bool
+        Whether to round.
+    fill
+        What is seen where tissue has left, of the type of the image.
+    moved : ndarray, shape (H, W, channels)
+        Overwritten by the result.
+    """
+    height, width, channels = image.shape
+    for row in numba.prange(height):
+        for col in range(width):
+            if state[row, col] == 0:
+                for k in range(channels):
+                    moved[row, col, k] = fill if tissue[row, col] else image[row, col, k]
+                continue
+            y = min(max(source[row, col, 0], 0.0), height - 1.0)
+            x = min(max(source[row, col, 1], 0.0), width - 1.0)
+            i = math.floor(y + 0.5)
+            j = math.floor(x + 0.5)
+            if nearest:
+                for k in range(channels):
+                    moved[row, col, k] = image[i, j, k]
+                continue
+            top = math.floor(y)
+            left = math.floor(x)
+            below = min(top + 1, height - 1)
+            right = min(left + 1, width - 1)
+            down = y - top
+            along = x - left
+            for k in range(channels):
+                value = smooth[top, left, k] * (1.0 - down) * (1.0 - along)
+                value += smooth[top, right, k] * (1.0 - down) * along
+                value += smooth[below, left, k] * down * (1.0 - along)
+                value += smooth[below, right, k] * down * along
+                moved[row, col, k] = np.rint(value) if whole else value
+                if gaps and not np.isfinite(image[i, j, k]):
+                    moved[row, col, k] = image[i, j, k]

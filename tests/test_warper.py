@@ -1,0 +1,177 @@
+"""A picture that moves again and again looks as if it was moved once."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from napari_hmrf import ProblemError, phantom, reference_displacement, warp
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.rasterise import rasterise, rasterise_displaced
+from napari_hmrf.warp import moved_sites
+from napari_hmrf.warper import Picture, Warper
+
+SHAPE = (37, 45)
+
+
+def rough_field(seed, amplitude, shape=SHAPE):
+    """Waves, a shift, and noise that folds the tissue here and there."""
+    random = np.random.default_rng(seed)
+    row, col = np.indices(shape) / max(shape) * 6
+    waves = np.stack([np.sin(row + 1.3 * col), np.cos(1.1 * row - col)], axis=-1)
+    noise = random.uniform(-1, 1, (*shape, 2)) * random.choice([0, 0.2, 1])
+    return (amplitude * (waves + noise + random.uniform(-1, 1, 2))).astype(np.float32)
+
+
+def some_tissue(seed, shape=SHAPE):
+    """Bodies with ragged borders, thin lines and single pixels."""
+    random = np.random.default_rng(seed)
+    row, col = np.indices(shape)
+    tissue = np.hypot(row - 18, col - 15) < 13
+    tissue[5:30, 36:42] = True
+    tissue[33] = tissue[:, 44] = True
+    return tissue ^ (random.random(shape) < 0.03)
+
+
+def moved(warper, *arguments, **keywords):
+    return compute_thread.submit(lambda: warper(*arguments, **keywords)).result()
+
+
+def image_of(kind, shape=SHAPE):
+    random = np.random.default_rng(3)
+    if kind == "colour":
+        return random.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    if kind == "gaps":
+        image = random.normal(size=shape).astype(np.float32)
+        image[4:6, 7], image[20, 20] = np.nan, np.inf
+        return image
+    dtype = np.dtype(kind)
+    if dtype.kind == "f":
+        return random.normal(size=shape).astype(dtype)
+    top = 1 if dtype.kind == "b" else np.iinfo(dtype).max
+    return random.integers(0, top, shape, dtype=np.uint64).astype(dtype)
+
+
+KINDS = ["uint8", "colour", "float32", "gaps", "bool", "uint16", "float16", "float64", "int64"]
+
+
+@pytest.mark.parametrize("kind", [*KINDS, ">u2"])
+@pytest.mark.parametrize("order", [0, 1, 3])
+def test_every_kind_of_picture_is_moved_as_by_warp(kind, order):
+    image, d, tissue = image_of(kind), rough_field(1, 2.5), some_tissue(1)
+    fill = 1
+    (found,) = moved(Warper([Picture(image, order, fill)]), d, tissue)
+    expected = warp(image, d, order=order, tissue=tissue, fill=fill)
+    assert found.dtype == expected.dtype
+    np.testing.assert_array_equal(found, expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([0.0, 0.4, 3.0, 15.0, 500.0]),
+    st.sampled_from([(1, 1), (2.0, 0.5), (0.31, 0.77)]),
+    st.sampled_from([0.0, 0.25, 0.9, 1.0, -1.0]),
+)
+def test_whatever_the_motion_folds_included(seed, amplitude, spacing, fraction):
+    d = rough_field(seed, amplitude) * np.float32(spacing)
+    tissue = some_tissue(seed) if seed % 2 else None
+    image = image_of("colour" if seed % 3 else "uint8")
+    (found,) = moved(Warper(image, spacing), d, tissue, fraction)
+    part = fraction * d.astype(float)
+    np.testing.assert_array_equal(found, warp(image, part, spacing, tissue=tissue))
+
+
+@pytest.mark.parametrize("bands", [1, 2, 3, 5, 37])
+def test_bands_change_nothing(bands):
+    d, tissue = rough_field(5, 4.0), some_tissue(5)
+    d[:, 36:42, 1] += 2 * (38.5 - np.arange(36, 42)) + 3  # a body turned over
+    source, state = rasterise(*moved_sites(d, (1, 1), tissue))
+    ours = np.empty((*SHAPE, 2)), np.empty((SHAPE[0], 2)), np.zeros_like(source), state.copy()
+
+    def draw():
+        return rasterise_displaced(d, (1.0, 1.0), 1.0, tissue, bands, *ours)
+
+    assert compute_thread.submit(draw).result()
+    np.testing.assert_array_equal(ours[3], state)
+    np.testing.assert_array_equal(ours[2][state > 0], source[state > 0])
+    assert {0, 1, 2, 3} == set(np.unique(state)), "the field should have folded"
+
+
+def test_one_motion_after_another_leaves_nothing_behind():
+    image = image_of("uint8")
+    warper = Warper(image)
+    for seed, amplitude in ((1, 5.0), (2, 0.0), (3, 50.0), (4, 1.0)):
+        d, tissue = rough_field(seed, amplitude), some_tissue(seed)
+        np.testing.assert_array_equal(
+            moved(warper, d, tissue)[0], warp(image, d, order=1, tissue=tissue)
+        )
+
+
+def test_what_was_shown_is_not_drawn_over():
+    warper = Warper(image_of("uint8"))
+    (first,) = moved(warper, rough_field(1, 3.0))
+    before = first.copy()
+    moved(warper, rough_field(2, 3.0))
+    np.testing.assert_array_equal(first, before)
+
+
+def test_pictures_move_together():
+    image, labels, d = image_of("uint8"), image_of("int64") % 7, rough_field(1, 3.0)
+    one, two = moved(Warper([Picture(image), Picture(labels, order=0)]), d)
+    np.testing.assert_array_equal(one, warp(image, d))
+    np.testing.assert_array_equal(two, warp(labels, d, order=0))
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (7, 13)])
+def test_any_shape_moves(shape):
+    image, d = image_of("uint8", shape), rough_field(0, 1.0, shape)
+    np.testing.assert_array_equal(moved(Warper(image), d)[0], warp(image, d))
+
+
+def test_void_is_not_dragged_along_whatever_its_displacement_says():
+    image, tissue = image_of("uint8"), some_tissue(1)
+    d = np.where(tissue[..., None], np.float32([0, 0]), np.float32(np.nan))
+    np.testing.assert_array_equal(moved(Warper(image), d, tissue)[0], image)
+
+
+def test_it_belongs_to_the_compute_thread():
+    with pytest.raises(RuntimeError, match="compute thread; call warp"):
+        Warper(image_of("uint8"))(rough_field(0, 1.0))
+
+
+def test_it_is_quick_enough_to_follow_the_hand():
+    """About 2 ms on two quiet cores; the bound leaves room for a busy machine."""
+    drawn, d = phantom("expansion"), reference_displacement("expansion")
+    warper, tissue = Warper(drawn.image), drawn.problem.tissue
+
+    def best():
+        warper(d, tissue)
+        seconds = []
+        for _ in range(5):
+            begun = time.perf_counter()
+            warper(d, tissue)
+            seconds.append(time.perf_counter() - begun)
+        return min(seconds)
+
+    assert compute_thread.submit(best).result() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("make", "displacement", "tissue", "complaint"),
+    [
+        (lambda: Warper(np.zeros(5)), None, None, "image: has shape"),
+        (lambda: Warper([Picture(np.zeros((5, 5)), 7)]), None, None, "order: is 7"),
+        (lambda: Warper([Picture(np.zeros((5, 5), np.uint8), 1, 300)]), None, None, "fill"),
+        (lambda: Warper([Picture(np.eye(5)), Picture(np.eye(6))]), None, None, "image: has shape"),
+        (lambda: Warper(np.eye(5), (1, 0)), None, None, "spacing"),
+        (lambda: Warper(np.eye(5)), np.zeros((5, 6, 2)), None, "displacement: has shape"),
+        (lambda: Warper(np.eye(5)), np.zeros((5, 5, 2)), np.ones(5), "tissue: has shape"),
+        (lambda: Warper(np.eye(5)), np.full((5, 5, 2), np.nan), None, "displacement: is NaN"),
+    ],
+)
+def test_what_does_not_fit_is_named(make, displacement, tissue, complaint):
+    with pytest.raises(ProblemError, match=complaint):
+        moved(make(), displacement, tissue)
