@@ -26,6 +26,8 @@ _ATTAINED = 3e-7
 # sees what is left.
 _FASTEST = 0.2
 _USUAL_LEAST = 0.4
+# Steps after which the least eigenvalue has been met well enough.
+_ENOUGH = 5
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,10 @@ class ConjugateGradients:
         # the least eigenvalues have not been met yet.
         rest = max(math.sqrt(after), _ROUNDING * math.sqrt(first))
         fall = max(math.sqrt(after / before), _FASTEST)
-        return Step(far * fall / min(self._spectrum.least, _USUAL_LEAST) / rest, rest, gain)
+        least = self._spectrum.least
+        if self._spectrum.steps < _ENOUGH:
+            least = min(least, _USUAL_LEAST)
+        return Step(far * fall / least / rest, rest, gain)
 
 
 class StabilisedGradients:
@@ -185,6 +190,11 @@ class _Spectrum:
     def __init__(self) -> None:
         self.least = 1.0
         self.restart()
+
+    @property
+    def steps(self) -> int:
+        """How many steps the present run has taken."""
+        return len(self._diagonal)
 
     def restart(self) -> None:
         """Begin a new run; what was learnt stays."""
