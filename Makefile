@@ -6,7 +6,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 HEADLESS := sh scripts/headless.sh
 
-.PHONY: help setup setup-for-windows demo test format lint types benchmarks screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks report screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make lint         look for mistakes in style"
 	@echo "make types        check the types"
 	@echo "make benchmarks   print the tables of the paper, measured here"
+	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make screenshots  take the pictures of the README again, from a real window"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
@@ -26,6 +27,9 @@ setup:
 
 setup-for-windows:
 	@$(PYTHON) scripts/setup.py --for-windows
+
+setup-for-report:
+	@$(PYTHON) scripts/setup.py --for-report
 
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
@@ -46,6 +50,9 @@ types: setup
 
 benchmarks: setup
 	@$(RUN) benchmarks/run.py
+
+report: setup-for-report
+	@$(RUN) benchmarks/validation.py
 
 screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py

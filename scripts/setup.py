@@ -7,6 +7,7 @@ this checkout and all that its tests use. Only Python itself is needed to run th
     python3 scripts/setup.py            # with the versions of constraints.txt
     python3 scripts/setup.py --newest   # with the newest there are, which are then written there
     python3 scripts/setup.py --for-windows   # fails where Qt's libraries are still missing
+    python3 scripts/setup.py --for-report    # also what the validation report compares with
 """
 
 import ctypes
@@ -56,6 +57,8 @@ SYSTEM = (
     ("xauth", "xauth"),
 )
 VIRTUAL_DISPLAY = {"Xvfb", "xauth"}
+#: What only the validation report uses, which goes without where it cannot be had.
+FOR_REPORT = (("ccx", "calculix-ccx"),)
 
 
 def say(text):
@@ -76,12 +79,12 @@ def is_there(need):
     return True
 
 
-def missing():
+def missing(wanted=SYSTEM):
     """What this machine lacks, and the packages of Debian's that would bring it."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     lacks = [
         (need, package)
-        for need, package in SYSTEM
+        for need, package in wanted
         if not (display and need in VIRTUAL_DISPLAY) and not is_there(need)
     ]
     if not can_make_environments():
@@ -109,9 +112,9 @@ def quiet(command):
     return subprocess.call(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) == 0
 
 
-def provide_system():
+def provide_system(wanted=SYSTEM):
     """Install what is missing of the system, or say how to; what is still missing then."""
-    lacks = missing() if platform.system() == "Linux" else {}
+    lacks = missing(wanted) if platform.system() == "Linux" else {}
     if not lacks:
         return {}
     packages = " ".join(lacks.values())
@@ -127,7 +130,7 @@ def provide_system():
         say(f"Installing system packages: {packages}")
         apt_get(root, ["update"], by_hand)
         apt_get(root, ["install", "--no-install-recommends", *lacks.values()], by_hand)
-        return missing()
+        return missing(wanted)
     return lacks
 
 
@@ -181,7 +184,8 @@ def provide_environment(newest):
         subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
     STAMP.unlink(missing_ok=True)
     pip = [str(python_of_venv()), "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    install = [*pip, "install", "--editable", f"{ROOT}[dev]"]
+    extras = "dev,report" if newest else "dev"
+    install = [*pip, "install", "--editable", f"{ROOT}[{extras}]"]
     constrained = [*install, "--constraint", str(CONSTRAINTS)]
     if newest or not CONSTRAINTS.exists():
         subprocess.check_call(install)
@@ -191,6 +195,16 @@ def provide_environment(newest):
     if newest:
         write_constraints(pip)
     STAMP.write_text(environment_key())
+
+
+def provide_for_report():
+    """Install what the report compares with; without it the report says what is missing."""
+    if quiet([str(python_of_venv()), "-c", "import pyamg, SimpleITK"]):
+        return
+    install = [str(python_of_venv()), "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    install += ["install", "--editable", f"{ROOT}[report]"]
+    if subprocess.call([*install, "--constraint", str(CONSTRAINTS)]) and subprocess.call(install):
+        say("The report will do without what could not be installed (above).")
 
 
 def venv_works():
@@ -215,6 +229,9 @@ def main():
     lacks = provide_system()
     try:
         provide_environment(newest="--newest" in sys.argv[1:])
+        if "--for-report" in sys.argv[1:]:
+            provide_system(FOR_REPORT)
+            provide_for_report()
     except subprocess.CalledProcessError as error:
         say(f"Setting up failed: {' '.join(str(part) for part in error.cmd)}")
         say("What was wrong is above; the next make tries again.")

@@ -1,0 +1,122 @@
+"""CalculiX, the open solver that reads ABAQUS decks: write the deck, run it, read the field.
+
+CalculiX's plane-stress elements expand to bricks whose stress across the plane vanishes only
+weakly; for displacement-only data and one Poisson's ratio the textbook's plane stress is plane
+strain with nu / (1 + nu), which its CPE4 solves. x of the deck is our row, y our col.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf import Problem
+from report.assembly import element_modulus
+
+Float64Array = npt.NDArray[np.float64]
+ElementType = Literal["CPS3", "CPS4", "CPS4R", "CPE4"]
+
+#: How to have it, for the report.
+HOW = "Debian and Ubuntu have it as `calculix-ccx`"
+_AROUND = ((0, 0), (1, 0), (1, 1), (0, 1))  # corners of an element, anticlockwise in x, y
+_TRIANGLES = (((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3)))  # diagonals in turn
+
+
+class Run(NamedTuple):
+    """A field (H, W, 2) in the unit of the problem, and the most memory the program had, in MB."""
+
+    displacement: Float64Array
+    megabytes: float
+
+
+def is_there() -> bool:
+    """Whether CalculiX can be run here."""
+    return shutil.which("ccx") is not None
+
+
+def textbook_plane_stress(problem: Problem, poisson: float) -> Run:
+    """Solve plane stress as the textbooks have it."""
+    return solve(problem, "CPE4", poisson / (1 + poisson))
+
+
+def solve(problem: Problem, element: ElementType, poisson: float) -> Run:
+    """Run CalculiX on a problem; `y` is prescribed by component wherever c > 0 on an element.
+
+    Raises
+    ------
+    RuntimeError
+        If the program fails, with the end of what it printed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "job.inp").write_text(deck(problem, element, poisson), encoding="ascii")
+        threads = {"OMP_NUM_THREADS": str(os.cpu_count() or 1)}
+        done = subprocess.run(
+            ["ccx", "job"],
+            cwd=folder,
+            env={**os.environ, **threads},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        results = Path(folder) / "job.dat"
+        if done.returncode or not results.exists() or "*ERROR" in done.stdout:
+            raise RuntimeError(f"CalculiX failed:\n{done.stdout[-800:]}")
+        displacement = np.where((problem.c > 0) & problem.tissue[..., None], problem.y, 0.0)
+        displacement = displacement.astype(np.float64)
+        numbers, values = read_displacements(results)
+    displacement.reshape(-1, 2)[numbers - 1] = values[:, :2]
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    return Run(displacement, most)
+
+
+def deck(problem: Problem, element: ElementType, poisson: float) -> str:
+    """The input file: a node per site, numbered by row; one material per modulus."""
+    modulus = element_modulus(problem)
+    row, col = np.nonzero(modulus)
+    number = 1 + np.arange(problem.m.size).reshape(problem.shape)
+    corners = np.stack([number[row + i, col + j] for i, j in _AROUND], axis=1)
+    values, kind = np.unique(modulus[row, col], return_inverse=True)
+    if element == "CPS3":
+        turn = (row + col) % 2
+        halves = [np.where(turn[:, None], corners[:, b], corners[:, a]) for a, b in _halves()]
+        corners, kind = np.concatenate(halves), np.tile(kind, 2)
+    nodes = np.unique(corners)
+    places = np.stack(np.divmod(nodes - 1, problem.shape[1]), axis=1) * np.array(problem.spacing)
+    lines = ["*NODE, NSET=ALL"]
+    lines += [f"{n}, {x:.9g}, {y:.9g}, 0" for n, (x, y) in zip(nodes, places, strict=True)]
+    for index, young in enumerate(values):
+        members = np.flatnonzero(kind == index)
+        lines.append(f"*ELEMENT, TYPE={element}, ELSET=E{index}")
+        lines += [f"{e + 1}, {', '.join(map(str, corners[e]))}" for e in members]
+        lines += [f"*MATERIAL, NAME=M{index}", "*ELASTIC", f"{young:.12g}, {poisson:.12g}"]
+        lines += [f"*SOLID SECTION, ELSET=E{index}, MATERIAL=M{index}", "1."]
+    lines += ["*STEP", "*STATIC", "*BOUNDARY"]
+    c, y = (field.reshape(-1, 2)[nodes - 1] for field in (problem.c, problem.y))
+    for component in (0, 1):
+        held = np.flatnonzero(c[:, component] > 0)
+        freedom = component + 1
+        lines += [f"{nodes[n]}, {freedom}, {freedom}, {y[n, component]:.9g}" for n in held]
+    lines += ["*NODE PRINT, NSET=ALL", "U", "*END STEP", ""]
+    return "\n".join(lines)
+
+
+def _halves() -> list[tuple[list[int], list[int]]]:
+    """Corners of the first and second triangle, for either diagonal."""
+    return [(list(a), list(b)) for a, b in zip(*_TRIANGLES, strict=True)]
+
+
+def read_displacements(path: Path) -> tuple[npt.NDArray[np.int64], Float64Array]:
+    """The last table of displacements in a .dat file: numbers of the nodes and their values."""
+    text = path.read_text(encoding="ascii")
+    start = text.rindex("displacements (vx,vy,vz)")
+    table = np.loadtxt(text[start:].splitlines()[2:], ndmin=2)
+    return table[:, 0].astype(np.int64), table[:, 1:]

@@ -1,0 +1,144 @@
+"""The page: what a section is made of, and how it becomes Markdown."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Target:
+    """A figure to reach, and whether it was."""
+
+    claim: str
+    found: float
+    bound: float
+    at_least: bool = False
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure was reached."""
+        return self.found >= self.bound if self.at_least else self.found <= self.bound
+
+    def __str__(self) -> str:
+        """One line of the list of targets."""
+        sign = ">=" if self.at_least else "<="
+        verdict = "met   " if self.met else "MISSED"
+        return f"{verdict}  {self.claim}: {self.found:.3g} ({sign} {self.bound:g})"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How large a report to make, and where its pictures go.
+
+    Attributes
+    ----------
+    out : Path
+        An existing folder.
+    quick : bool
+        Small sizes: whether it runs, and not what it finds.
+    note : str
+        What the reader should know of this run.
+    """
+
+    out: Path
+    quick: bool = False
+    note: str = ""
+
+    def choose(self, full: Any, quick: Any) -> Any:
+        """Return the first, or the second for a quick report."""
+        return quick if self.quick else full
+
+
+@dataclass
+class Section:
+    """A part of the page: paragraphs, tables and pictures in order, and the targets it checked."""
+
+    title: str
+    blocks: list[str] = field(default_factory=list)
+    targets: list[Target] = field(default_factory=list)
+
+    def say(self, text: str) -> None:
+        """Add a paragraph; line breaks and indentation in it are of no meaning."""
+        self.blocks.append(" ".join(text.split()))
+
+    def missing(self, tool: str, how: str) -> None:
+        """Say in one line that a tool is not there, and how to have it."""
+        self.blocks.append(f"*{tool} is not installed here, so its part is left out: {how}.*")
+
+    def table(self, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Add a table; numbers that are no text yet get three significant digits."""
+        lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+        lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
+        self.blocks.append("\n".join(lines))
+
+    def picture(self, path: Path, caption: str) -> None:
+        """Add a picture that was written beside the page."""
+        self.blocks.append(f"![{caption}]({path.name})")
+
+    def __str__(self) -> str:
+        """Markdown."""
+        return "\n\n".join([f"## {self.title}", *self.blocks])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float | np.floating):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return str(value)
+
+
+def duration(seconds: float) -> str:
+    """A time for people to read."""
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
+
+
+def machine() -> str:
+    """One line about the processor, the system and the versions."""
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration, IndexError):
+        pass
+    return (
+        f"{name}, {os.cpu_count()} cores, {platform.system()}, Python "
+        f"{platform.python_version()}, NumPy {np.__version__}"
+    )
+
+
+def load() -> float | None:
+    """How many programs wanted to run over the last minute, or None where nobody counts."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def write_page(path: Path, sections: Sequence[Section], settings: Settings, begun: float) -> None:
+    """Write the page: what it is, the targets of all sections, the sections."""
+    targets = [target for section in sections for target in section.targets]
+    met = sum(target.met for target in targets)
+    minutes = (time.perf_counter() - begun) / 60
+    busy = load()
+    lines = [
+        "# Validation report",
+        "Made by `make report`; every number and picture below is from that one run.",
+        f"{machine()}. {time.strftime('%Y-%m-%d')}, {minutes:.1f} minutes"
+        + (f", load at the end {busy:.1f}." if busy is not None else "."),
+    ]
+    if settings.quick:
+        lines.append("**A quick report: sizes are tiny, and its numbers say nothing.**")
+    if settings.note:
+        lines.append(f"**{settings.note}**")
+    lines += [
+        f"Targets: {met} of {len(targets)} met.",
+        "```text\n" + "\n".join(str(target) for target in targets) + "\n```",
+        *(str(section) for section in sections),
+    ]
+    path.write_text("\n\n".join(lines) + "\n", encoding="utf-8")

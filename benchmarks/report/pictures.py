@@ -1,0 +1,58 @@
+"""What the pictures of the page have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf import deformation_grid
+from report.page import Settings
+
+COLOURS = ("#0b7285", "#e8590c", "#5f3dc4", "#2b8a3e", "#868e96", "#c2255c", "#1864ab")
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure; sizes in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save(figure: Any, settings: Settings, name: str) -> Path:
+    """Write a figure beside the page."""
+    path = settings.out / f"{name}.png"
+    figure.savefig(path, dpi=100, metadata={"Software": None})
+    return path
+
+
+def draw_grid(axes: Any, field: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> None:
+    """Draw a square grid that moved with the tissue (figure 4); field in pixels."""
+    from matplotlib.collections import LineCollection
+
+    every = max(1, max(tissue.shape) // 50)
+    segments = deformation_grid(field, (1.0, 1.0), every=every, tissue=tissue)
+    ends = np.stack([segments[:, 0], segments.sum(axis=1)], axis=1)
+    axes.add_collection(LineCollection(ends[..., ::-1], colors=COLOURS[0], linewidths=0.5))
+    height, width = tissue.shape
+    axes.set_xlim(-0.05 * width, 1.05 * width)
+    axes.set_ylim(1.05 * height, -0.05 * height)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def draw_differences(
+    axes_row: Any, found: npt.NDArray[Any], truth: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]
+) -> Any:
+    """Draw figure 5: difference in magnitude, in x (col) and in y (row); returns the last panel."""
+    error = np.where(tissue[..., None], found - truth, np.nan)
+    length = np.linalg.norm(found, axis=-1) - np.linalg.norm(truth, axis=-1)
+    panels = (np.where(tissue, length, np.nan), error[..., 1], error[..., 0])
+    limit = max(float(np.nanmax(np.abs(panel))) for panel in panels) or 1.0
+    shown = None
+    for axes, panel in zip(axes_row, panels, strict=True):
+        shown = axes.imshow(panel, cmap="RdBu_r", vmin=-limit, vmax=limit)
+        axes.set_axis_off()
+    return shown

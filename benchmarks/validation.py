@@ -1,0 +1,62 @@
+"""Write the validation report: one page, Markdown and pictures, all of it from this one run.
+
+    python benchmarks/validation.py [--out FOLDER] [--quick] [--only speed levels ...] [--note TEXT]
+
+About ten minutes on two cores that have nothing else to do. What is not installed (PyAMG and
+SimpleITK come with ``pip install -e ".[report]"``, CalculiX as the system's package
+`calculix-ccx`) is left out, and the page says so. With --only, the page has these sections alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from report import analytic, finite_elements, levels, metropolis, paper, registration, speed
+from report.page import Section, Settings, write_page
+
+OUT = Path(__file__).resolve().parent.parent / "docs" / "validation"
+#: The sections in the order of the page. Speed first: nothing has warmed the machine up by then.
+SECTIONS: dict[str, Callable[[Settings], Section]] = {
+    "speed": speed.section,
+    "paper": paper.section,
+    "levels": levels.section,
+    "metropolis": metropolis.section,
+    "finite-elements": finite_elements.section,
+    "registration": registration.section,
+    "analytic": analytic.section,
+}
+ORDER = ("paper", "levels", "metropolis", "finite-elements", "registration", "analytic", "speed")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the page; 0 whatever it finds, as a report is not a test."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--quick", action="store_true", help="small sizes, to see whether it runs")
+    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS))
+    parser.add_argument("--note", default="", help="what the reader should know of this run")
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    settings = Settings(options.out, options.quick, options.note)
+    begun = time.perf_counter()
+    done: dict[str, Section] = {}
+    for name, make in SECTIONS.items():
+        if name in options.only:
+            started = time.perf_counter()
+            done[name] = make(settings)
+            print(f"{name}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True)
+    sections = [done[name] for name in ORDER if name in done]
+    page = options.out / "README.md"
+    write_page(page, sections, settings, begun)
+    for target in (target for section in sections for target in section.targets):
+        print(target)
+    print(f"written: {page}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
