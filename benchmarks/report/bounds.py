@@ -16,9 +16,9 @@ from napari_hmrf.optimizers.cycle import chebyshev
 from report.contenders import PHANTOM, PRIOR, WITHIN, Measured
 from report.page import Section, Settings, Target, duration
 
-# Bytes per site that moves of one sweep, if nothing is read twice: displacement, load, Lame's
-# parameters, inverse diagonal and last step are read, displacement and step written.
-SWEEP_BYTES = 4 * 2 * (5 + 2)
+# Bytes per site that moves of one sweep, if nothing is read twice: the displacement, that before
+# the last sweep, load, Lame's parameters and inverse diagonal are read, the displacement written.
+SWEEP_BYTES = 4 * 2 * (5 + 1)
 # Sweeps of a V(2, 2) cycle in sweeps over the finest level: all levels together have 4/3 its sites.
 CYCLE_SWEEPS = 4 * 4 / 3
 

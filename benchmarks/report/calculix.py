@@ -8,12 +8,11 @@ strain with nu / (1 + nu), which its CPE4 solves. x of the deck is our row, y ou
 from __future__ import annotations
 
 import os
-import resource
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,25 +29,23 @@ _AROUND = ((0, 0), (1, 0), (1, 1), (0, 1))  # corners of an element, anticlockwi
 _TRIANGLES = (((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3)))  # diagonals in turn
 
 
-class Run(NamedTuple):
-    """A field (H, W, 2) in the unit of the problem, and the most memory the program had, in MB."""
-
-    displacement: Float64Array
-    megabytes: float
-
-
 def is_there() -> bool:
     """Whether CalculiX can be run here."""
     return shutil.which("ccx") is not None
 
 
-def textbook_plane_stress(problem: Problem, poisson: float) -> Run:
+def textbook_plane_stress(problem: Problem, poisson: float) -> Float64Array:
     """Solve plane stress as the textbooks have it."""
     return solve(problem, "CPE4", poisson / (1 + poisson))
 
 
-def solve(problem: Problem, element: ElementType, poisson: float) -> Run:
+def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Array:
     """Run CalculiX on a problem; `y` is prescribed by component wherever c > 0 on an element.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2)
+        In the unit of the problem.
 
     Raises
     ------
@@ -74,8 +71,7 @@ def solve(problem: Problem, element: ElementType, poisson: float) -> Run:
         displacement = displacement.astype(np.float64)
         numbers, values = read_displacements(results)
     displacement.reshape(-1, 2)[numbers - 1] = values[:, :2]
-    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    return Run(displacement, most)
+    return displacement
 
 
 def deck(problem: Problem, element: ElementType, poisson: float) -> str:

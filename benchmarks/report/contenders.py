@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -28,6 +27,7 @@ from scipy.sparse.linalg import spsolve
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
 from report import calculix
 from report.assembly import System, assemble, solve_directly
+from report.memory import peak_megabytes, peak_of_programs
 
 Field = npt.NDArray[Any]
 #: What "converged" means here: no site further than this from the converged field, in pixels.
@@ -74,7 +74,7 @@ def run_superlu(problem: Problem, iterations: int, tuned: bool) -> tuple[Field, 
 
 def run_calculix(problem: Problem, iterations: int) -> tuple[Field, int]:
     """CalculiX, textbook plane stress; writing the deck and reading the result included."""
-    return calculix.textbook_plane_stress(problem, float(PRIOR.poisson)).displacement, 1
+    return calculix.textbook_plane_stress(problem, float(PRIOR.poisson)), 1
 
 
 def run_pyamg(problem: Problem, iterations: int, tuned: bool) -> tuple[Field, int]:
@@ -181,20 +181,6 @@ def measure(name: str, size: int, repeats: int, reference: Path) -> Measured:
     return Measured(**json.loads(done.stdout.splitlines()[-1]))
 
 
-def peak_megabytes(begin: bool = False) -> float:
-    """Peak memory of this process since the last call with `begin`, and of its programs."""
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    status = Path("/proc/self/status")
-    if status.exists():  # Linux can forget the peak so far; elsewhere it counts from the start
-        if begin:
-            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-        lines = status.read_text(encoding="ascii").splitlines()
-        own = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
-    elif sys.platform == "darwin":
-        own /= 1024
-    return own
-
-
 def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
     """Measure here."""
     _, run = SOLVERS[name]
@@ -218,7 +204,7 @@ def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
     seconds = seconds[-repeats:]
     added = peak_megabytes() - before
     if name == "calculix":
-        added = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+        added = peak_of_programs()
     off = float(np.abs(field - reference)[problem.tissue].max())
     return Measured(statistics.median(seconds), added, off, taken)
 

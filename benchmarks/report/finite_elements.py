@@ -79,12 +79,12 @@ def _compare(page: Section, settings: Settings, name: str, problem: Problem) -> 
     off = rmsd(elastic, direct, problem.tissue)
     page.targets.append(Target(f"{name}, elastic to direct: RMSD in px", off, SAME_ENERGY))
     if calculix.is_there():
-        book = calculix.textbook_plane_stress(problem, POISSON).displacement
+        book = calculix.textbook_plane_stress(problem, POISSON)
         fields["CalculiX, textbook plane stress"] = book
         off = rmsd(elastic, book, problem.tissue)
         page.targets.append(Target(f"{name}, elastic to CalculiX: RMSD in px", off, OTHER_PROGRAM))
         for element in ("CPS4", "CPS4R", "CPS3"):
-            field = calculix.solve(problem, element, POISSON).displacement
+            field = calculix.solve(problem, element, POISSON)
             fields[f"CalculiX, {element}"] = field
     _figure_4(page, settings, name, problem, fields, truth)
     _figure_5(page, settings, name, problem, {"elastic": elastic, "paper's prior": paper}, truth)

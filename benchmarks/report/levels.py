@@ -14,7 +14,7 @@ from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom
 from napari_hmrf.backends import compute_thread, open_backend
 from napari_hmrf.hierarchy import levels, nearest_pixels
 from report.page import Section, Settings
-from report.pictures import new_figure, save
+from report.pictures import COLOURS, new_figure, save
 
 #: Within how many pixels (root mean square) of its converged field an image is to come.
 WITHIN = 0.01
@@ -157,10 +157,11 @@ def section(settings: Settings) -> Section:
         (left, sweeps, "ICM: sweeps (in sweeps over the image)"),
         (right, cycles, "Multigrid: cycles"),
     ):
-        axes.semilogy(list(found), list(found.values()), "o-", color="#0b7285")
+        axes.plot(list(found), list(found.values()), "o-", color=COLOURS[0])
+        axes.set_ylim(bottom=0)
         axes.set_xlabel("levels in use")
         axes.set_title(title)
-        axes.grid(alpha=0.3, which="both")
+        axes.grid(alpha=0.3)
     page.picture(save(figure, settings, "levels"), "iterations needed against number of levels")
     least = min(sweeps, key=lambda count: sweeps[count])
     page.table(

@@ -97,11 +97,11 @@ def best_annealed(lengths: Sequence[int], *problem: Any) -> Curve:
 
 
 def timed(name: str, energy: Callable[[Solution], float], runs: list[Callable[[], Solution]]):
-    """A curve whose points are whole solves, each from zero; the shorter of three times."""
+    """A curve whose points are whole solves, each from zero; the shortest of several times."""
     curve = Curve(name)
     for run in runs:
         times = []
-        for _ in range(4):
+        for _ in range(8):
             started = time.perf_counter()
             solution = run()
             times.append(time.perf_counter() - started)
@@ -129,6 +129,12 @@ def paper_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     curves = [best_annealed(lengths, matrix, load, truth[free], minimum)]
     counts = [1, 3, 10, 30, 100, 300, 1000, 3000, 10_000]
     curves.append(timed("ICM through the levels", excess, [icm(count) for count in counts]))
+
+    def cycles(tolerance: float) -> Callable[[], Solution]:
+        return lambda: solve(problem, prior, Multigrid(tolerance), backend="cpu")
+
+    runs = [cycles(10.0**-k) for k in (0, 1, 2, 3, 4)]
+    curves.append(timed("Multigrid", excess, runs))
     return curves
 
 
