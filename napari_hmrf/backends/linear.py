@@ -39,6 +39,13 @@ class LinearLevel(Protocol):
         """
         ...
 
+    #: Whether `finish` visits all coarser levels, too.
+    takes_rest: bool
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Find a correction for the load with `coarsest` steps, from zero."""
+        ...
+
     def ascend(self, steps: Steps, coarse: Any) -> None:
         """Add the correction of the next coarser level, interpolated, and smooth."""
         ...

@@ -44,6 +44,8 @@ class Cycle:
 
     def __init__(self, model: LinearModel, smoothing: Smoothing = STRETCHING) -> None:
         self.levels = model.levels
+        rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
+        self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
@@ -68,11 +70,11 @@ class Cycle:
     def run(self, load: Any) -> Any:
         """Return the correction for a load on the finest level; valid until the next run."""
         self.levels[0].load = load
-        *upper, last = self.levels
-        for level, coarse in zip(upper, self.levels[1:], strict=True):
+        *upper, last = self._visited
+        for level, coarse in zip(upper, self._visited[1:], strict=True):
             level.descend(self._steps, coarse)
-        last.descend(self._coarsest, None)
-        for level, coarse in zip(reversed(upper), reversed(self.levels[1:]), strict=True):
+        last.finish(self._steps, self._coarsest)
+        for level, coarse in zip(reversed(upper), reversed(self._visited[1:]), strict=True):
             level.ascend(self._steps, coarse)
         return self.levels[0].correction
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +18,7 @@ from napari_hmrf.priors.elastic import ElasticMaterial
 # A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
 # kernels that a large one does, so that a rehearsal compiles them.
 _SMALL = 8000
+_LARGE = 2
 
 
 @lru_cache(maxsize=16)
@@ -48,13 +50,20 @@ class CpuElasticLevel(CpuLevel):
         Where each row's moving sites begin and end.
     """
 
-    def __init__(self, grid: tuple[int, ...], shape: Vector, number: int) -> None:
-        super().__init__(grid)
-        self.shape = shape
-        self._small = number > 1 and grid[0] * grid[1] < _SMALL
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        shape: Vector,
+        finest: bool,
+        spans: npt.NDArray[np.int64],
+        memory: Iterator[Vector] | None = None,
+    ) -> None:
+        super().__init__(grid, memory)
+        self.shape, self.spans = shape, spans
         self.lame, self.pins = self.vector(), self.vector()
-        self.weight = None if number == 0 else self.vector()
-        self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
+        self.weight = None if finest else self.vector()
+        self._memory = None
+        self.together: _SmallLevels | None = None
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
@@ -84,46 +93,17 @@ class CpuElasticLevel(CpuLevel):
             for vector in (self.correction, self._other, self._rest):
                 vector.fill(0)
 
-    def descend(self, steps: Steps, coarse: CpuElasticLevel | None) -> None:
-        """Relax from zero, and hand what is left of the load down."""
-        if not self._small:
-            super().descend(steps, coarse)
-            return
-        small.descend(
-            _paces(steps, from_zero=True),
-            self.load,
-            self.lame,
-            self.inverse,
-            self.weight,
-            self.shape,
-            self.spans,
-            self.correction,
-            self._other,
-            self._rest,
-            None if coarse is None else coarse.load,
-        )
-        if len(steps) % 2 == 0:
-            self.correction, self._other = self._other, self.correction
+    @property
+    def spare_correction(self) -> Vector:
+        """Where `relax` writes, in turn with `correction`."""
+        return self._other
 
-    def ascend(self, steps: Steps, coarse: CpuElasticLevel) -> None:
-        """Add the coarse correction, and relax."""
-        if not self._small:
-            super().ascend(steps, coarse)
-            return
-        small.ascend(
-            _paces(steps, from_zero=False),
-            coarse.correction,
-            self.load,
-            self.lame,
-            self.inverse,
-            self.weight,
-            self.shape,
-            self.spans,
-            self.correction,
-            self._other,
-        )
-        if len(steps) % 2 == 1:
-            self.correction, self._other = self._other, self.correction
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Find the correction with all coarser levels, or as the coarsest."""
+        if self.together is None:
+            super().finish(steps, coarsest)
+        else:
+            self.correction = self.together.cycle(steps, coarsest)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -164,6 +144,51 @@ class CpuElasticLevel(CpuLevel):
         return float(self._rows.sum())
 
 
+class _SmallLevels:
+    """The memory of levels that are visited in one go, and that visit.
+
+    Parameters
+    ----------
+    grids : list of tuple of int
+        Of the levels, finest first.
+    shape : ndarray
+    """
+
+    def __init__(self, grids: list[tuple[int, ...]], shape: Vector) -> None:
+        sizes = [2 * (height + 4) * (width + 4) for height, width in grids]
+        starts = np.cumsum([0, *(small.ARRAYS * size for size in sizes)])
+        rows = np.cumsum([0, *(height for height, _ in grids)])
+        self._values = np.zeros(starts[-1], dtype=np.float32)
+        self._spans = np.zeros((rows[-1], 2), dtype=np.int64)
+        self._table = np.array(
+            [(*grid, start, row) for grid, start, row in zip(grids, starts, rows, strict=False)]
+        )
+        self._shape = shape
+        self.levels = []
+        for grid, start, row, size in zip(grids, starts, rows, sizes, strict=False):
+            arrays = self._values[start : start + small.ARRAYS * size]
+            memory = iter(arrays.reshape(small.ARRAYS, 2, grid[0] + 4, grid[1] + 4))
+            spans = self._spans[row : row + grid[0]]
+            self.levels.append(CpuElasticLevel(grid, shape, False, spans, memory))
+        first = self.levels[0]
+        self._pair = first.correction, first.spare_correction
+        first.together, first.takes_rest = self, True
+
+    def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
+        """Return the first level's correction for its load."""
+        small.cycle(
+            self._values,
+            self._spans,
+            self._table,
+            self._shape,
+            _paces(steps, from_zero=True),
+            _paces(steps, from_zero=False),
+            _paces(coarsest, from_zero=True),
+        )
+        number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
+        return self._pair[0 if number % 2 == 1 else 1]
+
+
 class CpuElasticModel:
     """`LinearModel` of elastic tissue; other backends take their levels from it.
 
@@ -174,10 +199,15 @@ class CpuElasticModel:
 
     def __init__(self, material: ElasticMaterial) -> None:
         self._shape = np.array(material.shape, dtype=np.float32)
+        every = grids(material.m.shape)
+        few = next((k for k, (height, width) in enumerate(every) if height * width < _SMALL), 0)
+        large, little = every[: max(few, _LARGE)], every[max(few, _LARGE) :]
         self.levels = [
-            CpuElasticLevel(grid, self._shape, number)
-            for number, grid in enumerate(grids(material.m.shape))
+            CpuElasticLevel(grid, self._shape, number == 0, np.zeros((grid[0], 2), dtype=np.int64))
+            for number, grid in enumerate(large)
         ]
+        if little:
+            self.levels += _SmallLevels(little, self._shape).levels
         self._exact_lame, self._exact_rest, self._exact_pull = (
             np.zeros(self.levels[0].lame.shape) for _ in range(3)
         )

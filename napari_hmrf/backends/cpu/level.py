@@ -5,6 +5,7 @@ A scalar is a plain number here: the processor is the host.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, Self
 
@@ -25,6 +26,8 @@ class CpuLevel:
     ----------
     grid : tuple of int
         Its sites, (H, W).
+    memory : iterator, optional
+        Where its first vectors lie; by default in memory of their own.
 
     Attributes
     ----------
@@ -32,8 +35,12 @@ class CpuLevel:
         Of the diagonal; 0 where a component does not move.
     """
 
-    def __init__(self, grid: tuple[int, ...]) -> None:
+    #: Whether `finish` visits all coarser levels, too.
+    takes_rest: bool = False
+
+    def __init__(self, grid: tuple[int, ...], memory: Iterator[Vector] | None = None) -> None:
         self.grid = grid
+        self._memory = memory
         self._spare: list[Vector] = []
         self.inverse = self.vector()
         self.load, self.correction, self._other, self._rest = (self.vector() for _ in range(4))
@@ -63,6 +70,10 @@ class CpuLevel:
             self._leave()
             vectors.restrict(self._rest, coarse.load)
 
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Relax from zero as the coarsest level."""
+        self.descend(coarsest, None)
+
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the coarse correction, and relax."""
         vectors.interpolate(coarse.correction, self.correction, self.inverse)
@@ -83,6 +94,8 @@ class CpuLevel:
         """Return zeros, or these planes."""
         if values is not None:
             return values
+        if self._memory is not None:
+            return next(self._memory)
         if not self._spare:
             return padded(2, self.grid)
         vector = self._spare.pop()

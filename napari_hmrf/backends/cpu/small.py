@@ -1,6 +1,7 @@
-"""Whole visits of the V-cycle to a small level, by one thread: waking the others costs more.
+"""The small levels of the V-cycle, all in one go and by one thread.
 
-The loops are those of `elastic` and `vectors`, compiled once more without threads.
+Waking the other threads, and calling kernels one by one, costs more than such levels do. The loops
+are those of `elastic` and `vectors`, compiled once more without threads.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -11,7 +12,10 @@ import numba
 from napari_hmrf.backends.cpu import elastic, vectors
 
 _alone = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})
-_visit = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+# A level's arrays, in this order.
+INVERSE, LOAD, CORRECTION, OTHER, REST, LAME, PINS, WEIGHT = range(8)
+ARRAYS = 8
 
 _start = _alone(vectors.start.py_func)
 _restrict = _alone(vectors.restrict.py_func)
@@ -20,28 +24,67 @@ _smooth = _alone(elastic.smooth.py_func)
 _residual = _alone(elastic.residual.py_func)
 
 
-@_visit
-def descend(steps, load, lame, inverse, weight, shape, spans, even, odd, rest, coarse_load):
-    """Relax from zero in `even` and `odd`, and hand what is left to `coarse_load`, if not None.
+@_alone
+def _plane(values, table, k, number):
+    """Array `number` of level k, (2, H + 4, W + 4)."""
+    height, width, first = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
+    size = 2 * height * width
+    return values[first + number * size : first + (number + 1) * size].reshape((2, height, width))
 
-    A row of `steps` has the scale of a step, and how far ahead and back it goes.
+
+@_alone
+def _relax(values, spans, table, shape, k, steps, begun, turned):
+    """Steps of smoothing on level k; whether the correction is in the other array after them."""
+    inverse, load, lame, weight = (
+        _plane(values, table, k, INVERSE),
+        _plane(values, table, k, LOAD),
+        _plane(values, table, k, LAME),
+        _plane(values, table, k, WEIGHT),
+    )
+    here = spans[table[k, 3] : table[k, 3] + table[k, 0]]
+    for number in range(begun, len(steps)):
+        d = _plane(values, table, k, OTHER if turned else CORRECTION)
+        out = _plane(values, table, k, CORRECTION if turned else OTHER)
+        scale, ahead, back = steps[number, 0], steps[number, 1], steps[number, 2]
+        _smooth(d, load, lame, inverse, weight, shape, here, out, scale, ahead, back)
+        turned = not turned
+    return turned
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def cycle(values, spans, table, shape, down, up, coarsest):
+    """A V-cycle over levels, finest first, for the load of the first.
+
+    `values` has the arrays of one level after the other, each level's in the order of the numbers
+    above; a row of `table` has a level's height and width, where its arrays begin, and where its
+    rows begin in `spans`. A row of steps has a step's scale, and how far ahead and back it goes.
+    The correction of a level is in `CORRECTION` after an odd number of steps down and up, else in
+    `OTHER`.
     """
-    _start(load, inverse, even, steps[0, 0])
-    for k in range(1, len(steps)):
-        d, out = (even, odd) if k % 2 == 1 else (odd, even)
-        scale, ahead, back = steps[k, 0], steps[k, 1], steps[k, 2]
-        _smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back)
-    if coarse_load is not None:
-        last = even if len(steps) % 2 == 1 else odd
-        _residual(last, load, lame, inverse, weight, shape, spans, rest)
-        _restrict(rest, coarse_load)
-
-
-@_visit
-def ascend(steps, coarse, load, lame, inverse, weight, shape, spans, even, odd):
-    """Add the coarse correction to `even` and relax, in `even` and `odd`."""
-    _interpolate(coarse, even, inverse)
-    for k in range(len(steps)):
-        d, out = (even, odd) if k % 2 == 0 else (odd, even)
-        scale, ahead, back = steps[k, 0], steps[k, 1], steps[k, 2]
-        _smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back)
+    last = len(table) - 1
+    for k in range(last + 1):
+        steps = coarsest if k == last else down
+        load, inverse = _plane(values, table, k, LOAD), _plane(values, table, k, INVERSE)
+        _start(load, inverse, _plane(values, table, k, CORRECTION), steps[0, 0])
+        turned = _relax(values, spans, table, shape, k, steps, 1, False)
+        if k < last:
+            rest = _plane(values, table, k, REST)
+            _residual(
+                _plane(values, table, k, OTHER if turned else CORRECTION),
+                load,
+                _plane(values, table, k, LAME),
+                inverse,
+                _plane(values, table, k, WEIGHT),
+                shape,
+                spans[table[k, 3] : table[k, 3] + table[k, 0]],
+                rest,
+            )
+            _restrict(rest, _plane(values, table, k + 1, LOAD))
+    for back in range(last):
+        k = last - 1 - back
+        below = (len(coarsest) if back == 0 else len(down) + len(up)) % 2 == 1
+        coarse = _plane(values, table, k + 1, CORRECTION if below else OTHER)
+        turned = len(down) % 2 == 0
+        d = _plane(values, table, k, OTHER if turned else CORRECTION)
+        _interpolate(coarse, d, _plane(values, table, k, INVERSE))
+        _relax(values, spans, table, shape, k, up, 0, turned)

@@ -61,6 +61,13 @@ class GLElasticLevel(GLLevel):
             self._springs.write(stored_planes(np.asarray(self._host.weight)))
         self._matrices.clear()
 
+    #: Each level is visited by itself.
+    takes_rest = False
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Relax from zero as the coarsest level."""
+        self.descend(coarsest, None)
+
     def descend(self, steps: Steps, coarse: GLElasticLevel | None) -> None:
         """Relax from zero, and hand what is left of the load down."""
         (first, _), (scale, momentum), *others = (*steps, _NO_STEP)[: max(2, len(steps))]
