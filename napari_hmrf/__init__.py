@@ -34,6 +34,7 @@ from napari_hmrf.resample import resample
 from napari_hmrf.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solve import solve
 from napari_hmrf.warp import inverse_map, warp
+from napari_hmrf.warper import Picture, Warper
 
 __version__ = "0.1.0"
 
@@ -50,11 +51,13 @@ __all__ = [
     "Monitor",
     "Multigrid",
     "Phantom",
+    "Picture",
     "Problem",
     "ProblemError",
     "Provenance",
     "SeilerPrior",
     "Solution",
+    "Warper",
     "__version__",
     "arrows",
     "count_folds",

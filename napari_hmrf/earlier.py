@@ -10,8 +10,6 @@ from napari_hmrf.solution import Solution
 #: How many are kept. Each costs a pass over the image; a patch that is dragged about has two
 #: directions, and with the place it set out from that makes three.
 KEPT = 4
-# What a site takes from nothing, on two cores.
-_SITE_SECONDS = 2e-7
 
 
 class Earlier:
@@ -24,24 +22,19 @@ class Earlier:
     ----------
     solutions : list of Solution
         Newest first.
-    seconds : float
-        How long the next solve may take: as long as the last, or as its size says.
     """
 
     def __init__(self) -> None:
         self.solutions: list[Solution] = []
-        self.seconds = 0.0
         self._newest: Problem | None = None
         self._of: tuple[object, ...] = ()
 
-    def look_at(self, problem: Problem, series: object) -> float:
-        """Forget all that is of another grid or another series; how long a solve may take now."""
+    def look_at(self, problem: Problem, series: object) -> None:
+        """Forget all that is of another grid or another series."""
         of = (problem.shape, problem.spacing, series)
         if of != self._of:
             self._of = of
             self.solutions, self._newest = [], None
-            self.seconds = problem.m.size * _SITE_SECONDS
-        return self.seconds
 
     def add(self, problem: Problem, solution: Solution) -> None:
         """Keep this; instead of the newest one, if the same was observed there."""

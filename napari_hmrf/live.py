@@ -24,10 +24,12 @@ from napari_hmrf.solve import CancelFlag, Progress, run_here
 
 #: How close to the converged field a live solution is, in pixels: less than can be seen.
 TOLERANCE = 0.01
-#: How close a first glance is that is shown where the solution takes longer than `PATIENCE`.
+#: How close a first glance is, in pixels.
 GLANCE = 0.3
-#: Seconds of a solve above which a glance is shown first.
+#: Where the first solution takes longer than so many seconds, a glance is shown before it.
 PATIENCE = 0.1
+# What a site takes from nothing, on two cores.
+_SITE_SECONDS = 2e-7
 
 _log = logging.getLogger("napari_hmrf")
 
@@ -222,21 +224,14 @@ class LiveSolver:
         try:
             made = request.problem() if callable(request.problem) else request.problem
             problem, prior = made if isinstance(made, tuple) else (made, request.prior)
-            earlier, optimizer = self._earlier, self._optimizer
+            self._earlier.look_at(problem, request.dropped)
+            optimizer = self._optimizer
             stop: CancelFlag = request.dropped
-            seconds = earlier.look_at(problem, request.dropped)
-            if seconds > PATIENCE and isinstance(optimizer, Multigrid):
-                solution, seconds = self._solve(
-                    problem, prior, replace(optimizer, tolerance=GLANCE), stop
-                )
-                reached = solution.convergence
-                if reached is not None and reached.error <= optimizer.tolerance:
-                    # No more would have been needed: the next edit can do without a glance.
-                    earlier.seconds = seconds
-                self._say(request, problem, solution, final=False)
+            if self._takes_long(problem) and isinstance(optimizer, Multigrid):
+                glance = replace(optimizer, tolerance=GLANCE)
+                self._say(request, problem, self._solve(problem, prior, glance, stop), final=False)
                 stop = _Overtaken(self, request)
-            solution, earlier.seconds = self._solve(problem, prior, optimizer, stop)
-            self._say(request, problem, solution)
+            self._say(request, problem, self._solve(problem, prior, optimizer, stop))
         except Cancelled:
             return
         except Exception as error:  # noqa: BLE001 - whoever edits hears of it, whatever it is
@@ -244,16 +239,22 @@ class LiveSolver:
                 _log.exception("a live solve failed")
             self._say(request, problem, error=error)
 
+    def _takes_long(self, problem: Problem) -> bool:
+        """Whether this is the first look at some tissue, and a large one.
+
+        With something to begin with, a glance costs nearly as much as the solution, and what comes
+        after it has less to begin with.
+        """
+        return not self._earlier.solutions and problem.m.size * _SITE_SECONDS > PATIENCE
+
     def _solve(
         self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag
-    ) -> tuple[Solution, float]:
-        """Solve from what is known, and know it; how long it took, without compiling."""
-        begun = time.perf_counter()
+    ) -> Solution:
+        """Solve from what is known, and know it."""
         start = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
         solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, start)
         self._earlier.add(problem, solution)
-        took = time.perf_counter() - begun
-        return solution, took - solution.provenance.preparation_seconds
+        return solution
 
     def _say(
         self,

@@ -1,0 +1,145 @@
+"""How many times a second the tissue follows a patch that is dragged, without a window.
+
+    python benchmarks/live.py [size ...]
+
+A hand moves a patch of tissue about for some seconds, as often as a screen is redrawn. Printed are
+the updates of the picture each second, the time from a movement to its picture, and what each stage
+of an update costs: drawing the arrow into the observations, checking the problem, solving it, and
+moving the picture. Two more lines are what a slider costs, which only moves the picture, and how
+long the first picture takes.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf import ElasticPrior, LiveSolver, Problem, phantom
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.drawing import Arrow, Canvas, Drawing, Rendering
+from napari_hmrf.live import Update
+from napari_hmrf.warper import Warper
+
+#: Updates a second that are asked for on two quiet cores.
+GOALS = {300: 20, 1200: 5}
+SIZES = (300, 600, 1200)
+STAGES = ("draw", "check", "solve", "warp")
+_SECONDS = 4.0
+_EVENTS = 60.0
+_TURN = 2.0  # seconds in which the hand comes round
+
+
+class Drag:
+    """A patch of the brain's picture, in colours, that is held by the mouse."""
+
+    def __init__(self, size: int) -> None:
+        drawn = phantom("mass-effect", size)
+        self.problem = drawn.problem
+        self._size = size
+        self._rendering = Rendering(Canvas(self.problem.y.copy(), self.problem.c.copy()))
+        self._warper = Warper(np.stack([drawn.image] * 3, axis=-1))
+        self.costs: dict[str, list[float]] = {stage: [] for stage in STAGES}
+        self.shown: list[Update] = []
+        self.late: list[float] = []
+        self._moved: dict[int, float] = {}
+        self.live = LiveSolver(self._show, ElasticPrior())
+
+    def move(self, seconds: float) -> None:
+        """The mouse has moved: where it is after so many seconds."""
+        angle = 2 * math.pi * seconds / _TURN
+        reach = 0.03 * self._size
+        by = (reach * math.sin(angle), reach * (1 - math.cos(angle)))
+        arrow = Arrow((0.5 * self._size, 0.3 * self._size), by, 0.04 * self._size)
+        now = time.perf_counter()
+        self._moved[self.live.submit(lambda: self._read(Drawing((arrow,))))] = now
+
+    def _read(self, drawing: Drawing) -> Problem:
+        self._timed("draw", lambda: self._rendering.show(drawing))
+        canvas = self._rendering.canvas
+        made: Problem = self._timed("check", lambda: Problem(canvas.y, canvas.c, self.problem.m))
+        return made
+
+    def _show(self, update: Update) -> None:
+        if update.solution is None:
+            raise SystemExit(f"the benchmark's own problem was refused: {update.error}")
+        solution = update.solution
+        self.costs["solve"].append(solution.provenance.seconds)
+        self._timed("warp", lambda: self._warper(solution.displacement, solution.tissue))
+        self.shown.append(update)
+        self.late.append(time.perf_counter() - self._moved[update.number])
+
+    def slide(self) -> float:
+        """Show half of the last deformation, as a slider does; how long that takes."""
+        solution = self.shown[-1].solution
+        assert solution is not None
+
+        def half() -> float:
+            begun = time.perf_counter()
+            self._warper(solution.displacement, solution.tissue, 0.5)
+            return time.perf_counter() - begun
+
+        return min(compute_thread.submit(half).result() for _ in range(5))
+
+    def _timed(self, stage: str, job: Callable[[], Any]) -> Any:
+        begun = time.perf_counter()
+        result = job()
+        self.costs[stage].append(time.perf_counter() - begun)
+        return result
+
+
+def measure(size: int) -> str:
+    """Drag for some seconds; what is to be printed."""
+    drag = Drag(size)
+    for angle in (0.0, 0.1):  # kernels are compiled and loaded before the clock starts
+        drag.move(angle)
+        drag.live.wait()
+    drag.live.forget()
+    drag.move(0.0)
+    drag.live.wait()
+    first = drag.late[-1]
+    for kept in (drag.shown, drag.late, *drag.costs.values()):
+        kept.clear()
+    events, begun = 0, time.perf_counter()
+    pause = threading.Event()
+    while (now := time.perf_counter() - begun) < _SECONDS:
+        drag.move(now)
+        events += 1
+        pause.wait(max(0.0, events / _EVENTS - (time.perf_counter() - begun)))
+    drag.live.wait()
+    seconds = time.perf_counter() - begun
+    rate, goal = len(drag.shown) / seconds, GOALS.get(size)
+    asked = f" (asked for: {goal})" if goal else ""
+    cycles = [update.solution.iterations for update in drag.shown if update.solution]
+    lines = [
+        f"{size} x {size}: {rate:.1f} updates a second{asked} of {events / seconds:.0f} movements",
+        f"    {np.mean(cycles):.1f} cycles each",
+        f"    from movement to picture: {_spread(drag.late)}",
+        *(f"    {stage:6}{_spread(costs)}" for stage, costs in drag.costs.items()),
+        f"    slider: {1e3 * drag.slide():.1f} ms, first picture: {1e3 * first:.0f} ms",
+    ]
+    drag.live.close()
+    return "\n".join(lines)
+
+
+def _spread(seconds: list[float]) -> str:
+    low, middle, high = 1e3 * np.percentile(seconds, (0, 50, 95))
+    return f"median {middle:6.1f} ms, least {low:6.1f}, 95 % below {high:6.1f}"
+
+
+def main(arguments: list[str]) -> int:
+    """Print the figures of each size; whether the goals were met."""
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before")
+    for size in [int(size) for size in arguments] or SIZES:
+        print(measure(size), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
