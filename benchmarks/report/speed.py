@@ -108,11 +108,10 @@ def speed_targets(results: Results, sizes: Sequence[int]) -> list[Target]:
     """Times as fast, iterations per size, and growth with the number of sites."""
     targets = []
     for (backend, other, size), bound in BOUNDS.items():
-        for name in (other, f"{other}-tuned"):
-            if (backend, size) in results and (name, size) in results:
-                gain = results[name, size].seconds / results[backend, size].seconds
-                claim = f"{backend}: times faster than {SOLVERS[name][0]} at {size}"
-                targets.append(Target(claim, gain, bound, at_least=True))
+        if (backend, size) in results and (other, size) in results:
+            gain = results[other, size].seconds / results[backend, size].seconds
+            claim = f"{backend}: times faster than {SOLVERS[other][0]} at {size}"
+            targets.append(Target(claim, gain, bound, at_least=True))
     large = [size for size in sizes if size >= 300]
     for backend in ("cpu", "opengl"):
         runs = [results[backend, size] for size in large if (backend, size) in results]
