@@ -125,6 +125,7 @@ def deformation_grid(
     spacing: Sequence[float] = (1.0, 1.0),
     every: int = 10,
     tissue: npt.ArrayLike | None = None,
+    pieces: int = 5,
 ) -> FloatArray:
     """Draw a square grid that has moved with the tissue (figure 4).
 
@@ -134,6 +135,9 @@ def deformation_grid(
         As in `jacobian_determinant`; lines are drawn in tissue only.
     every : int
         Pixels between two lines.
+    pieces : int
+        Straight pieces of a line between two crossings, where there are pixels enough: fewer are
+        quicker to draw.
 
     Returns
     -------
@@ -148,8 +152,9 @@ def deformation_grid(
     if every != int(every) or every < 1:
         raise ProblemError("every", f"is {every!r}. Give a whole number of pixels, at least 1.")
     moved, mask = moved_sites(displacement, spacing, tissue)
-    along_cols = _lines(moved, mask, int(every))
-    along_rows = _lines(moved.swapaxes(0, 1), mask.T, int(every))
+    step = max(1, int(every) // pieces)
+    along_cols = _lines(moved, mask, int(every), step)
+    along_rows = _lines(moved.swapaxes(0, 1), mask.T, int(every), step)
     return np.concatenate([along_cols, along_rows]).astype(np.float32)
 
 
@@ -256,11 +261,10 @@ def one_sided_differences(
     return [following, previous]
 
 
-def _lines(moved: Float64Array, mask: BoolArray, every: int) -> Float64Array:
+def _lines(moved: Float64Array, mask: BoolArray, every: int, step: int) -> Float64Array:
     """Every so many-th line along the second axis, as segments, where it runs in tissue."""
     lines = slice((len(moved) - 1) % every // 2, None, every)
-    # Segments span a few sites, still far shorter than a mesh: a fifth as many to draw.
-    step = max(1, every // 5)
+    # Segments span a few sites, still far shorter than a mesh: fewer to draw.
     place, there = moved[lines], mask[lines]
     size = place.shape[1]
     stops = np.unique(np.append(np.arange(0, size, step), size - 1))

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import arrows, deformation_grid
+from napari_hmrf.deformation import arrows, deformation_grid, jacobian_determinant, magnitude
 from napari_hmrf.models import is_multigrid
 from napari_hmrf.problem import Problem
+from napari_hmrf.quantities import equivalent_strain, folds, green_lagrange_strain
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import warp
 
@@ -30,6 +31,10 @@ GRID_LINES = 50
 _ARROW_COLOUR = "#e8590c"
 _FIXED_COLOUR = "#4dabf7"
 _GRID_COLOUR = "#0b7285"
+#: As in the viewer: no kind of colour blindness confuses them.
+_DIVERGING = "PuOr_r"
+_RISING = "magma"
+_FOLD_COLOUR = "#ffee00"
 
 
 def save_pictures(
@@ -59,6 +64,45 @@ def save_pictures(
         "grid": grid_picture(solution),
         "energy": energy_picture(solution),
     }
+    written = []
+    for name, figure in figures.items():
+        path = folder / f"{name}.png"
+        figure.savefig(path, dpi=150)
+        written.append(path)
+    return written
+
+
+def save_result_pictures(
+    folder: Path, solution: Solution, image: npt.ArrayLike | None = None, unit: str = "px"
+) -> list[Path]:
+    """Draw a result into PNG files, of which no problem has to be at hand.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist; files of the same names are replaced.
+    solution : Solution
+    image : array_like, shape (H, W) or (H, W, 3 or 4), optional
+        What the tissue looks like before it moves.
+    unit : str
+        Of the displacement and of spacing.
+
+    Returns
+    -------
+    list of Path
+        What was written: displacement and warped (with an image), grid, magnitude, jacobian,
+        strain, energy.
+    """
+    figures: dict[str, Figure] = {}
+    if image is not None:
+        picture = np.asarray(image)
+        figures["displacement"] = displacement_picture(picture, solution)
+        figures["warped"] = warped_picture(picture, solution)
+    figures["grid"] = grid_picture(solution)
+    figures["magnitude"] = magnitude_picture(solution, unit)
+    figures["jacobian"] = jacobian_picture(solution)
+    figures["strain"] = strain_picture(solution)
+    figures["energy"] = energy_picture(solution)
     written = []
     for name, figure in figures.items():
         path = folder / f"{name}.png"
@@ -116,6 +160,35 @@ def grid_picture(solution: Solution) -> Figure:
     return figure
 
 
+def magnitude_picture(solution: Solution, unit: str = "px") -> Figure:
+    """Draw how far the tissue goes, where it was before it moved."""
+    length = np.where(solution.tissue, magnitude(solution.displacement), np.nan)
+    return _map(solution, length, f"displacement / {unit}", _RISING)
+
+
+def jacobian_picture(solution: Solution) -> Figure:
+    """Draw by which factor the area of the tissue changes; folds (0 or below) are yellow."""
+    field = (solution.displacement, solution.spacing, solution.tissue)
+    change = jacobian_determinant(*field)
+    folded = folds(*field)
+    reach = 1.0 if folded.any() else float(np.nanmax(np.abs(change - 1), initial=1e-3))
+    reach = min(1.0, reach)
+    figure = _map(solution, change, "area ratio (Jacobian)", _DIVERGING, 1 - reach, 1 + reach)
+    if folded.any():
+        from matplotlib.colors import ListedColormap
+
+        marked = np.where(folded, 1.0, np.nan)
+        axes = figure.axes[0]
+        axes.imshow(marked, cmap=ListedColormap([_FOLD_COLOUR]), aspect=axes.get_aspect())
+    return figure
+
+
+def strain_picture(solution: Solution) -> Figure:
+    """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
+    strain = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
+    return _map(solution, equivalent_strain(strain), "equivalent strain (ratio)", _RISING)
+
+
 def energy_picture(solution: Solution) -> Figure:
     """Draw the mean energy after each iteration, coarse to fine, with the level boundaries."""
     from matplotlib.figure import Figure
@@ -143,6 +216,23 @@ def energy_picture(solution: Solution) -> Figure:
     words = "cycle over all levels" if cycles else "iteration (number of the scale level on top)"
     axes.set_xlabel(words)
     axes.set_ylabel("mean energy per site / pixel²")
+    return figure
+
+
+def _map(
+    solution: Solution,
+    values: npt.NDArray[Any],
+    title: str,
+    colours: str,
+    low: float = 0.0,
+    high: float | None = None,
+) -> Figure:
+    """Draw one number per site as colours, with their scale; nothing where there is no tissue."""
+    figure, (axes,) = _figure(solution.spacing, title)
+    if high is None:
+        high = float(np.nanmax(values, initial=0.0)) or 1.0
+    shown = axes.imshow(values, cmap=colours, aspect=axes.get_aspect(), vmin=low, vmax=high)
+    figure.colorbar(shown, ax=axes, shrink=0.8)
     return figure
 
 

@@ -152,9 +152,11 @@ def test_napari_saves_and_opens_the_result(make_napari_viewer, arrows, tmp_path)
     np.testing.assert_array_equal(layer.data, arrows.data)
 
 
-def test_the_widget_is_in_the_menus():
+def test_the_widgets_are_in_the_menus():
     manifest = PluginManifest.from_distribution("napari-hmrf")
-    assert [item.command for item in manifest.contributions.menus["napari/layers/transform"]] == [
-        "napari-hmrf.deform"
-    ]
-    assert manifest.contributions.widgets[0].display_name == "Deform tissue"
+    menus = manifest.contributions.menus
+    assert "napari-hmrf.deform" in [item.command for item in menus["napari/layers/transform"]]
+    assert "napari-hmrf.look" in [item.command for item in menus["napari/layers/visualize"]]
+    names = [widget.display_name for widget in manifest.contributions.widgets]
+    assert names[0] == "Deform tissue"
+    assert "Look at the result" in names

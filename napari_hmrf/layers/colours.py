@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 #: Of the arrows that show what a boundary will do.
 PREVIEW = "magenta"
 #: Of the arrows of a result: seen on black, grey and white.
 ARROWS = "#ff6000"
+#: From less over no change to more: purple and orange, which no colour blindness confuses.
+DIVERGING = "PuOr_r"
+#: From nothing upwards: ever lighter, whatever the colour vision.
+RISING = "magma"
+#: Of folds among those: bright on dark purple, the colour of what is nearly folded.
+FOLDED = "#ffee00"
+#: From this part of their range on colours hide the image under them.
+_OPAQUE = 0.4
 #: Of boundary labels 1, 2, ...; napari's own would repeat the colours of the tissues.
 #: The first two, which hold and push in new layers, differ from the arrows on them.
 _BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")
@@ -25,3 +35,25 @@ def fold_colours() -> Any:
     from napari.utils.colormaps import DirectLabelColormap
 
     return DirectLabelColormap(color_dict={None: "transparent", 0: "transparent", 1: "red"})
+
+
+def quantity_colours(signed: bool, folds: bool = False) -> Any:
+    """The colormap of an Image layer of a quantity; what says nothing lets the image through.
+
+    Parameters
+    ----------
+    signed : bool
+        Whether no change is in the middle, and not at the lower end.
+    folds : bool
+        Whether what reaches the lower limit is folded.
+    """
+    from napari.utils.colormaps import Colormap, ensure_colormap
+    from napari.utils.colormaps.standardize_color import transform_color
+
+    name = DIVERGING if signed else RISING
+    part = np.linspace(0, 1, 256)
+    colours = np.array(ensure_colormap(name).map(part))
+    much = np.abs(2 * part - 1) if signed else part
+    colours[:, 3] = np.minimum(1, much / _OPAQUE)
+    low = transform_color(FOLDED)[0] if folds else None
+    return Colormap(colours, name=f"{name}, clear", low_color=low)

@@ -149,6 +149,31 @@ def result_layers(
     return Outputs(solution, layers, int(folded.sum()), overlaps, worst)
 
 
+def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[np.float32], float]:
+    """Pick about so many arrows of which none lies on another, and how thick they are drawn.
+
+    Returns
+    -------
+    segments : ndarray, shape (N, 2, 2), float32
+        Arrows as (start, direction), each (row, col) in pixels.
+    width : float
+        In pixels.
+    """
+    found = arrows(solution.displacement, solution.spacing, solution.tissue, about=about)
+    pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
+    chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
+    return found[chosen], pixels / 8
+
+
+def emptiness(picture: npt.NDArray[Any]) -> Any:
+    """What is seen where tissue has left: black, or the darkest there is (air in CT).
+
+    As Python's own number: a float cannot hold the largest integers.
+    """
+    finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
+    return 0 if picture.ndim == 3 or not finite.size else finite.min().item()
+
+
 class _Maker:
     """One method per kind of layer."""
 
@@ -185,11 +210,7 @@ class _Maker:
         picture = self._pictures.image
         if picture is None:
             return None
-        finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
-        # What tissue leaves behind is background: black, or the darkest there is (air in CT).
-        # As Python's own number: a float cannot hold the largest integers.
-        fill = 0 if picture.ndim == 3 or not finite.size else finite.min().item()
-        moved = resample(picture, *self._inverse, order=1, fill=fill)
+        moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
         return self._picture("image", moved, "deformed", self._pictures.look, rgb=moved.ndim == 3)
 
     def labels(self) -> LayerData | None:
@@ -233,12 +254,9 @@ class _Maker:
 
     def arrows(self) -> LayerData:
         """Where the tissue goes."""
-        solution = self._solution
-        found = arrows(*self._field, tissue=solution.tissue, about=ARROWS)
-        pixels = max(1.0, math.sqrt(solution.tissue.sum() / ARROWS))
-        chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
-        look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": pixels / 8}
-        return self._vectors("arrows", found[chosen], "arrows", look)
+        found, width = arrows_apart(self._solution)
+        look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": width}
+        return self._vectors("arrows", found, "arrows", look)
 
     @cached_property
     def _inverted(

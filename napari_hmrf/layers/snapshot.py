@@ -169,8 +169,8 @@ def copy_layers(request: Request) -> Snapshot:
             labels=taken[id(tissue)] if labelled else None,
             name=str(reference.name),
             labels_name=str(tissue.name),
-            look=_look(image),
-            labels_look=_look(tissue) if labelled else {},
+            look=look_of(image),
+            labels_look=look_of(tissue) if labelled else {},
             level=0 if any(_multiscale(layer) for layer in request.layers) else None,
         ),
         confidence=None if request.confidence is None else taken[id(request.confidence)],
@@ -198,7 +198,7 @@ def _refuse_unpainted(boundary: Any, own: Frame) -> None:
     )
 
 
-def _look(layer: Any) -> dict[str, Any]:
+def look_of(layer: Any) -> dict[str, Any]:
     """How an Image or Labels layer is drawn, as a new layer takes it."""
     if layer is None:
         return {}

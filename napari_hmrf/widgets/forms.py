@@ -31,7 +31,7 @@ class _FitHeight(QObject):
 
     def fit(self) -> None:
         words: Any = self.parent()
-        words.setMinimumHeight(words.heightForWidth(words.width()))
+        words.setMinimumHeight(max(0, words.heightForWidth(words.width())))  # -1: no words
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         if event.type() in (QEvent.Type.Resize, QEvent.Type.FontChange, QEvent.Type.StyleChange):

@@ -1,0 +1,95 @@
+"""A result on its way: image, labels and grid after any part of the deformation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.deformation import deformation_grid
+from napari_hmrf.layers.outputs import LINES, emptiness
+from napari_hmrf.solution import Solution
+from napari_hmrf.warp import inverse_map, resample
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What is seen at one moment; what was not asked for is None.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+    labels : ndarray of int, shape (H, W), optional
+    colours : ndarray of float, shape (H, W), optional
+    grid : ndarray, shape (N, 2, 2), optional
+        Segments as (start, direction), each (row, col) in pixels.
+    """
+
+    image: npt.NDArray[Any] | None = None
+    labels: npt.NDArray[Any] | None = None
+    colours: npt.NDArray[np.float32] | None = None
+    grid: npt.NDArray[np.float32] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """How much memory it takes."""
+        parts = (self.image, self.labels, self.colours, self.grid)
+        return sum(part.nbytes for part in parts if part is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A deformation between rest (0) and what was solved for (1): the tissue at X is at X + f d(X).
+
+    Attributes
+    ----------
+    solution : Solution
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+        Before it moves.
+    labels : ndarray of int, shape (H, W), optional
+        Before they move.
+    colours : ndarray of float, shape (H, W), optional
+        A quantity of the tissue before it moves, NaN where there is none.
+    grid : bool
+        Whether the deformation grid moves, too.
+    """
+
+    solution: Solution
+    image: npt.NDArray[Any] | None = None
+    labels: npt.NDArray[Any] | None = None
+    colours: npt.NDArray[np.float32] | None = None
+    grid: bool = False
+
+    def at(self, fraction: float) -> Moment:
+        """Move everything by a part of the displacement.
+
+        Parameters
+        ----------
+        fraction : float
+            From 0, nothing has moved, to 1, all has.
+
+        Returns
+        -------
+        Moment
+            At 1 exactly what the layers of the result show.
+        """
+        solution = self.solution
+        displacement = solution.displacement * np.float32(fraction)
+        field = (displacement, solution.spacing)
+        image, labels, colours, grid = self.image, self.labels, self.colours, None
+        if fraction and any(part is not None for part in (image, labels, colours)):
+            inverse = inverse_map(*field, solution.tissue)
+            if image is not None:
+                image = resample(image, *inverse, order=1, fill=emptiness(image))
+            if labels is not None:
+                labels = resample(labels, *inverse, order=0)
+            if colours is not None:
+                colours = resample(colours, *inverse, order=0, fill=np.nan)
+        if self.grid:
+            every = max(1, round(max(solution.tissue.shape) / LINES))
+            # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
+            pieces = 5 if fraction == 1 else 2
+            grid = deformation_grid(*field, every, solution.tissue, pieces)
+        return Moment(image, labels, colours, grid)

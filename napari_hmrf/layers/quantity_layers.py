@@ -1,0 +1,139 @@
+"""What a displacement does to the tissue, as colours: how far, area change, strain."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.deformation import smallest_determinant
+from napari_hmrf.layers.colours import quantity_colours
+from napari_hmrf.layers.found import FoundResult, facts_for
+from napari_hmrf.layers.outputs import LayerData
+from napari_hmrf.models import short_name
+from napari_hmrf.quantities import (
+    equivalent_strain,
+    green_lagrange_strain,
+    jacobian_determinant,
+    magnitude,
+    principal_strains,
+)
+
+Quantity = Literal[
+    "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
+]
+FloatArray = npt.NDArray[np.float32]
+
+
+class _Words(NamedTuple):
+    """What a quantity is called, and its unit; "" stands for that of the lengths."""
+
+    title: str
+    unit: str
+
+
+#: What there is to show; strains are Green-Lagrange's.
+QUANTITIES: dict[Quantity, _Words] = {
+    "magnitude": _Words("displacement", ""),
+    "jacobian": _Words("Jacobian", "area ratio"),
+    "equivalent": _Words("equivalent strain", "ratio"),
+    "stretch": _Words("largest stretch", "ratio"),
+    "squeeze": _Words("largest squeeze", "ratio"),
+    "rows": _Words("strain along rows' axis", "ratio"),
+    "columns": _Words("strain along columns' axis", "ratio"),
+    "shear": _Words("shear strain", "ratio"),
+}
+#: So many of a hundred pixels lie within the contrast limits; the others are a few at corners.
+_WITHIN = 99.0
+_SMALLEST = 1e-3
+
+
+def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
+    """Compute a quantity of a result.
+
+    Parameters
+    ----------
+    result : FoundResult
+    quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
+"shear"}
+        The strains are Green-Lagrange's: "stretch" and "squeeze" the principal ones.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        Of the tissue before it moved; NaN where there is none. Where tissue folds "jacobian" is the
+        smallest determinant around the site, so that it is 0 or below at all folds.
+    """
+    solution = result.solution
+    field = (solution.displacement, solution.spacing, solution.tissue)
+    if quantity == "magnitude":
+        return np.where(solution.tissue, magnitude(field[0]), np.float32(np.nan))
+    if quantity == "jacobian":
+        smallest = smallest_determinant(*field)
+        return np.where(smallest <= 0, smallest, jacobian_determinant(*field))
+    strain = green_lagrange_strain(*field)
+    if quantity == "equivalent":
+        return equivalent_strain(strain)
+    if quantity in ("stretch", "squeeze"):
+        return principal_strains(strain)[..., 0 if quantity == "stretch" else 1]
+    row, col = {"rows": (0, 0), "columns": (1, 1), "shear": (0, 1)}[quantity]
+    component: FloatArray = strain[..., row, col]
+    return component
+
+
+def quantity_layer(
+    result: FoundResult, quantity: Quantity, values: FloatArray | None = None
+) -> LayerData:
+    """Colour every pixel of tissue by a quantity of a result, before it moves.
+
+    What has two directions is drawn from purple (less) to orange (more), the rest from dark to
+    light, and where hardly anything happens the image is seen. Folds are yellow, which is the
+    colour of whatever is at the lower limit.
+
+    Parameters
+    ----------
+    result, quantity
+        As of `quantity_of`.
+    values : ndarray, shape (H, W), optional
+        What that gave, if it is known already.
+    """
+    values = quantity_of(result, quantity) if values is None else values
+    signed, folded = quantity not in ("magnitude", "equivalent"), False
+    if quantity == "jacobian":
+        folded = bool((values <= 0).any())
+        reach = 1.0 if folded else min(1.0, reach_of(values - 1))
+        limits = (1 - reach, 1 + reach)
+    else:
+        reach = reach_of(values)
+        limits = (-reach if signed else 0.0, reach)
+    attributes = {
+        **result.frame.placement(image=True),
+        "name": _name(result, quantity),
+        "rgb": False,
+        "colormap": quantity_colours(signed, folded),
+        "contrast_limits": limits,
+        "blending": "translucent",
+        "opacity": 0.8,
+        "metadata": facts_for(result, quantity),
+    }
+    return LayerData(result.frame.put_image(values), attributes, "image")
+
+
+def _name(result: FoundResult, quantity: Quantity) -> str:
+    words = QUANTITIES[quantity]
+    model = short_name(result.solution.provenance.parameters)
+    where = str(result.facts.get("slice") or "")
+    name = f"{result.source} {words.title} ({words.unit or result.unit})".strip()
+    return name + (f", {model}" if model else "") + (f" ({where})" if where else "")
+
+
+def reach_of(values: npt.NDArray[Any]) -> float:
+    """How far from 0 a scale should go to show nearly all values, rounded up to two digits."""
+    sizes = np.abs(values[np.isfinite(values)])
+    reach = float(np.percentile(sizes, _WITHIN)) if sizes.size else 0.0
+    if reach <= _SMALLEST:
+        return _SMALLEST
+    step = 10.0 ** (math.floor(math.log10(reach)) - 1)
+    return float(f"{math.ceil(reach / step - 1e-9) * step:.3g}")

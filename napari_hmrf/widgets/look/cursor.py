@@ -1,0 +1,128 @@
+"""What is under the cursor, for the status bar and the dock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from napari_hmrf.annotation import Material
+from napari_hmrf.layers.found import FoundResult, frame_in, place_at
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
+from napari_hmrf.layers.naming import full_resolution
+from napari_hmrf.layers.point import Points, Probe
+from napari_hmrf.layers.view import View
+from napari_hmrf.widgets.look.words import NO_TISSUE, at_point, stiffness_of
+
+
+class UnderCursor:
+    """Reads a result at the cursor, and says it behind what napari's status bar says.
+
+    Nothing is computed but for the one pixel. Napari asks its layers in a thread of its own, at
+    most as fast as that can answer; here one lookup is added to each of its answers.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    say : callable
+        Given each new line; "" when the cursor has left the image.
+    """
+
+    def __init__(self, viewer: Any, say: Callable[[str], None]) -> None:
+        self._viewer = viewer
+        self._say = say
+        self._result: FoundResult | None = None
+        self._arrows: Any = None
+        self._points: Points | None = None
+        self._tissue: Any = None
+        self._place: Frame | None = None
+        self._materials: dict[int, Material] = {}
+        self._fraction: Callable[[], float] = lambda: 0.0
+        self._line = ""
+        viewer.events.status.connect(self._on_status)
+
+    def release(self) -> None:
+        """Listen no more."""
+        self._viewer.events.status.disconnect(self._on_status)
+
+    def watch(
+        self,
+        arrows: Any,
+        result: FoundResult | None,
+        points: Points | None,
+        fraction: Callable[[], float],
+    ) -> None:
+        """Read this result from now on.
+
+        Parameters
+        ----------
+        arrows : napari.layers.Vectors
+            The layer that holds it.
+        result : FoundResult, optional
+        points : Points, optional
+            Of it.
+        fraction : callable
+            How much of the deformation is seen, 0 to 1.
+        """
+        self._arrows, self._result, self._points = arrows, result, points
+        self._fraction = fraction
+
+    def stiffness_from(self, tissue: Any, result: FoundResult) -> None:
+        """Take the stiffness from a Labels layer and its table; None for nowhere."""
+        self._tissue = tissue
+        self._place = None if tissue is None else frame_in(tissue, result)
+        rows = () if tissue is None else rows_of(tissue, TISSUE) or ()
+        self._materials = {material.label: material for material in rows}
+
+    def at(self, position: Any) -> tuple[Probe | None, str]:
+        """What happens to the tissue that is seen at a point of the world, and the line for it.
+
+        Parameters
+        ----------
+        position : sequence of float
+            As of `viewer.cursor.position`.
+
+        Returns
+        -------
+        probe : Probe or None
+        line : str
+            "" beside the image.
+        """
+        result, points = self._result, self._points
+        if result is None or points is None or self._arrows not in self._viewer.layers:
+            return None, ""
+        place = place_at(self._arrows, result, position, View.of(self._viewer.dims))
+        if place is None:
+            return None, ""
+        found = points.at(place, self._fraction())
+        if found is None:
+            return None, NO_TISSUE
+        return found, at_point(result, found, self._stiffness(found))
+
+    def _stiffness(self, found: Probe) -> str:
+        tissue, frame = self._tissue, self._place
+        if frame is None or tissue not in self._viewer.layers:
+            return ""
+        index = list(frame.index)
+        index[frame.plane[0]], index[frame.plane[1]] = found.row, found.col
+        material = self._materials.get(int(full_resolution(tissue)[tuple(index)]))
+        if material is None:
+            return ""
+        unit = str(known_of(tissue).get("unit", ""))
+        return stiffness_of(material.name, material.stiffness, unit)
+
+    def _on_status(self, event: Any) -> None:
+        status = event.value
+        said = status.get("coordinates", "") if isinstance(status, dict) else str(status)
+        if self._line and said.endswith(self._line):
+            return  # our own addition, coming back
+        _, line = self.at(self._viewer.cursor.position)
+        if line != self._line:
+            self._line = line
+            self._say(line)
+        if not line or line == NO_TISSUE:
+            return
+        joined = f"{said}  |  {line}" if said else line
+        self._viewer.status = (
+            {**status, "coordinates": joined} if isinstance(status, dict) else joined
+        )

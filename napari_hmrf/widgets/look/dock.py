@@ -1,0 +1,228 @@
+"""The dock widget *Look at the result*: the tissue on its way, and what happens to it."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from psygnal import Signal
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QFileDialog
+
+from napari_hmrf.layers.found import result_of
+from napari_hmrf.layers.point import Probe
+from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.look.controls import LookControls
+from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
+from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
+
+#: How long a result has to stand still before it is looked at anew, in milliseconds.
+_SETTLED = 150
+
+
+class LookAtResult(LookControls):
+    """Go through a deformation, colour it by what it does to the tissue, and save pictures.
+
+    Everything the user can do a script can do too: set `result`, `image`, `percent`, `before`,
+    `colours`, `grid`, `arrows`, `arrow_count` and `arrow_length`; `play` and `stop`; `at` and
+    `save_pictures`. What takes longer is computed on the compute thread: `idle` tells when it is
+    done.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    saved : Signal(object)
+        Emitted when pictures are written: a list of `Path`.
+    """
+
+    saved = Signal(object)
+
+    def __init__(self, napari_viewer: Any) -> None:
+        super().__init__(napari_viewer)
+        self._docked = False
+        self._settling = QTimer(self.native)
+        self._settling.setSingleShot(True)
+        self._settling.setInterval(_SETTLED)
+        self._settling.timeout.connect(self._on_settled)
+        self._followed: Any = None
+        self._events: list[tuple[Any, Any]] = []
+        self._life = Life(self.native, self._on_closed)
+        self._connect()
+        self._on_theme()
+        self._choose_newest()
+        if self.result is None:
+            self._take()
+
+    @property
+    def idle(self) -> bool:
+        """Whether all that was asked for is seen."""
+        return not (self._settling.isActive() or self._scene.busy)
+
+    # What can be done
+
+    def play(self) -> None:
+        """Go back and forth between 0 and 100 % until `stop`."""
+        if self.result is None:
+            self._face.status.say(NO_RESULT)
+        elif self._scene.ready_to_move():
+            self._scene.player.play()
+        else:
+            self._face.status.say(NO_IMAGE)
+
+    def stop(self) -> None:
+        """Stay at what is seen."""
+        self._scene.player.stop()
+
+    def at(self, position: Any) -> Probe | None:
+        """Say what happens to the tissue that is seen at a point of the world; None beside it."""
+        return self._scene.cursor.at(position)[0]
+
+    def save_pictures(self, folder: str | Path) -> None:
+        """Write pictures into a folder that exists; `saved` is emitted when they are there."""
+        self._scene.save(Path(folder), self.saved.emit)
+
+    # What Qt and napari tell
+
+    def _connect(self) -> None:
+        face, viewer = self._face, self._viewer
+        face.result.changed.connect(self._take)
+        face.image.changed.connect(self._on_image)
+        face.slider.changed.connect(self._on_slider)
+        face.play.changed.connect(self._on_play)
+        face.save.changed.connect(self._on_save)
+        for signal, hold in (
+            (face.before.native.pressed, True),
+            (face.before.native.released, False),
+        ):
+            signal.connect(partial(setattr, self, "before", hold))
+        self._scene.player.moved.connect(self._on_moved)
+        self._scene.player.playing_changed.connect(self._on_playing)
+        self._events = [
+            (viewer.layers.events.inserted, self._on_inserted),
+            (viewer.layers.events.removed, self._on_layers),
+            (viewer.layers.events.renamed, self._on_layers),
+            (viewer.events.theme, self._on_theme),
+        ]
+        for event, answer in self._events:
+            event.connect(answer)
+        if hasattr(viewer, "bind_key") and BEFORE_KEY not in viewer.keymap:
+            viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
+        self.native_parent_changed.connect(self._on_parent)
+
+    @property
+    def away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+        return self._life.over or (self._docked and self.native.parent() is None)
+
+    def _choose_newest(self) -> None:
+        self._face.result.refresh()
+        offered = self._face.result.offered
+        if offered:
+            self._face.result.value = offered[-1]
+
+    def _take(self, *_: Any) -> None:
+        """Look at the result that is chosen, as it is now."""
+        if self.away:
+            return
+        self._follow(self.result)
+        self._taken = None if self.result is None else result_of(self.result)
+        self._scene.take(self.result)
+        self._face.status.say(self._scene.words if self.result is not None else NO_RESULT)
+
+    def _follow(self, layer: Any) -> None:
+        if layer is self._followed:
+            return
+        if self._followed is not None:
+            self._followed.events.data.disconnect(self._on_arrows)
+        self._followed = layer
+        if layer is not None:
+            layer.events.data.connect(self._on_arrows)
+
+    def _on_arrows(self, *_: Any) -> None:
+        """Arrows were drawn anew: by whom is seen when their metadata have followed."""
+        if not self.away:
+            self._settling.start()
+
+    def _on_settled(self) -> None:
+        if not self.away and self._scene.outdated:
+            self._take()
+
+    def _on_inserted(self, event: Any) -> None:
+        if self.away:
+            return
+        if self._is_result(event.value):
+            self._choose_newest()
+        self._on_layers()
+
+    def _on_layers(self, *_: Any) -> None:
+        if not self.away:
+            self._face.result.refresh()
+            self._face.image.refresh()
+
+    def _on_image(self, *_: Any) -> None:
+        if not self.away:
+            self._scene.prepare()
+
+    def _on_slider(self, percent: int) -> None:
+        if self.result is None:
+            return
+        self.stop()
+        if self._scene.ready_to_move():
+            self._scene.go(percent)
+        else:
+            self._face.status.say(NO_IMAGE)
+
+    def _on_moved(self, percent: int) -> None:
+        with self._face.slider.changed.blocked():
+            self._face.slider.value = percent
+        self._scene.go(percent)
+
+    def _on_play(self, *_: Any) -> None:
+        if self.playing:
+            self.stop()
+        else:
+            self.play()
+
+    def _on_playing(self, playing: bool) -> None:
+        self._face.play.text = PAUSE if playing else PLAY
+
+    def _on_save(self, *_: Any) -> None:
+        title = "Where to make a folder of pictures"
+        chosen = QFileDialog.getExistingDirectory(self.native, title)
+        if chosen:
+            self._scene.save(Path(chosen), self.saved.emit, own_folder=True)
+
+    def _on_theme(self, *_: Any) -> None:
+        theme = getattr(self._viewer, "theme", None)
+        if theme is not None and not self.away:
+            self._face.energy.show_theme(str(theme))
+
+    def _while_key_is_held(self, _: Any) -> Any:
+        self.before = True
+        yield
+        self.before = False
+
+    def _on_parent(self, *_: Any) -> None:
+        """Napari closes a dock by taking the widget out of it."""
+        if self._life.over:
+            return
+        if self.native.parent() is not None:
+            self._docked = True
+            self._choose_newest()
+        elif self._docked:
+            self._scene.put_back()
+            self._face.point.say(POINT)
+
+    def _on_closed(self) -> None:
+        """The dock or the viewer is gone: listen to nothing any more."""
+        self._follow(None)
+        for event, answer in self._events:
+            event.disconnect(answer)
+        self._events = []
+        if hasattr(self._viewer, "bind_key") and BEFORE_KEY in self._viewer.keymap:
+            self._viewer.bind_key(BEFORE_KEY, None)
+        self._scene.release()

@@ -1,0 +1,66 @@
+"""Pictures of what is looked at, for a paper: the canvas, and figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+#: How many times finer than the screen the canvas is saved.
+_FINER = 2
+
+
+def save_canvas(viewer: Any, path: Path) -> list[Path]:
+    """Save what the canvas shows, with a scale bar.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        One without a window has no canvas, and nothing is saved.
+    path : Path
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    if not hasattr(viewer, "screenshot"):
+        return []
+    bar = _scale_bar(viewer)
+    visible = bar.visible
+    bar.visible = True
+    try:
+        viewer.screenshot(str(path), scale=_FINER, canvas_only=True, flash=False)
+    finally:
+        bar.visible = visible
+    return [path]
+
+
+def new_folder(parent: Path, name: str) -> Path:
+    """Make a folder of a name that is not taken, so that no file is replaced.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+    """
+    kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
+    for number in range(1, 10_000):
+        folder = parent / (kept if number == 1 else f"{kept} {number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise FileExistsError(f"{parent / kept} and all its numbers are taken")
+
+
+def _scale_bar(viewer: Any) -> Any:
+    """The viewer's scale bar, which napari 0.9 has moved."""
+    overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
+    bar = getattr(overlays, "scale_bar", None)
+    return bar if bar is not None else viewer.scale_bar

@@ -1,0 +1,320 @@
+"""The result in the viewer: what the parts of *Look at the result* do to its layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from qtpy.QtCore import QTimer
+
+from napari_hmrf.deformation import magnitude
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.found import FoundResult, picture_of, result_of, source_of, tissue_of
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.moving import Moment, Motion
+from napari_hmrf.layers.outputs import ARROWS, LayerData, arrows_apart
+from napari_hmrf.layers.point import Points
+from napari_hmrf.layers.quantity_layers import FloatArray
+from napari_hmrf.widgets.look.cursor import UnderCursor
+from napari_hmrf.widgets.look.errands import Errands
+from napari_hmrf.widgets.look.face import LookFace
+from napari_hmrf.widgets.look.player import Player
+from napari_hmrf.widgets.look.saving import new_folder, save_canvas
+from napari_hmrf.widgets.look.shown import ShownLayers
+from napari_hmrf.widgets.look.words import (
+    FULL,
+    NO_IMAGE,
+    NOTHING,
+    POINT,
+    SAVING,
+    colour_choices,
+    folded,
+    how_far,
+    saved,
+)
+from napari_hmrf.widgets.look.work import (
+    coloured,
+    figures_of,
+    grid_of,
+    unmoved,
+)
+
+#: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
+_TURN = 10
+
+
+class Scene:
+    """Does what the widget is asked for, and says what came of it.
+
+    Parameters
+    ----------
+    widget : Container
+        The dock widget.
+    viewer : napari.Viewer or ViewerModel
+    face : LookFace
+    """
+
+    def __init__(self, widget: Any, viewer: Any, face: LookFace) -> None:
+        self._viewer = viewer
+        self._face = face
+        self.words = ""
+        self._errands = Errands(widget.native, self._refuse)
+        self.shown = ShownLayers(viewer)
+        self.player = Player(widget.native, self._errands, self._draw)
+        self.cursor = UnderCursor(viewer, lambda line: face.point.say(line or POINT))
+        self._colours: FloatArray | None = None
+        self._longest = 0.0
+        self._moment: Moment | None = None
+        # Lines take napari as long as the image: each has a turn of its own.
+        self._lines = QTimer(widget.native)
+        self._lines.setSingleShot(True)
+        self._lines.setInterval(_TURN)
+        self._lines.timeout.connect(self._draw_lines)
+        face.colours.changed.connect(self._on_colours)
+        face.grid.changed.connect(self._on_grid)
+        face.arrows.changed.connect(self._on_arrows)
+        face.count.changed.connect(self._on_count)
+        face.length.changed.connect(self._on_length)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not seen yet."""
+        return self._errands.busy() or self._lines.isActive()
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the layer holds another result by now."""
+        arrows, result = self.shown.arrows, self.shown.result
+        now = None if arrows is None else result_of(arrows)
+        solution = None if result is None else result.solution
+        return (None if now is None else now.solution) is not solution
+
+    def take(self, arrows: Any) -> None:
+        """Look at another result, or at the same layer with another result in it."""
+        face, shown = self._face, self.shown
+        if arrows is not shown.arrows:
+            self.put_back()
+        shown.release()
+        self.player.stop()
+        self._errands.forget()
+        self._colours = None
+        result = None if arrows is None else result_of(arrows)
+        shown.arrows, shown.result = arrows, result
+        for part in face.of_result:
+            part.enabled = result is not None
+        self.cursor.watch(None, None, None, self._fraction)
+        self.words = ""
+        if result is None:
+            face.image.refresh()
+            self.player.motion = None
+            face.how_far.say("")
+            face.energy.show_solution(None)
+            return
+        with face.image.changed.blocked():
+            face.image.refresh()
+            if face.image.value is None or face.image.value.name != result.source:
+                face.image.value = source_of(self._viewer.layers, result)
+        with face.colours.changed.blocked():
+            chosen = face.colours.value
+            face.colours.choices = colour_choices(result.unit)
+            face.colours.value = chosen
+        self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
+        face.energy.show_solution(result.solution)
+        self._take_layers(result)
+        self._errands.send(
+            "points", partial(Points, result.solution), partial(self._on_points, arrows, result)
+        )
+
+    def _take_layers(self, result: FoundResult) -> None:
+        """Let the parts of the widget say what the layers are, and the layers what it says."""
+        face, shown = self._face, self.shown
+        grid = shown.layer("grid")
+        with face.grid.changed.blocked(), face.arrows.changed.blocked():
+            face.grid.value = grid is not None and grid.visible
+            face.arrows.value = shown.arrows.visible
+        self._set_slider(FULL)
+        shown.remember()
+        self.prepare()
+        if face.count.value != ARROWS:
+            self._on_count(face.count.value)
+        if face.colours.value != NOTHING:
+            self._on_colours(face.colours.value)
+
+    def prepare(self) -> None:
+        """Collect what moves: copies of what is chosen now."""
+        result, shown, face = self.shown.result, self.shown, self._face
+        if result is None:
+            self.player.motion = None
+            return
+        shown.source = face.image.value
+        image = labels = None
+        try:
+            if shown.source is not None:
+                image = picture_of(shown.source, result)
+            tissue = tissue_of(self._viewer.layers, result)
+            if tissue is not None and shown.layer("labels") is not None:
+                labels = picture_of(tissue, result)
+        except HmrfError as error:
+            self._refuse(error)
+        self.cursor.stiffness_from(tissue_of(self._viewer.layers, result), result)
+        self.player.motion = Motion(
+            result.solution, image, labels, self._colours, bool(face.grid.value)
+        )
+
+    def ready_to_move(self) -> bool:
+        """Have a layer that can be moved; whether there is one."""
+        motion, shown = self.player.motion, self.shown
+        if motion is None:
+            return False
+        if motion.image is not None and shown.layer("image") is None:
+            self._make_image()
+        image = shown.layer("image")
+        if image is not None and not image.visible and motion.image is not None:
+            image.visible = True
+        return any(shown.layer(kind) is not None for kind in ("image", "labels", "colours", "grid"))
+
+    def go(self, percent: int) -> None:
+        """Show so much of the deformation."""
+        self._say_how_far(percent)
+        self.player.show(percent)
+
+    def put_back(self) -> None:
+        """Leave the layers as they were before they were moved."""
+        self.player.stop()
+        self._errands.forget()
+        self.shown.release()
+        self.shown.restore()
+        self._set_slider(FULL)
+
+    def release(self) -> None:
+        """The window is gone."""
+        self._errands.forget()
+        self.cursor.release()
+
+    def save(self, folder: Path, done: Callable[[Any], None], own_folder: bool = False) -> None:
+        """Write pictures of what is seen, and of the result."""
+        result = self.shown.result
+        if result is None:
+            return
+        try:
+            if own_folder:
+                folder = new_folder(folder, f"{result.source or 'result'} pictures")
+            written = save_canvas(self._viewer, folder / "canvas.png")
+        except OSError as error:
+            self._refuse(error)
+            return
+        motion = self.player.motion
+        image = None if motion is None else motion.image
+        work = partial(figures_of, result, image, folder)
+
+        def tell(paths: list[Path]) -> None:
+            self._face.status.say(saved([*written, *paths]))
+            done([*written, *paths])
+
+        self._face.status.say(SAVING)
+        self._errands.send("pictures", work, tell)
+
+    # Answers of the compute thread
+
+    def _on_points(self, arrows: Any, result: FoundResult, points: Points) -> None:
+        self.cursor.watch(arrows, result, points, self._fraction)
+        if points.folds:
+            self.words = folded(points.folds)
+        elif self._face.image.value is None:
+            self.words = NO_IMAGE
+        self._face.status.say(self.words)
+
+    def _draw(self, percent: int, moment: Moment) -> None:
+        self.shown.draw(percent, moment)
+        self._moment = moment
+        if moment.grid is not None:
+            self._lines.start()
+
+    def _draw_lines(self) -> None:
+        if self._moment is not None:
+            self.shown.draw_grid(self._moment)
+
+    # What is chosen in the widget
+
+    def _on_colours(self, quantity: Any) -> None:
+        result = self.shown.result
+        if result is None:
+            return
+        if quantity == NOTHING:
+            self._colours = None
+            layer = self.shown.layer("colours")
+            if layer is not None:
+                layer.visible = False
+            self.prepare()
+            return
+        work = partial(coloured, result, quantity)
+        self._errands.send("colours", work, partial(self._show_colours, result))
+
+    def _show_colours(self, result: FoundResult, found: tuple[LayerData, FloatArray]) -> None:
+        if result is not self.shown.result:
+            return
+        made, self._colours = found
+        made.attributes["metadata"][METADATA]["percent"] = 0
+        self.shown.put("colours", made)
+        self.prepare()
+        self.player.show(self._face.slider.value)
+
+    def _on_grid(self, drawn: bool) -> None:
+        result, layer = self.shown.result, self.shown.layer("grid")
+        if result is None:
+            return
+        if layer is not None:
+            layer.visible = drawn
+        elif drawn:
+            work = partial(grid_of, result)
+            self._errands.send("grid", work, partial(self.shown.put, "grid"))
+        self.prepare()
+        if drawn:
+            self.player.show(self._face.slider.value)
+
+    def _on_arrows(self, drawn: bool) -> None:
+        if self.shown.arrows is not None:
+            self.shown.arrows.visible = drawn
+
+    def _on_count(self, about: int) -> None:
+        result, arrows = self.shown.result, self.shown.arrows
+        if result is None:
+            return
+
+        def show(found: tuple[Any, float]) -> None:
+            if result is self.shown.result:
+                segments, width = found
+                arrows.data = result.frame.put_vectors(segments)
+                arrows.edge_width = width
+
+        self._errands.send("arrows", partial(arrows_apart, result.solution, about), show)
+
+    def _on_length(self, times: float) -> None:
+        if self.shown.arrows is not None:
+            self.shown.arrows.length = times
+
+    def _make_image(self) -> None:
+        result, source, motion = self.shown.result, self.shown.source, self.player.motion
+        assert result is not None
+        assert motion is not None
+        assert motion.image is not None
+        made = unmoved(result, source, motion.image)
+        self.shown.put("image", made)
+
+    def _fraction(self) -> float:
+        return self.shown.percent / FULL
+
+    def _set_slider(self, percent: int) -> None:
+        with self._face.slider.changed.blocked():
+            self._face.slider.value = percent
+        self.player.expect(percent)
+        self._say_how_far(percent)
+
+    def _say_how_far(self, percent: int) -> None:
+        if self.shown.result is not None:
+            self._face.how_far.say(how_far(self.shown.result, self._longest, percent))
+
+    def _refuse(self, error: Exception) -> None:
+        self._face.status.say(str(error) or type(error).__name__)

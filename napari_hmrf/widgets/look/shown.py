@@ -1,0 +1,171 @@
+"""The layers of the result that is looked at: found, made, moved and put back."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from typing import Any
+
+from napari.layers import Layer
+
+from napari_hmrf.layers.found import FoundResult, companion
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.moving import Moment
+from napari_hmrf.layers.outputs import Kind, LayerData
+from napari_hmrf.widgets.results import same_selection, update_layer
+
+#: The layers that take the pixels of a moment.
+_MOVING = ("image", "labels", "colours")
+_BELOW = ("image", "colours")
+
+
+class ShownLayers:
+    """The layers of one result at a time.
+
+    Those that *Deform tissue* made are used where they are there; the others are made once for each
+    result's layer, and updated from then on.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._made: weakref.WeakKeyDictionary[Any, dict[str, weakref.ref[Any]]]
+        self._made = weakref.WeakKeyDictionary()
+        self._names: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
+        self._hidden: list[tuple[weakref.ref[Any], bool]] = []
+        self._full: list[tuple[weakref.ref[Any], Any, Any]] = []
+        self.arrows: Any = None
+        self.result: FoundResult | None = None
+        self.source: Any = None
+
+    def layer(self, kind: str) -> Any:
+        """The layer of a kind: "image", "labels", "grid", "colours", "arrows"; None if missing."""
+        if self.result is None or self.arrows not in self._viewer.layers:
+            return None
+        if kind == "arrows":
+            return self.arrows
+        reference = self._made.get(self.arrows, {}).get(kind)
+        made = None if reference is None else reference()
+        if made is not None and made in self._viewer.layers:
+            return made
+        kinds: dict[str, Kind] = {"image": "image", "labels": "labels", "grid": "grid"}
+        found = kinds.get(kind)
+        return None if found is None else companion(self._viewer.layers, self.result, found)
+
+    def put(self, kind: str, made: LayerData) -> Any:
+        """Show a layer of a kind: the one that is there, with other data, or a new one."""
+        layer = self.layer(kind)
+        if layer is not None:
+            named_by_us = self._names.get(layer) == layer.name
+            update_layer(layer, made)
+            if kind == "colours":
+                layer.colormap = made.attributes["colormap"]
+                layer.contrast_limits = made.attributes["contrast_limits"]
+            if named_by_us:
+                layer.name = made.attributes["name"]
+                self._names[layer] = layer.name
+            layer.visible = True
+            return layer
+        layer = Layer.create(made.data, made.attributes, made.kind)
+        layers = self._viewer.layers
+        with same_selection(self._viewer):
+            layers.insert(self._place(kind), layer)
+        if kind == "colours":
+            layer.colorbar.visible = True
+        self._made.setdefault(self.arrows, {})[kind] = weakref.ref(layer)
+        self._names[layer] = layer.name
+        return layer
+
+    def draw(self, percent: int, moment: Moment) -> None:
+        """Show image, labels and colours at a moment; quick, for the window waits for it."""
+        assert self.result is not None
+        for kind in _MOVING:
+            picture, layer = getattr(moment, kind), self.layer(kind)
+            if picture is None or layer is None:
+                continue
+            layer.data = self.result.frame.put_image(picture)
+            known = layer.metadata.get(METADATA)
+            if isinstance(known, dict):  # whoever saves the layer now can tell what it is
+                known["percent"] = percent
+
+    def draw_grid(self, moment: Moment) -> None:
+        """Show the deformation grid at a moment."""
+        layer = self.layer("grid")
+        if layer is not None and moment.grid is not None and self.result is not None:
+            layer.data = self.result.frame.put_vectors(moment.grid)
+
+    def remember(self) -> None:
+        """Keep what the layers show now, to be put back: the whole deformation."""
+        self._full = []
+        for kind in ("image", "labels", "grid"):
+            layer = self.layer(kind)
+            if layer is not None:
+                self._full.append((weakref.ref(layer), layer.data, known_of(layer).get("percent")))
+
+    def restore(self) -> None:
+        """Put back what `remember` kept, in the layers that were moved since."""
+        full, self._full = self._full, []
+        for reference, data, percent in full:
+            layer = reference()
+            if layer is None or layer not in self._viewer.layers or layer.data is data:
+                continue
+            layer.data = data
+            known = layer.metadata.get(METADATA)
+            if isinstance(known, dict) and percent is None:
+                known.pop("percent", None)
+
+    @property
+    def percent(self) -> int:
+        """How much of the deformation the layers show: that which one sees."""
+        for kind in ("image", "colours"):
+            layer = self.layer(kind)
+            if layer is not None and layer.visible:
+                return int(known_of(layer).get("percent", 0 if kind == "colours" else 100))
+        return 0
+
+    def hold_before(self) -> None:
+        """Show the image as it was, without anything of the result, until `release`."""
+        if self._hidden:
+            return
+        for layer in self._of_result():
+            self._hidden.append((weakref.ref(layer), layer.visible))
+            layer.visible = False
+        if self.source is not None and self.source in self._viewer.layers:
+            self._hidden.append((weakref.ref(self.source), self.source.visible))
+            self.source.visible = True
+
+    def release(self) -> None:
+        """Show again what `hold_before` hid."""
+        hidden, self._hidden = self._hidden, []
+        for reference, visible in hidden:
+            layer = reference()
+            if layer is not None:
+                layer.visible = visible
+
+    @property
+    def held(self) -> bool:
+        """Whether the image is seen as it was."""
+        return bool(self._hidden)
+
+    def _of_result(self) -> Iterator[Any]:
+        """Whatever was made of the result, by whomever."""
+        made = {id(reference()) for reference in self._made.get(self.arrows, {}).values()}
+        for layer in self._viewer.layers:
+            known = known_of(layer)
+            same = self.result is not None and all(
+                known.get(key) == self.result.facts.get(key) for key in ("source", "slice")
+            )
+            if layer is self.arrows or id(layer) in made or ("folds" in known and same):
+                yield layer
+
+    def _place(self, kind: str) -> int:
+        """Pictures go directly above what was deformed, lines on top."""
+        layers = self._viewer.layers
+        if kind not in _BELOW:
+            return len(layers)
+        below = [self.source, self.layer("image")]
+        places = [layers.index(layer) + 1 for layer in below if layer in layers]
+        return max(places, default=0)

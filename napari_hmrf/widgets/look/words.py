@@ -1,0 +1,84 @@
+"""What *Look at the result* says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from napari_hmrf.layers.found import FoundResult
+from napari_hmrf.layers.point import Probe
+from napari_hmrf.layers.quantity_layers import Quantity
+
+NO_RESULT = (
+    "There is no result to look at yet. Press Deform in 'Deform tissue' (Plugins menu), or open a "
+    "saved one (File > Open)."
+)
+NO_IMAGE = (
+    "There is no image on the pixels of this result, so none can be moved. Open the image it was "
+    "made from; colours, grid and arrows are here all the same."
+)
+POINT = "Point at the tissue to read its displacement, area change and stiffness."
+NO_TISSUE = "No tissue here."
+NOTHING: str = "nothing"
+SAVING = "Saving pictures ..."
+FULL = 100
+
+_ABOUT: dict[Quantity, str] = {
+    "magnitude": "how far ({unit})",
+    "jacobian": "area change (Jacobian)",
+    "equivalent": "strain: equivalent",
+    "stretch": "strain: largest stretch",
+    "squeeze": "strain: largest squeeze",
+    "rows": "strain: along rows' axis",
+    "columns": "strain: along columns' axis",
+    "shear": "strain: shear",
+}
+COLOURS_TIP = (
+    "Colours of the tissue, moving with it:\n"
+    "how far: length of the displacement, in the unit of the image;\n"
+    "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
+    "strain: Green-Lagrange's, without unit (0.01 is one per cent); equivalent: von Mises's,\n"
+    "no strain across the slice assumed."
+)
+
+
+def colour_choices(unit: str) -> list[tuple[str, str]]:
+    """What colours can show, in words, and the name of it."""
+    return [(NOTHING, NOTHING)] + [(words.format(unit=unit), key) for key, words in _ABOUT.items()]
+
+
+def how_far(result: FoundResult, longest: float, percent: int) -> str:
+    """How much of the deformation is seen."""
+    return f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
+
+
+def folded(count: int) -> str:
+    """A warning of folds, for which nothing has to be looked up."""
+    pixels = "1 pixel" if count == 1 else f"{count} pixels"
+    return (
+        f"At {pixels} the tissue folds over itself (Jacobian 0 or below): yellow in the colours of "
+        "the Jacobian, all to be seen at 0 %."
+    )
+
+
+def at_point(result: FoundResult, found: Probe, stiffness: str = "") -> str:
+    """What is under the cursor, in a line short enough for the status bar."""
+    down, along = found.displacement
+    unit = result.unit
+    parts = [
+        f"moves {found.length:.3g} {unit} (row {down:+.3g}, col {along:+.3g})",
+        f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
+    ]
+    return ", ".join([*parts, *([stiffness] if stiffness else [])])
+
+
+def stiffness_of(name: str, stiffness: float, unit: str) -> str:
+    """The tissue and how stiff it is."""
+    amount = f"stiffness {stiffness:g} {unit}".rstrip()
+    return f"{amount} ({name})" if name else amount
+
+
+def saved(paths: Sequence[Path]) -> str:
+    """What was written, and where."""
+    names = ", ".join(path.name for path in paths)
+    return f"Saved in {paths[0].parent}: {names}." if paths else "Nothing was saved."

@@ -1,0 +1,73 @@
+"""The tissue at a point: found where it is seen, told where it came from."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import Problem, solve
+from napari_hmrf.layers.moving import Motion
+from napari_hmrf.layers.point import Points
+from napari_hmrf.optimizers import ICM
+from napari_hmrf.warp import inverse_map
+
+
+@pytest.fixture(scope="module")
+def solution():
+    """A block of tissue in void, held at the left, pushed 6 mm right (3 px) and 1 px down."""
+    m = np.zeros((30, 40))
+    m[4:26, 5:33] = 1
+    y, c = np.zeros((30, 40, 2)), np.zeros((30, 40, 2))
+    c[4:26, 5] = c[4:26, 32] = 1
+    y[4:26, 32] = (1, 6)
+    return solve(Problem(y, c, m, (1.0, 2.0)), optimizer=ICM(60), backend="cpu")
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.4, 1.0])
+def test_every_pixel_of_the_moved_image_finds_its_tissue(solution, fraction):
+    points = Points(solution)
+    moved = solution.displacement * fraction
+    origin, covered = inverse_map(moved, solution.spacing, solution.tissue)
+    asked = wrong = 0
+    for row in range(30):
+        for col in range(40):
+            found = points.at((row, col), fraction)
+            at = tuple(np.floor(origin[row, col] + 0.5).astype(int))
+            here = bool(covered[row, col] and solution.tissue[at])
+            asked += here
+            expected = None if not here else at
+            answer = None if found is None else (found.row, found.col)
+            if answer != expected:  # halfway between two pixels either is right
+                apart = (
+                    np.inf if None in (answer, expected) else np.abs(np.subtract(answer, at)).max()
+                )
+                wrong += apart > 1
+    assert asked > 500
+    assert wrong <= 0.03 * asked, "but for the border of the tissue"
+
+
+def test_a_point_tells_lengths_in_the_unit_of_the_image(solution):
+    found = Points(solution).at((10, 32))
+    assert found.displacement == pytest.approx((1, 6), abs=0.05)
+    assert found.length == pytest.approx(np.hypot(1, 6), abs=0.05)
+    assert 1 < Points(solution).at((10, 20)).jacobian < 1.3
+
+
+def test_beside_the_tissue_there_is_nothing(solution):
+    points = Points(solution)
+    assert points.at((0, 0)) is None
+    assert points.at((10, 33.6), 0.0) is None
+    assert points.at((10, 34.9), 1.0) is not None
+    assert points.at((200, -50), 1.0) is None
+
+
+def test_at_rest_a_motion_is_the_image_itself(solution):
+    image = np.random.default_rng(0).random((30, 40)).astype(np.float32)
+    labels = (image > 0.5).astype(np.uint8)
+    colours = np.where(solution.tissue, image, np.float32(np.nan))
+    rest = Motion(solution, image, labels, colours, grid=True).at(0)
+    np.testing.assert_array_equal(rest.image, image)
+    np.testing.assert_array_equal(rest.labels, labels)
+    np.testing.assert_array_equal(rest.colours, colours)
+    assert rest.nbytes > image.nbytes
+    only = Motion(solution, grid=True).at(0.5)
+    assert only.image is only.labels is only.colours is None
+    assert len(only.grid)

@@ -1,0 +1,545 @@
+"""What the user sees of a result with *Look at the result*."""
+
+import time
+
+import numpy as np
+import pytest
+from conftest import quick
+from napari.layers import Image, Labels, Vectors
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf import Problem, solve
+from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.contributions import open_solution
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.optimizers import ICM
+from napari_hmrf.warp import warp
+from napari_hmrf.widgets.look.dock import LookAtResult
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+@pytest.fixture
+def deformed(widget, small_sample, run):
+    """*Deform tissue* with a result: a block of gel, held left, pushed 3 px right at the right."""
+    small_sample(viewer_of(widget))
+    widget.settings.sweeps.value = 60
+    widget.outputs = ("image", "arrows", "labels")
+    run(widget)
+    return widget
+
+
+@pytest.fixture
+def look(deformed, qtbot, wait_for):
+    """*Look at the result*, beside it."""
+    found = LookAtResult(viewer_of(deformed))
+    qtbot.addWidget(found.native)
+    wait_for(lambda: found.idle)
+    return found
+
+
+@pytest.fixture
+def set_to(wait_for):
+    """Set what the user can set, and wait until it is seen."""
+
+    def set_and_wait(look, **choices):
+        for name, choice in choices.items():
+            setattr(look, name, choice)
+        wait_for(lambda: look.idle)
+
+    return set_and_wait
+
+
+def column_of_edge(layer, row=10):
+    """Where the tissue ends to the right, in labels that have moved."""
+    return int(np.flatnonzero(layer.data[row]).max())
+
+
+# Finding a result
+
+
+def test_the_newest_result_is_looked_at_and_the_image_it_came_from(look):
+    viewer = viewer_of(look)
+    assert look.result is viewer.layers["MR arrows"]
+    assert look.image is viewer.layers["MR"]
+    assert look.percent == 100
+    assert "100 %: tissue moved up to 3 px" in look._face.how_far.value
+
+
+def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
+    widget, small_sample, run, qtbot, wait_for
+):
+    small_sample(viewer_of(widget))
+    look = LookAtResult(viewer_of(widget))
+    qtbot.addWidget(look.native)
+    assert look.result is None
+    assert look.status.startswith("There is no result to look at yet. Press Deform")
+    assert not look._face.slider.enabled
+    look.play()
+    look.percent = 30
+    look.colours = "jacobian"
+    assert not look.playing
+    run(widget)
+    wait_for(lambda: look.idle)
+    assert look.result is viewer_of(widget).layers["MR arrows"]
+    assert look._face.slider.enabled
+    assert look.status == ""
+
+
+def test_a_renamed_image_is_found_by_its_place(deformed, qtbot, wait_for):
+    viewer = viewer_of(deformed)
+    viewer.layers["MR"].name = "T1"
+    viewer.add_image(np.zeros((7, 7)), name="small")
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    assert look.image is viewer.layers["T1"]
+    assert viewer.layers["small"] not in look._face.image.offered
+
+
+# The slider
+
+
+def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(look, set_to):
+    viewer = viewer_of(look)
+    solution = known_of(look.result)["solution"]
+    image, moved = viewer.layers["MR"], viewer.layers["MR deformed"]
+    whole, layers = moved.data.copy(), names(viewer)
+    set_to(look, percent=50)
+    expected = warp(image.data, solution.displacement / 2, tissue=solution.tissue)
+    np.testing.assert_array_equal(moved.data, expected)
+    assert known_of(moved)["percent"] == 50
+    assert "50 %: tissue moved up to 1.5 px" in look._face.how_far.value
+    set_to(look, percent=0)
+    np.testing.assert_array_equal(moved.data, image.data)
+    set_to(look, percent=100)
+    np.testing.assert_array_equal(moved.data, whole)
+    assert names(viewer) == layers
+
+
+def test_labels_and_grid_move_along(look, set_to):
+    viewer = viewer_of(look)
+    labels = viewer.layers["Tissue deformed"]
+    assert column_of_edge(labels) == 24 - 1  # pushed 3 px, to where the image ends
+    set_to(look, grid=True)
+    grid = viewer.layers["MR grid"]
+    ends = grid.data.sum(axis=1)[:, 1].max()
+    assert ends == pytest.approx(21 + 3, abs=0.1)
+    set_to(look, percent=0)
+    assert column_of_edge(labels) == 21
+    assert grid.data.sum(axis=1)[:, 1].max() == 21
+    set_to(look, grid=False)
+    assert not grid.visible
+    set_to(look, grid=True, percent=100)
+    assert grid.visible
+    assert grid.data.sum(axis=1)[:, 1].max() == ends
+
+
+def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
+    monkeypatch.setattr("napari_hmrf.widgets.look.player.SECONDS", 0.3)
+    seen = []
+    look._scene.player.moved.connect(seen.append)
+    look._face.play.native.click()
+    assert look.playing
+    assert look._face.play.text == "Pause"
+    wait_for(lambda: len(seen) > 8 and min(seen) < 30 and max(seen[seen.index(min(seen)) :]) > 60)
+    look._face.play.native.click()
+    assert not look.playing
+    assert look._face.play.text == "Play"
+    wait_for(lambda: look.idle)
+    assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == look.percent == seen[-1]
+
+
+def test_the_slider_in_the_hand_stops_playing(look, wait_for):
+    look.play()
+    wait_for(lambda: look.percent < 100)
+    look.percent = 70
+    wait_for(lambda: look.idle)
+    assert not look.playing
+    assert look.percent == 70
+
+
+def test_an_image_that_was_not_moved_yet_is_moved_now(deformed, qtbot, set_to, wait_for):
+    viewer = viewer_of(deformed)
+    whole = viewer.layers["MR deformed"].data.copy()
+    viewer.layers.remove("MR deformed")
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    set_to(look, percent=99)
+    assert "MR deformed" in names(viewer)
+    set_to(look, percent=100)
+    np.testing.assert_array_equal(viewer.layers["MR deformed"].data, whole)
+
+
+def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_for):
+    before = viewer_of(look).layers["MR deformed"].data
+    for percent in (10, 20, 30, 40):
+        started = time.perf_counter()
+        look.percent = percent
+        assert time.perf_counter() - started < 0.05
+        QApplication.processEvents()
+    assert viewer_of(look).layers["MR deformed"].data is before
+    assert not look.idle
+    busy_thread.set()
+    wait_for(lambda: look.idle)
+    assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == 40
+
+
+def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
+    look, deformed, run, set_to, wait_for
+):
+    set_to(look, percent=50, colours="magnitude", arrow_count=40)
+    few = len(look.result.data)
+    deformed.rules = (deformed.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    outputs = run(deformed)
+    wait_for(lambda: look.idle and look.percent == 100)
+    moved = viewer_of(look).layers["MR deformed"]
+    np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
+    assert "up to 1 px" in look._face.how_far.value
+    assert viewer_of(look).layers["MR displacement (px)"].contrast_limits == [0, 1]
+    assert len(look.result.data) == few
+    set_to(look, percent=99)
+    set_to(look, percent=100)
+    np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
+
+
+# Before and after
+
+
+def test_before_is_seen_as_long_as_the_button_is_held(look, qtbot):
+    viewer = viewer_of(look)
+    image, moved, arrows = (viewer.layers[name] for name in ("MR", "MR deformed", "MR arrows"))
+    viewer.layers["Tissue deformed"].visible = False
+    button = look._face.before.native
+    qtbot.mousePress(button, Qt.MouseButton.LeftButton)
+    assert look.before
+    assert image.visible
+    assert not moved.visible
+    assert not arrows.visible
+    qtbot.mouseRelease(button, Qt.MouseButton.LeftButton)
+    assert not look.before
+    assert moved.visible
+    assert arrows.visible
+    assert not viewer.layers["Tissue deformed"].visible
+
+
+def test_before_is_on_a_key_as_well(look):
+    viewer = viewer_of(look)
+    (action,) = [held for key, held in viewer.keymap.items() if str(key) == "Shift+B"]
+    holding = action(viewer)
+    next(holding)
+    assert look.before
+    next(holding, None)
+    assert not look.before
+
+
+# Arrows and colours
+
+
+def test_arrows_can_be_fewer_and_longer(look, set_to):
+    solution = known_of(look.result)["solution"]
+    many = len(look.result.data)
+    set_to(look, arrow_count=30, arrow_length=4)
+    assert 5 < len(look.result.data) < many / 2
+    assert look.result.length == 4
+    assert known_of(look.result)["solution"] is solution
+    set_to(look, arrows=False)
+    assert not look.result.visible
+
+
+def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
+    viewer = viewer_of(look)
+    solution = known_of(look.result)["solution"]
+    set_to(look, colours="magnitude")
+    layer = viewer.layers["MR displacement (px)"]
+    set_to(look, percent=0)
+    expected = np.linalg.norm(solution.displacement, axis=-1)
+    np.testing.assert_allclose(layer.data[solution.tissue], expected[solution.tissue])
+    assert np.isnan(layer.data[~solution.tissue]).all()
+    assert layer.contrast_limits == [0, 3]
+    set_to(look, colours="jacobian")
+    assert layer.name == "MR Jacobian (area ratio)"
+    assert viewer.layers.index(layer) == viewer.layers.index("MR deformed") + 1
+    inside = layer.data[10, 5:19]
+    assert ((inside > 1.02) & (inside < 1.4)).all(), "the block is pulled apart"
+    low, high = layer.contrast_limits
+    assert low + high == pytest.approx(2), "no change is in the middle"
+    set_to(look, colours="columns")
+    assert layer.name == "MR strain along columns' axis (ratio)"
+    np.testing.assert_allclose(layer.data[10, 5:19], (inside**2 - 1) / 2, atol=0.02)
+    layer.name = "mine"
+    set_to(look, colours="equivalent")
+    assert layer.name == "mine"
+    assert layer.contrast_limits[0] == 0
+    set_to(look, colours="nothing")
+    assert not layer.visible
+    with pytest.raises(ValueError, match="no colours 'heat'"):
+        look.colours = "heat"
+
+
+def test_colours_move_with_the_tissue(look, set_to):
+    set_to(look, colours="magnitude")
+    layer = viewer_of(look).layers["MR displacement (px)"]
+    assert column_of_edge_of_colours(layer) == 23
+    set_to(look, percent=0)
+    assert column_of_edge_of_colours(layer) == 21
+
+
+def column_of_edge_of_colours(layer):
+    return int(np.flatnonzero(np.isfinite(layer.data[10])).max())
+
+
+def test_folds_are_told_and_marked(widget, small_sample, run, qtbot, set_to, wait_for):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings.sweeps.value = 60
+    outputs = run(widget)
+    look = LookAtResult(viewer_of(widget))
+    qtbot.addWidget(look.native)
+    set_to(look, colours="jacobian", percent=0)
+    assert f"At {outputs.folds} pixels the tissue folds over itself" in look.status
+    layer = viewer_of(look).layers["MR Jacobian (area ratio)"]
+    assert (layer.data <= 0).sum() == outputs.folds
+    assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
+    np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
+    assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
+
+
+# Under the cursor
+
+
+def test_the_status_bar_tells_what_is_under_the_cursor(look):
+    viewer = viewer_of(look)
+    viewer.layers.selection.active = viewer.layers["MR"]
+    viewer.mouse_over_canvas = True
+    viewer.cursor.position = (10, 5.2)
+    status = viewer.status["coordinates"]
+    assert status.startswith("[10"), "what napari says stays"
+    assert status.count("Jacobian") == 1
+    assert "stiffness 20 kPa (gel)" in status
+    assert look.point in status
+    viewer.cursor.position = (0, 0)
+    assert "Jacobian" not in str(viewer.status)
+    assert look.point == "No tissue here."
+    viewer.layers.selection.clear()
+    viewer.cursor.position = (10, 6)
+    assert "stiffness 20 kPa (gel)" in viewer.status
+
+
+def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, set_to):
+    # Where the right border of the tissue is seen, it has come from 3 px further left.
+    found = look.at((10, 23.49))
+    assert found.col == 21
+    assert found.displacement[1] == pytest.approx(3, abs=0.05)
+    set_to(look, percent=50)
+    assert look.at((10, 22.5)).col == 21
+    set_to(look, percent=0)
+    assert look.at((10, 22.5)) is None
+    assert look.at((10, 21)).length == pytest.approx(3, abs=0.05)
+    viewer_of(look).layers["MR deformed"].visible = False
+    assert look.at((-5, 3)) is None
+
+
+def test_reading_under_the_cursor_is_quick(look):
+    started = time.perf_counter()
+    for _ in range(100):
+        look._scene.cursor.at((10.0, 12.0))
+    assert (time.perf_counter() - started) / 100 < 0.005
+
+
+# Stacks, files, colours
+
+
+def test_a_slice_of_a_stack_moves_in_its_place(make_stack, qtbot, set_to, wait_for):
+    viewer, outputs = make_stack
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    set_to(look, percent=50, colours="jacobian", grid=True)
+    assert "MR Jacobian (area ratio) (z = 2)" in names(viewer)
+    moved = viewer.layers["MR deformed (z = 2)"]
+    assert moved.data.shape == (1, 20, 24)
+    solution = outputs.solution
+    expected = warp(
+        viewer.layers["MR"].data[2],
+        solution.displacement / 2,
+        solution.spacing,
+        tissue=solution.tissue,
+    )
+    np.testing.assert_array_equal(moved.data[0], expected)
+    assert look._face.how_far.value.endswith("mm")
+    assert look.at((6, 20, 2.5)) is not None
+    assert look.at((3, 20, 2.5)) is None, "that is another slice"
+
+
+@pytest.fixture
+def make_stack(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    place = {"scale": (3.0, 2.0, 0.5), "units": ("mm",) * 3, "axis_labels": ("z", "y", "x")}
+    small_sample(viewer, (4, 20, 24), **place)
+    viewer.dims.set_current_step(0, 2)
+    return viewer, run(widget)
+
+
+def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
+    widget, tmp_path, qtbot, set_to, wait_for
+):
+    y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
+    c[:, 0] = c[:, -1] = 1
+    y[:, -1] = (0, 2)
+    path = str(
+        solve(Problem(y, c, np.ones((8, 9))), optimizer=ICM(20), backend="cpu").save(
+            tmp_path / "kept.npz"
+        )
+    )
+    ((data, attributes, _),) = open_solution(path)(path)
+    viewer = viewer_of(widget)
+    viewer.add_vectors(data, **attributes)
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    wait_for(lambda: look.idle)
+    look.percent = 50
+    assert look.status.startswith("There is no image on the pixels of this result")
+    set_to(look, colours="magnitude")
+    assert "displacement (px)" in names(viewer)
+    set_to(look, percent=40)
+    viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
+    look.image = viewer.layers["late"]
+    set_to(look, percent=50)
+    assert known_of(viewer.layers["late deformed"])["percent"] == 50
+
+
+def test_a_photograph_moves_in_colour(widget, small_sample, run, qtbot, set_to):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
+    widget.image = viewer.add_image(colours, name="photo", rgb=True)
+    widget.outputs = ("arrows",)
+    run(widget)
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    set_to(look, percent=50)
+    assert viewer.layers["photo deformed"].rgb
+    assert viewer.layers["photo deformed"].data.shape == (20, 24, 3)
+
+
+# Pictures
+
+
+def test_pictures_are_saved_without_holding_up_the_window(look, tmp_path, wait_for):
+    got = []
+    look.saved.connect(got.append)
+    started = time.perf_counter()
+    look.save_pictures(tmp_path)
+    assert time.perf_counter() - started < 0.3
+    wait_for(lambda: bool(got), 30_000)
+    assert sorted(path.stem for path in got[0]) == sorted(
+        ["displacement", "warped", "grid", "magnitude", "jacobian", "strain", "energy"]
+    )
+    assert all(path.stat().st_size > 5000 for path in got[0])
+    assert look.status.startswith(f"Saved in {tmp_path}")
+
+
+def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
+    look.save_pictures(tmp_path / "nowhere")
+    wait_for(lambda: look.idle, 30_000)
+    assert "nowhere" in look.status
+
+
+# Layers and windows that go
+
+
+def test_layers_may_go_at_any_time(look, set_to, wait_for):
+    viewer = viewer_of(look)
+    look.play()
+    wait_for(lambda: look.percent < 98)
+    viewer.layers.remove("MR deformed")
+    QApplication.processEvents()
+    viewer.layers.remove("MR")
+    look.colours = "jacobian"
+    viewer.layers.remove("MR arrows")
+    wait_for(lambda: look.idle)
+    assert look.result is None
+    assert not look.playing
+    assert look.status.startswith("There is no result")
+    assert look.at((10, 10)) is None
+
+
+@pytest.fixture
+def window(make_napari_viewer, small_sample, run, wait_for):
+    """A real window with both docks and a result."""
+    viewer = make_napari_viewer()
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    small_sample(viewer)
+    run(quick(widget))
+    dock, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
+    wait_for(lambda: look.idle)
+    return viewer, dock, look
+
+
+def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to):
+    viewer, dock, look = window
+    moved = viewer.layers["MR deformed"]
+    whole = moved.data.copy()
+    set_to(look, percent=20)
+    assert not np.array_equal(moved.data, whole)
+    look.play()
+    viewer.window.remove_dock_widget(dock)
+    for _ in range(10):
+        QApplication.processEvents()
+        time.sleep(0.01)
+    np.testing.assert_array_equal(moved.data, whole)
+    assert "percent" not in known_of(moved)
+    viewer.layers.clear()
+    QApplication.processEvents()
+
+
+def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, wait_for):
+    from skimage.io import imread
+
+    viewer, _, look = window
+    got = []
+    look.saved.connect(got.append)
+    look.save_pictures(tmp_path)
+    wait_for(lambda: bool(got), 30_000)
+    assert got[0][0].name == "canvas.png"
+    assert imread(got[0][0]).std() > 5
+    assert not viewer.canvas.overlays.scale_bar.visible
+
+
+def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_for, monkeypatch):
+    _, _, look = window
+    monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getExistingDirectory", lambda *_: str(tmp_path))
+    got = []
+    look.saved.connect(got.append)
+    for _ in range(2):
+        got.clear()
+        look._face.save.native.click()
+        wait_for(lambda: bool(got), 30_000)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
+
+
+def test_closing_the_window_while_playing_is_quiet(window):
+    viewer, _, look = window
+    look.play()
+    viewer.close()
+    for _ in range(10):
+        QApplication.processEvents()
+        time.sleep(0.01)
+
+
+def test_what_is_added_says_what_it_is(look, set_to):
+    set_to(look, colours="stretch", grid=True)
+    viewer = viewer_of(look)
+    kinds = {known_of(layer).get("kind"): type(layer) for layer in viewer.layers}
+    assert kinds["stretch"] is Image
+    assert kinds["grid"] is Vectors
+    assert kinds["labels"] is Labels
+    facts = viewer.layers["MR largest stretch (ratio)"].metadata[METADATA]
+    assert facts["source"] == "MR"
+    assert facts["percent"] == 100
