@@ -41,7 +41,7 @@ def look(deformed, qtbot, wait_for):
     """*Look at the result*, beside it."""
     found = LookAtResult(viewer_of(deformed))
     qtbot.addWidget(found.native)
-    wait_for(lambda: found.idle)
+    wait_for(lambda: found.idle, 60_000)
     return found
 
 
@@ -52,7 +52,7 @@ def set_to(wait_for):
     def set_and_wait(look, **choices):
         for name, choice in choices.items():
             setattr(look, name, choice)
-        wait_for(lambda: look.idle)
+        wait_for(lambda: look.idle, 60_000)
 
     return set_and_wait
 
@@ -87,7 +87,7 @@ def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
     look.colours = "jacobian"
     assert not look.playing
     run(widget)
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     assert look.result is viewer_of(widget).layers["MR arrows"]
     assert look._face.slider.enabled
     assert look.status == ""
@@ -152,7 +152,7 @@ def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeyp
     look._face.play.native.click()
     assert not look.playing
     assert look._face.play.text == "Play"
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == look.percent == seen[-1]
 
 
@@ -160,7 +160,7 @@ def test_the_slider_in_the_hand_stops_playing(look, wait_for):
     look.play()
     wait_for(lambda: look.percent < 100)
     look.percent = 70
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     assert not look.playing
     assert look.percent == 70
 
@@ -187,7 +187,7 @@ def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_
     assert viewer_of(look).layers["MR deformed"].data is before
     assert not look.idle
     busy_thread.set()
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == 40
 
 
@@ -198,7 +198,7 @@ def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
     few = len(look.result.data)
     deformed.rules = (deformed.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     outputs = run(deformed)
-    wait_for(lambda: look.idle and look.percent == 100)
+    wait_for(lambda: look.idle and look.percent == 100, 60_000)
     moved = viewer_of(look).layers["MR deformed"]
     np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
     assert "up to 1 px" in look._face.how_far.value
@@ -402,7 +402,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     viewer.add_vectors(data, **attributes)
     look = LookAtResult(viewer)
     qtbot.addWidget(look.native)
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     look.percent = 50
     assert look.status.startswith("There is no image on the pixels of this result")
     set_to(look, colours="magnitude")
@@ -463,7 +463,7 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     viewer.layers.remove("MR")
     look.colours = "jacobian"
     viewer.layers.remove("MR arrows")
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     assert look.result is None
     assert not look.playing
     assert look.status.startswith("There is no result")
@@ -478,7 +478,7 @@ def window(make_napari_viewer, small_sample, run, wait_for):
     small_sample(viewer)
     run(quick(widget))
     dock, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
-    wait_for(lambda: look.idle)
+    wait_for(lambda: look.idle, 60_000)
     return viewer, dock, look
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.deformation import deformation_grid
 from napari_hmrf.layers.outputs import LINES, emptiness
 from napari_hmrf.solution import Solution
-from napari_hmrf.warp import inverse_map, resample
+from napari_hmrf.warper import Picture, Warper
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Motion:
     grid: bool = False
 
     def at(self, fraction: float) -> Moment:
-        """Move everything by a part of the displacement.
+        """Move everything by a part of the displacement; on the compute thread only.
 
         Parameters
         ----------
@@ -75,21 +76,31 @@ class Motion:
         Moment
             At 1 exactly what the layers of the result show.
         """
-        solution = self.solution
-        displacement = solution.displacement * np.float32(fraction)
-        field = (displacement, solution.spacing)
-        image, labels, colours, grid = self.image, self.labels, self.colours, None
-        if fraction and any(part is not None for part in (image, labels, colours)):
-            inverse = inverse_map(*field, solution.tissue)
-            if image is not None:
-                image = resample(image, *inverse, order=1, fill=emptiness(image))
-            if labels is not None:
-                labels = resample(labels, *inverse, order=0)
-            if colours is not None:
-                colours = resample(colours, *inverse, order=0, fill=np.nan)
+        solution, grid = self.solution, None
+        parts: dict[str, npt.NDArray[Any]] = {}
+        if self._pictures:
+            moved = self._warper(solution.displacement, solution.tissue, fraction)
+            parts = dict(zip(self._pictures, moved, strict=True))
         if self.grid:
+            displacement = solution.displacement * np.float32(fraction)
             every = max(1, round(max(solution.tissue.shape) / LINES))
             # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
             pieces = 5 if fraction == 1 else 2
-            grid = deformation_grid(*field, every, solution.tissue, pieces)
-        return Moment(image, labels, colours, grid)
+            field = (displacement, solution.spacing, every, solution.tissue)
+            grid = deformation_grid(*field, pieces)
+        return Moment(**parts, grid=grid)
+
+    @cached_property
+    def _pictures(self) -> dict[str, Picture]:
+        pictures = {}
+        if self.image is not None:
+            pictures["image"] = Picture(self.image, order=1, fill=emptiness(self.image))
+        if self.labels is not None:
+            pictures["labels"] = Picture(self.labels, order=0)
+        if self.colours is not None:
+            pictures["colours"] = Picture(self.colours, order=0, fill=np.nan)
+        return pictures
+
+    @cached_property
+    def _warper(self) -> Warper:
+        return Warper(list(self._pictures.values()), self.solution.spacing)
