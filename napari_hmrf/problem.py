@@ -250,13 +250,14 @@ def _check_confidence(c: FloatArray, m: FloatArray) -> None:
             f"has {int(outside.sum())} values outside 0 to 1, the first at "
             f"{_first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
         )
-    if not (c > 0).any():
+    seen, tissue = c > 0, m > 0
+    if not seen.any():
         raise ProblemError(
             "c",
             "is 0 everywhere: nothing says how any tissue moves. Mark at least one place as fixed "
             "or moving.",
         )
-    if not ((c > 0) & (m > 0)[..., None]).any():
+    if not any((seen[..., axis] & tissue).any() for axis in range(m.ndim)):
         raise ProblemError(
             "c",
             "is above 0 only where there is no tissue (m = 0). Mark a boundary on tissue, or give "

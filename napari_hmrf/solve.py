@@ -209,7 +209,7 @@ def _beginning(start: Start, problem: Problem) -> FloatArray:
                 f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
                 f"{ours[0]} pixels of size {ours[1]}. Leave it out"
             )
-    begin = first.displacement
+    weights = [1.0]
     if others:
         observed = (problem.c > 0) & problem.tissue[..., None]
         at = np.flatnonzero(observed)
@@ -218,9 +218,12 @@ def _beginning(start: Start, problem: Problem) -> FloatArray:
         shares = np.linalg.lstsq(
             np.stack(changes, axis=1).astype(np.float64), problem.y.ravel()[at] - known, rcond=1e-5
         )[0]
-        for share, each in zip(shares, others, strict=True):
-            begin = begin + np.float32(share) * (each.displacement - first.displacement)
-    return begin / np.float32(problem.unit)
+        weights = [1.0 - float(shares.sum()), *shares]
+    begin = np.float32(weights[0] / problem.unit) * first.displacement
+    part = np.empty_like(begin) if others else begin
+    for weight, each in zip(weights[1:], others, strict=True):
+        begin += np.multiply(each.displacement, np.float32(weight / problem.unit), out=part)
+    return begin
 
 
 class _Either:
