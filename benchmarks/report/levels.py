@@ -37,7 +37,24 @@ class _Shallow:
 
     @property
     def levels(self) -> Any:
-        return self._inner.levels[: self._count]
+        every = self._inner.levels[: self._count]
+        return [_Alone(level) if level.takes_rest else level for level in every]
+
+
+class _Alone:
+    """A level that would take all coarser ones with it, but does not."""
+
+    takes_rest = False
+
+    def __init__(self, inner: Any) -> None:
+        self._inner = inner
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def finish(self, steps: Any, coarsest: Any) -> None:
+        """Relax as the coarsest level."""
+        self._inner.descend(coarsest, None)
 
 
 def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, int]:
