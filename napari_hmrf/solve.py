@@ -147,11 +147,7 @@ def run_here(
 
     report(Monitor("preparing (the first run compiles its kernels, once)", 0.0))
     started = time.perf_counter()
-    if backend == "auto" and isinstance(optimizer, Multigrid) and isinstance(prior, SeilerPrior):
-        device, _ = open_backend("cpu", checkpoint)
-        reason = "the shaders have no multigrid for the paper's prior yet"
-    else:
-        device, reason = open_backend(backend, checkpoint)
+    device, reason = open_backend(backend, checkpoint)
     try:
         _announce(device.renderer, reason)
         _prepare(device, prior, optimizer, problem.spacing)

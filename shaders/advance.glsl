@@ -1,7 +1,7 @@
-// A step of conjugate gradients along a direction.
+// A step of an iteration along a direction.
 //
-//     length = above / below,    further = found + length direction,    left = rest - length image
-//     share  = left . left
+//     length = above / below, or `above` alone if SIGNED
+//     further = found + length direction,    left = rest - length image,    share = left . left
 //
 // Inputs:  found, direction  pixels; pairs
 //          rest, image       pixels times stiffness; pairs
@@ -13,7 +13,11 @@
 
 void kernel(ivec2 pair)
 {
+#if SIGNED
+    float way = texelFetch(above, ivec2(0), 0).x;
+#else
     float way = ratio();
+#endif
     ivec2 at = clamped(pair, textureSize(found, 0));
     further = texelFetch(found, at, 0) + way * texelFetch(direction, at, 0);
     left = texelFetch(rest, at, 0) - way * texelFetch(image, at, 0);

@@ -21,6 +21,8 @@ const vec2 weights[4] = vec2[4](vec2(1.0, 0.0), vec2(0.0, 1.0), vec2(1.0), vec2(
 uniform vec2 weights[4];
 #endif
 
+const float TINY = 1e-30;
+
 /// What the cliques of a site say about it; energy is that of those whose middle it is.
 struct Evidence {
     vec2 curvature;
@@ -60,16 +62,8 @@ vec2 above[4];
 vec2 here[4];
 vec2 below[4];
 
-/// Read a pair and the sites before and after it.
-void read_row(ivec2 pair, out vec2 row[4])
-{
-    ivec2 size = textureSize(displacement, 0);
-    vec4 both = texelFetch(displacement, clamped(pair, size), 0);
-    row[0] = texelFetch(displacement, clamped(pair - HORIZONTAL, size), 0).zw;
-    row[1] = both.xy;
-    row[2] = both.zw;
-    row[3] = texelFetch(displacement, clamped(pair + HORIZONTAL, size), 0).xy;
-}
+/// Find the displacement of a pair and of the sites before and after it. A kernel defines this.
+void read_row(ivec2 pair, out vec2 row[4]);
 
 /// Get ready for an invocation's first pair. The stage does this, once.
 void enter(ivec2 pair)

@@ -49,3 +49,14 @@ ivec2 first_of(ivec2 pair)
 {
     return ivec2(2 * pair.x, pair.y);
 }
+
+/// Read a pair of a field, and the sites before and after it.
+void read_pairs(sampler2D pairs, ivec2 pair, out vec2 row[4])
+{
+    ivec2 size = textureSize(pairs, 0);
+    vec4 both = texelFetch(pairs, clamped(pair, size), 0);
+    row[0] = texelFetch(pairs, clamped(pair - HORIZONTAL, size), 0).zw;
+    row[1] = both.xy;
+    row[2] = both.zw;
+    row[3] = texelFetch(pairs, clamped(pair + HORIZONTAL, size), 0).xy;
+}

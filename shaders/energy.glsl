@@ -10,6 +10,11 @@
 // Outputs: share         pixels squared; one value for a pair
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
+void read_row(ivec2 pair, out vec2 row[4])
+{
+    read_pairs(displacement, pair, row);
+}
+
 /// The share of a site, number k of the middle row.
 float share_of(ivec2 site, int k)
 {

@@ -17,17 +17,6 @@ vec2 carried[2];
 /// Find the displacement of a pair and of the sites before and after it. A kernel defines this.
 void read_row(ivec2 pair, out vec2 row[4]);
 
-/// Read a pair of a field, and the sites before and after it.
-void read_pairs(sampler2D pairs, ivec2 pair, out vec2 row[4])
-{
-    ivec2 size = textureSize(pairs, 0);
-    vec4 both = texelFetch(pairs, clamped(pair, size), 0);
-    row[0] = texelFetch(pairs, clamped(pair - HORIZONTAL, size), 0).zw;
-    row[1] = both.xy;
-    row[2] = both.zw;
-    row[3] = texelFetch(pairs, clamped(pair + HORIZONTAL, size), 0).xy;
-}
-
 /// What the elements between two rows of sites pull with; the pair is that of the upper row.
 void pull(ivec2 pair, vec2 up[4], vec2 down[4], out vec2 upper[2], out vec2 lower[2])
 {
@@ -49,7 +38,7 @@ void enter(ivec2 pair)
 }
 
 /// Find the force at a pair: the first, or the one below the last.
-void look_around(ivec2 pair)
+void find_forces(ivec2 pair)
 {
     here = below;
     read_row(pair + VERTICAL, below);

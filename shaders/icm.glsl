@@ -24,7 +24,6 @@ uniform float steps[STEPS];
 
 // Below this a displacement becomes 0: arithmetic on denormal numbers is slow on some devices.
 const float FLUSH = 1e-18;
-const float TINY = 1e-30;
 
 /// The displacement of least local energy among those the site may choose from.
 vec2 best(vec2 d, vec2 curvature, vec2 slope, vec4 seen)
@@ -55,25 +54,10 @@ vec2 best(vec2 d, vec2 curvature, vec2 slope, vec4 seen)
 #endif
 }
 
-#if BLANKET
-/// What the cliques that a site is an end of say; `ratios` is the image that holds the line's.
-void add_ends(
-    inout Evidence evidence, ivec2 site, vec2 d, ivec2 line, vec2 weight, sampler2D ratios, bool second)
+void read_row(ivec2 pair, out vec2 row[4])
 {
-    ivec2 size = sites_of(displacement);
-    for (int end = -1; end <= 1; end += 2) {
-        ivec2 middle = site + end * line;
-        vec4 both = texelFetch(ratios, clamped(middle, size), 0);
-        vec2 ratio = second ? both.zw : both.xy;
-        // Seen from the middle the site lies behind, at its end s, where it came from `end` > 0.
-        ratio = end > 0 ? ratio : ratio.yx;
-        ratio = in_image(middle, size) ? ratio : vec2(0.0);
-        vec2 d_t = value_at(displacement, clamped(middle, size));
-        vec2 d_far = value_at(displacement, clamped(middle + end * line, size));
-        add_end(evidence, weight, ratio, d - d_t, d_far - d_t);
-    }
+    read_pairs(displacement, pair, row);
 }
-#endif
 
 /// Where a site, number k of the middle row, moves to, and what it gives to U_total before that.
 vec2 move(ivec2 site, int k, out float energy)
@@ -83,10 +67,7 @@ vec2 move(ivec2 site, int k, out float energy)
     Evidence evidence = centred(site, k);
     energy = evidence.energy + observed(d, seen);
 #if BLANKET
-    add_ends(evidence, site, d, VERTICAL, weights[0], straight, false);
-    add_ends(evidence, site, d, HORIZONTAL, weights[1], straight, true);
-    add_ends(evidence, site, d, DIAGONAL, weights[2], diagonal, false);
-    add_ends(evidence, site, d, ANTIDIAGONAL, weights[3], diagonal, true);
+    add_all_ends(evidence, site, d);
 #endif
     vec2 chosen = best(d, evidence.curvature / relaxation, evidence.slope, seen);
     return mix(chosen, vec2(0.0), lessThanEqual(abs(chosen), vec2(FLUSH)));

@@ -1,6 +1,6 @@
 // Numbers that stay on the device: images of one texel, written by one kernel and read by the next.
 //
-// A kernel that takes one reads two, `above` and `below`, and takes their ratio.
+// A kernel that takes one may read two, `above` and `below`, and take their ratio.
 //
 // Border rule: none needed, there is one texel.
 

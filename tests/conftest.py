@@ -123,3 +123,27 @@ def wait_for(qtbot):
         return time.perf_counter() - started
 
     return wait
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Every texture and framebuffer that is made; `left` of it says how many OpenGL still has."""
+    import moderngl
+    from opengl_here import on_compute_thread, require_opengl
+
+    from napari_hmrf.backends.opengl.device import the_device
+
+    require_opengl()
+    on_compute_thread(the_device)
+    objects = []
+
+    def noted(make):
+        def note(ctx, *args, **kwargs):
+            objects.append(make(ctx, *args, **kwargs))
+            return objects[-1]
+
+        return note
+
+    for kind in ("texture", "depth_texture", "framebuffer", "buffer"):
+        monkeypatch.setattr(moderngl.Context, kind, noted(getattr(moderngl.Context, kind)))
+    return objects

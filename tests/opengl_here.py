@@ -44,3 +44,8 @@ def require_opengl(stage: str | None = None) -> None:
     if supposed:
         pytest.fail(reason)
     pytest.skip(reason)
+
+
+def left(objects) -> int:
+    """How many objects OpenGL still has."""
+    return sum(type(each.mglo).__name__ != "InvalidObject" for each in objects)

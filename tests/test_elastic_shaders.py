@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from opengl_here import on_compute_thread, require_opengl
+from linear_levels import Example, assert_same, host_levels, random_example, with_levels
+from opengl_here import left, on_compute_thread, require_opengl
 
 from napari_hmrf import (
     BackendError,
@@ -36,73 +36,8 @@ def stage(request) -> str:
     return request.param
 
 
-@dataclass
-class Example:
-    """Random tissue with holes, some components of it held, and random vectors on it."""
-
-    problem: Problem
-    prior: ElasticPrior
-
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(1)
-
-    def model(self, backend):
-        made = backend.elastic_model(self.prior.material(self.problem))
-        height, width = self.problem.shape
-        held = np.zeros((2, height + 4, width + 4), bool)
-        held[:, 2:-2, 2:-2] = np.moveaxis(self.problem.c > 0, -1, 0)
-        made.hold(held)
-        return made
-
-    def planes(self, host_level) -> np.ndarray:
-        """Random values wherever something moves."""
-        values = self._random.normal(size=host_level.inverse.shape)
-        return np.where(host_level.inverse > 0, values, 0).astype(np.float32)
-
-
 def example(shape, prior=PRIORS[0], spacing=(1.0, 1.0), ratio=4.0) -> Example:
-    random = np.random.default_rng([*shape, int(ratio)])
-    m = ratio ** -random.random(shape)
-    m[random.random(shape) < 0.05] = 0
-    m[0, 0] = 1
-    held = (random.random((*shape, 2)) < 0.1) & (m > 0)[..., None]
-    return Example(Problem(random.normal(size=(*shape, 2)), held, m, spacing), prior)
-
-
-def with_levels(stage, given: Example, job, number=0):
-    """What a job makes of a level and the next coarser one, on the processor and as shaders."""
-
-    def both():
-        answers = []
-        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
-            try:
-                model = given.model(backend)
-                coarse = model.levels[number + 1] if number + 1 < len(model.levels) else None
-                answers.append(job(model.levels[number], coarse))
-            finally:
-                backend.close()
-        return answers
-
-    return on_compute_thread(both)
-
-
-def host_levels(given: Example):
-    """The levels of the compiled loops, to know their grids and what moves."""
-
-    def job():
-        backend = CpuBackend(lambda: None)
-        try:
-            return given.model(backend).levels
-        finally:
-            backend.close()
-
-    return on_compute_thread(job)
-
-
-def assert_same(actual, expected, relative=1e-5):
-    """Equal to a fraction of the largest value, as float32 arithmetic allows."""
-    for ours, theirs in zip(actual, expected, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())
+    return random_example(shape, prior, spacing, ratio)
 
 
 # Each step -------------------------------------------------------------------------------------
@@ -363,31 +298,6 @@ def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
 # What stays behind -----------------------------------------------------------------------------
 
 
-@pytest.fixture
-def made(monkeypatch):
-    """Every texture and framebuffer that is made; `left` of it says how many OpenGL still has."""
-    import moderngl
-
-    require_opengl()
-    on_compute_thread(the_device)
-    objects = []
-
-    def noted(make):
-        def note(ctx, *args, **kwargs):
-            objects.append(make(ctx, *args, **kwargs))
-            return objects[-1]
-
-        return note
-
-    for kind in ("texture", "depth_texture", "framebuffer", "buffer"):
-        monkeypatch.setattr(moderngl.Context, kind, noted(getattr(moderngl.Context, kind)))
-    return objects
-
-
-def left(objects) -> int:
-    return sum(type(each.mglo).__name__ != "InvalidObject" for each in objects)
-
-
 def test_an_iteration_allocates_nothing(stage, made):
     given = example((70, 55))
     (host, *_) = host_levels(given)
@@ -483,10 +393,10 @@ def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monk
         (
             "smooth",
             "momentum * texelFetch(last, at, 0)",
-            "momentum * texelFetch(correction, at, 0)",
+            "momentum * texelFetch(displacement, at, 0)",
         ),
-        ("smooth", "row[0] = 0.25 * (before + on)", "row[0] = 0.25 * (before + after)"),
-        ("smooth", "odd ? first.xy : first.zw", "odd ? first.zw : first.xy"),
+        ("interpolation", "row[0] = 0.25 * (before + on)", "row[0] = 0.25 * (before + after)"),
+        ("interpolation", "odd ? first.xy : first.zw", "odd ? first.zw : first.xy"),
         ("restrict", "(first.zw + second.zw)", "(first.zw + second.xy)"),
         ("restrict", "in_image(pair, size) ? rest : vec4(0.0)", "rest"),
         ("restrict", "half_above = next", "half_above = middle"),

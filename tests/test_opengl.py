@@ -400,7 +400,7 @@ def test_a_shader_that_does_not_compile_is_shown_with_its_lines(stage, monkeypat
         ("ratios", "exists ? m * inverse", "true ? m * inverse"),
         ("ratios", "in_image(site, size) ? inverse : 0.0", "inverse"),
         ("common", "VERTICAL = ivec2(0, 1)", "VERTICAL = ivec2(1, 0)"),
-        ("cliques", "row[2] = both.zw", "row[2] = both.xy"),
+        ("common", "row[2] = both.zw", "row[2] = both.xy"),
         ("cliques", "here = below", "here = above"),
     ],
 )

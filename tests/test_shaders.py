@@ -16,7 +16,10 @@ SHARED = {
     "common",
     "cliques",
     "elements",
+    "ends",
     "forces",
+    "interpolation",
+    "pulls",
     "scalars",
     "stage_fragment",
     "stage_compute",
@@ -26,6 +29,12 @@ SHARED = {
 
 def defines(name: str) -> dict[str, int]:
     return dict.fromkeys(KERNELS[name].defines, 1)
+
+
+def file_of(name: str) -> str:
+    """The text of a kernel's file."""
+    path = resource_folder("shaders") / f"{KERNELS[name].text}.glsl"
+    return path.read_text(encoding="utf-8")
 
 
 def header(text: str) -> str:
@@ -39,7 +48,7 @@ def header(text: str) -> str:
 
 
 def test_every_file_is_a_kernel_or_shared():
-    assert {path.stem for path in FILES} == set(KERNELS) | SHARED
+    assert {path.stem for path in FILES} == {kernel.text for kernel in KERNELS.values()} | SHARED
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -49,7 +58,7 @@ def test_every_file_says_what_happens_at_the_border(path):
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_the_header_of_a_kernel_names_all_it_reads_and_writes(name):
-    text = (resource_folder("shaders") / f"{name}.glsl").read_text(encoding="utf-8")
+    text = file_of(name)
     inputs, outputs = header(text).split("// Inputs:")[1].split("// Outputs:")
     uniforms = re.findall(r"^uniform \w+ (\w+)", text, flags=re.MULTILINE)
     for word in (*KERNELS[name].inputs, *uniforms):
@@ -68,7 +77,7 @@ def test_what_drivers_disagree_about_is_not_used(path):
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_both_stages_hold_the_same_kernel_text(name):
-    text = (resource_folder("shaders") / f"{name}.glsl").read_text(encoding="utf-8")
+    text = file_of(name)
     for stage in STAGES:
         assert text in compose(name, stage, defines(name)).text
 
@@ -99,7 +108,7 @@ def test_line_directives_give_each_line_its_place_in_its_file(stage):
                 assert path.read_text(encoding="utf-8").splitlines()[number - 1] == line
                 seen.add(name)
             place = (name, number + 1)
-    assert seen == {"common.glsl", "cliques.glsl", "icm.glsl", f"stage_{stage}.glsl"}
+    assert seen == {"common.glsl", "cliques.glsl", "ends.glsl", "icm.glsl", f"stage_{stage}.glsl"}
 
 
 @pytest.mark.parametrize(

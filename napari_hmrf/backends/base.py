@@ -138,13 +138,7 @@ class Backend(Protocol[FieldType]):
         ...
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Bring the paper's cliques to the device, on all levels of multigrid.
-
-        Raises
-        ------
-        BackendError
-            If this backend has none.
-        """
+        """Bring the paper's cliques to the device, on all levels of multigrid."""
         ...
 
     def release(self, *fields: FieldType) -> None:

@@ -65,7 +65,8 @@ def line_weights(spacing: tuple[float, ...]) -> Float64Array:
     )
 
 
-class SeilerMaterial(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class SeilerMaterial:
     """What the kernels of multigrid need to know of a problem's tissue.
 
     Attributes
@@ -84,6 +85,16 @@ class SeilerMaterial(NamedTuple):
     lines: Float64Array
     square: bool
     blanket: bool
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, SeilerMaterial)
+            and (self.square, self.blanket) == (other.square, other.blanket)
+            and np.array_equal(self.lines, other.lines)
+            and np.array_equal(self.m, other.m)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
 
     @property
     def bounds(self) -> tuple[float, float]:

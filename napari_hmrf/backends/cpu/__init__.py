@@ -173,9 +173,9 @@ class CpuBackend:
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device, on all levels of multigrid."""
-        from napari_hmrf.backends.cpu.seiler_model import CpuSeilerModel
+        from napari_hmrf.backends.cpu.seiler_model import the_model
 
-        return CpuSeilerModel(material)
+        return the_model(material)
 
     def _other_planes(self, stiffness: CpuField) -> FloatArray:
         """Planes to write displacement to, 0 in void; nobody else holds them."""

@@ -42,8 +42,6 @@ class CpuElasticLevel(CpuLevel):
     ----------
     lame : ndarray, shape (2, H + 4, W + 4)
         Lame's parameters of the elements; 0 in void.
-    weight : ndarray, shape (2, H + 4, W + 4), or None
-        The springs; the finest level has none.
     pins : ndarray, shape (2, H + 4, W + 4)
         How much of what is held counts at each site.
     spans : ndarray, shape (H, 2)

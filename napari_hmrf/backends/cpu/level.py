@@ -33,8 +33,11 @@ class CpuLevel:
     ----------
     inverse : ndarray, shape (2, H + 4, W + 4)
         Of the diagonal; 0 where a component does not move.
+    weight : ndarray, shape (2, H + 4, W + 4), or None
+        The springs; the finest level has none.
     """
 
+    weight: Vector | None
     #: Whether `finish` visits all coarser levels, too.
     takes_rest: bool = False
 

@@ -22,12 +22,14 @@ class CpuSeilerLevel(CpuLevel):
     ----------
     stiffness : ndarray, shape (2, H + 4, W + 4)
         (m, 1/m); 0 in void.
-    weight : ndarray, shape (2, H + 4, W + 4), or None
-        The springs; the finest level has none.
     pins : ndarray, shape (2, H + 4, W + 4)
         How much of what does not move counts at each site.
     spans : ndarray, shape (H, 2)
         Where each row's moving sites begin and end.
+    lines : ndarray, shape (4, 2), or None
+        What each line of cliques counts for each component, for the kernels.
+    even : ndarray, shape (H + 4, W + 4)
+        What makes a sum over the finer level's tissue around a site a mean; `seiler.coarsen`.
     """
 
     def __init__(
@@ -36,13 +38,13 @@ class CpuSeilerLevel(CpuLevel):
         super().__init__(grid)
         self.lines, self.blanket = lines, blanket or None
         self.stiffness, self.pins, self._curvature = (self.vector() for _ in range(3))
-        self._even = self.vector()[0]
+        self.even = self.vector()[0]
         self.weight = None if finest else self.vector()
         self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
         """Take the finer level's tissue."""
-        seiler.coarsen(finer.stiffness, self.stiffness, self._even)
+        seiler.coarsen(finer.stiffness, self.stiffness, self.even)
 
     def settle(self) -> None:
         """Take in the stiffness."""
@@ -83,7 +85,7 @@ class CpuSeilerLevel(CpuLevel):
         """
         super().descend(steps, coarse)
         if coarse is not None and not self.blanket:
-            seiler.even_out(coarse.load, coarse._even)
+            seiler.even_out(coarse.load, coarse.even)
 
     def _forget(self) -> None:
         """The kernels write within the spans only: beyond them there must be 0."""
@@ -135,7 +137,7 @@ class CpuSeilerLevel(CpuLevel):
 
 
 class CpuSeilerModel:
-    """`LinearModel` of the paper's cliques.
+    """`LinearModel` of the paper's cliques; other backends take their levels from it.
 
     Parameters
     ----------
@@ -143,7 +145,9 @@ class CpuSeilerModel:
     """
 
     def __init__(self, material: SeilerMaterial) -> None:
+        self.material = material
         self.bounds = material.bounds
+        self._held: HeldPlanes | None = None
         self._blanket = material.blanket or None
         # Square pixels have kernels of their own.
         lines = None if material.square and not material.blanket else material.lines
@@ -161,6 +165,7 @@ class CpuSeilerModel:
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
+        self._rest, self._pull = np.zeros_like(self._stiffness), np.zeros_like(self._stiffness)
         finest.settle()
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
@@ -168,13 +173,17 @@ class CpuSeilerModel:
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
+        if self._held is not None and np.array_equal(held, self._held):
+            return
+        self._held = held.copy()
+        self._rest.fill(0)
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
 
     def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held."""
-        finest, out = self.levels[0], np.zeros_like(d)
+        """Load - A d in double precision, 0 where held; valid until the next call."""
+        finest, out = self.levels[0], self._rest
         seiler.residual(
             d,
             load,
@@ -189,10 +198,9 @@ class CpuSeilerModel:
         return out
 
     def pull(self, d: Planes) -> Planes:
-        """- A d everywhere, in double precision."""
-        out = np.zeros_like(d)
-        seiler.pull(d, self._stiffness, self._lines, self._blanket, out)
-        return out
+        """- A d everywhere, in double precision; valid until the next call of this or `work`."""
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, self._pull)
+        return self._pull
 
     @property
     def steepness(self) -> Planes:
@@ -216,3 +224,18 @@ class CpuSeilerModel:
 
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""
+
+
+_last: list[CpuSeilerModel] = []
+
+
+def the_model(material: SeilerMaterial) -> CpuSeilerModel:
+    """Return the model of a material: the last one, if it is the same tissue again.
+
+    What is edited most is what pulls, not the tissue. For the compute thread only, on which models
+    take turns.
+    """
+    if not _last or _last[0].material != material:
+        _last[:] = ()  # its memory, first
+        _last.append(CpuSeilerModel(material))
+    return _last[0]

@@ -173,17 +173,13 @@ class OpenGLBackend:
         """Bring elastic tissue to the device; its levels come from the compiled loops."""
         from napari_hmrf.backends.opengl.elastic import GLElasticModel
 
-        self._refuse_too_large(*material.m.shape)
-        passes = Passes(self._device, self._stage, self._pace)
-        self._of_models.append(passes)
-        return GLElasticModel(passes, material)
+        return GLElasticModel(self._passes_for(material.m), material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Refuse: the shaders have no multigrid for it yet."""
-        raise BackendError(
-            "multigrid for the paper's prior runs on the compiled loops only, so far. Take "
-            'backend="cpu".'
-        )
+        """Bring the paper's cliques to the device; their levels come from the compiled loops."""
+        from napari_hmrf.backends.opengl.seiler import GLSeilerModel
+
+        return GLSeilerModel(self._passes_for(material.m), material)
 
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""
@@ -201,6 +197,13 @@ class OpenGLBackend:
         self._device.free(self._pool.all)
         self._drawn.clear()
         self._pool = Pool(self._device.texture)
+
+    def _passes_for(self, stiffness: FloatArray) -> Passes:
+        """Passes of a model's own, for tissue that is not too large."""
+        self._refuse_too_large(*stiffness.shape)
+        made = Passes(self._device, self._stage, self._pace)
+        self._of_models.append(made)
+        return made
 
     def _read(self, field: GLField) -> FloatArray:
         """Wait for a field; return what its texture holds, (rows, cols, 4)."""

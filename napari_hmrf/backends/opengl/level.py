@@ -84,6 +84,13 @@ class Ratio:
         self.above, self.below = above, below
 
 
+class Product:
+    """A scalar times another: `GLLevel.quotient` multiplies."""
+
+    def __init__(self, first: Scalar, second: Scalar) -> None:
+        self.first, self.second = first, second
+
+
 class GLLevel:
     """The part of a level that all models share; `LinearLevel` says what each method does.
 
@@ -146,12 +153,24 @@ class GLLevel:
         """A over b; 0 unless both are positive."""
         return Ratio(a, b)
 
+    def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
+        """A over b, of either sign; 0 where b is 0."""
+        made = Scalar(self._one(), self._spare_scalars)
+        inputs = [*self._factors(a), *self._factors(b)]
+        self._passes.run(self._passes.program("quotient"), inputs, [made.texture], (1, 1))
+        return made
+
+    def times(self, a: Scalar, b: Scalar) -> Product:
+        """A times b, to be divided."""
+        return Product(a, b)
+
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Scalar | Ratio
     ) -> Scalar:
         """D += length direction, rest -= length image; the square of the rest."""
         inputs = [d.texture, rest.texture, direction.texture, image.texture, *self._over(length)]
-        self._run("advance", {}, inputs, [d.other, rest.other, self._shares()])
+        signed = {"SIGNED": int(isinstance(length, Scalar))}
+        self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
         d.turn()
         rest.turn()
         return self._sum_of_shares()
@@ -160,6 +179,14 @@ class GLLevel:
         """Direction = steepest + share direction."""
         inputs = [steepest.texture, direction.texture, *self._over(share)]
         self._run("turn", {}, inputs, [direction.other])
+        direction.turn()
+
+    def lean(
+        self, rest: Vector, direction: Vector, image: Vector, share: Scalar, stride: Scalar
+    ) -> None:
+        """Direction = rest + share (direction - stride image)."""
+        vectors = [each.texture for each in (rest, direction, image)]
+        self._run("lean", {}, [*vectors, share.texture, stride.texture], [direction.other])
         direction.turn()
 
     def read(self, *scalars: Scalar | Ratio) -> tuple[float, ...]:
@@ -243,6 +270,12 @@ class GLLevel:
         """What a kernel reads of a number: above and below."""
         if isinstance(number, Ratio):
             return [number.above.texture, number.below.texture]
+        return [number.texture, self._passes.unit]
+
+    def _factors(self, number: Scalar | Product) -> list[Any]:
+        """What a kernel reads of a number that may be a product."""
+        if isinstance(number, Product):
+            return [number.first.texture, number.second.texture]
         return [number.texture, self._passes.unit]
 
 

@@ -40,7 +40,6 @@ class Kernel:
     Attributes
     ----------
     name : str
-        Of its file, without ``.glsl``.
     inputs : tuple of str
         Textures it reads, in the order of their texture units.
     outputs : mapping of str to int
@@ -54,6 +53,8 @@ class Kernel:
     carries : bool
         Whether an invocation may do several texels, one below the other, and carries from each to
         the next what both need. It has a function ``enter`` to begin with.
+    of : str
+        The kernel whose file it takes, if not its own: what differs is in the files they share.
     """
 
     name: str
@@ -63,10 +64,17 @@ class Kernel:
     shared: tuple[str, ...] = ()
     tissue: bool = False
     carries: bool = False
+    of: str = ""
+
+    @property
+    def text(self) -> str:
+        """The name of its file, without ``.glsl``."""
+        return self.of or self.name
 
 
-_SITE = ("displacement", "straight", "diagonal", "observation")
-_MODEL = ("lame", "inverse_diagonal", "springs")
+_CLIQUES = ("displacement", "straight", "diagonal")
+_HELD = ("inverse_diagonal", "springs")
+_READING = ("BLANKET", "SQUARE")
 
 
 def _around(*shared: str) -> dict[str, Any]:
@@ -83,36 +91,75 @@ KERNELS: Mapping[str, Kernel] = {
         Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
         Kernel(
             "icm",
-            _SITE,
+            (*_CLIQUES, "observation"),
             {"moved": 4, "share": 1},
-            ("BLANKET", "SQUARE", "STEPS"),
+            (*_READING, "STEPS"),
+            **_around("cliques", "ends"),
+        ),
+        Kernel(
+            "energy",
+            (*_CLIQUES, "observation"),
+            {"share": 1},
+            ("SQUARE",),
             **_around("cliques"),
         ),
-        Kernel("energy", _SITE, {"share": 1}, ("SQUARE",), **_around("cliques")),
         Kernel(
             "smooth",
-            ("correction", "load", *_MODEL, "last", "coarse"),
+            ("displacement", "load", "lame", *_HELD, "last", "coarse"),
             {"corrected": 4, "taken": 4},
             ("START", "SPRINGS"),
-            **_around("elements", "forces"),
+            **_around("elements", "forces", "interpolation"),
+        ),
+        Kernel(
+            "smooth_cliques",
+            ("displacement", "load", "straight", "diagonal", *_HELD, "last", "coarse"),
+            {"corrected": 4, "taken": 4},
+            ("START", "SPRINGS", *_READING),
+            **_around("cliques", "ends", "pulls", "interpolation"),
+            of="smooth",
+        ),
+        Kernel(
+            "begin",
+            ("displacement", "load", "inverse_diagonal", "coarse"),
+            {"begun": 4, "taken": 4},
+            ("START",),
+            shared=("interpolation",),
+            tissue=True,
         ),
         Kernel(
             "restrict",
-            ("correction", "load", *_MODEL),
+            ("correction", "load", "lame", *_HELD),
             {"coarse_load": 4},
             ("SPRINGS",),
             **_around("elements"),
         ),
         Kernel(
+            "residual",
+            ("displacement", "load", "straight", "diagonal", *_HELD),
+            {"rest": 4},
+            ("SPRINGS", *_READING),
+            **_around("cliques", "ends", "pulls"),
+        ),
+        Kernel("gather", ("rest", "even"), {"coarse_load": 4}, ("EVEN",), tissue=True),
+        Kernel(
             "apply",
-            ("direction", *_MODEL[:2]),
+            ("displacement", "lame", "inverse_diagonal"),
             {"image": 4, "share": 1},
             **_around("elements", "forces"),
+        ),
+        Kernel(
+            "apply_cliques",
+            (*_CLIQUES, "inverse_diagonal"),
+            {"image": 4, "share": 1},
+            _READING,
+            **_around("cliques", "ends", "pulls"),
+            of="apply",
         ),
         Kernel(
             "advance",
             ("found", "rest", "direction", "image", "above", "below"),
             {"further": 4, "left": 4, "share": 1},
+            ("SIGNED",),
             shared=("scalars",),
             tissue=True,
         ),
@@ -123,6 +170,13 @@ KERNELS: Mapping[str, Kernel] = {
             shared=("scalars",),
             tissue=True,
         ),
+        Kernel(
+            "lean",
+            ("rest", "direction", "image", "share", "stride"),
+            {"leaned": 4},
+            tissue=True,
+        ),
+        Kernel("quotient", ("above", "above_by", "below", "below_by"), {"value": 1}),
         Kernel("at_once", ("load", "matrix"), {"corrected": 4}),
         Kernel("product", ("first", "second"), {"total": 1}, ("BLOCK",)),
         Kernel("largest", ("values",), {"most": 1}, ("BLOCK", "PAIRS")),
@@ -212,7 +266,7 @@ def compose(
         head += _group(rows if kernel.carries else 1)
     head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
     head += _outputs(kernel, stage)
-    files = ["common", *kernel.shared, name, f"stage_{stage}"]
+    files = ["common", *kernel.shared, kernel.text, f"stage_{stage}"]
     return _joined(_VERSIONS[stage], head, files)
 
 

@@ -1,0 +1,141 @@
+"""The paper's cliques on the device; set-up and double precision are the compiled loops' work."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+
+from napari_hmrf.backends.cpu.seiler_model import CpuSeilerLevel, the_model
+from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.backends.opengl.fields import singles
+from napari_hmrf.backends.opengl.level import stored_planes
+from napari_hmrf.backends.opengl.passes import Passes
+from napari_hmrf.backends.opengl.relaxing import AS_IS, Float64Array, Model, RelaxingLevel
+from napari_hmrf.priors.seiler import SeilerMaterial
+
+
+class GLSeilerLevel(RelaxingLevel):
+    """One level's cliques and springs.
+
+    Parameters
+    ----------
+    passes : Passes
+    host : CpuSeilerLevel
+        Where stiffness and springs come from.
+    """
+
+    def __init__(self, passes: Passes, host: CpuSeilerLevel) -> None:
+        defines = {"BLANKET": int(bool(host.blanket)), "SQUARE": int(host.lines is None)}
+        weights = {} if host.lines is None else {"weights": host.lines}
+        model = Model("smooth_cliques", "apply_cliques", defines, weights)
+        super().__init__(passes, host, host.stiffness[0, 2:-2, 2:-2] > 0, model)
+        self._cliques = host
+        self._tissue_textures = [passes.empty(singles(host.grid), 4) for _ in range(2)]
+        stiffness = [passes.texture(stored_planes(host.stiffness))]
+        passes.run(passes.program("ratios"), stiffness, self._tissue_textures, singles(host.grid))
+        self._left = passes.blank(self._pairs, 4)
+        # A load that is a mean over sites stays one on coarser levels.
+        self._even = None
+        if not host.blanket:
+            self._even = passes.texture(stored_planes(np.stack([host.even] * 2)))
+
+    def _hand_down(self, coarse: Self) -> None:
+        inputs = [
+            self.correction.texture,
+            self.load.texture,
+            *self._tissue_textures,
+            *self._held_textures,
+        ]
+        self._run("residual", self._defines, inputs, [self._left], self._model.uniforms)
+        even = {"EVEN": int(coarse._even is not None)}
+        coarse._run("gather", even, [self._left, coarse._even or self._left], [coarse.load.texture])
+
+    def _smooth(
+        self,
+        start: int,
+        scale: float,
+        momentum: float,
+        first: float = 0.0,
+        coarse: RelaxingLevel | None = None,
+    ) -> None:
+        """One step of the smoother, or two from zero; blanket, a pass more if not as it is."""
+        if self._cliques.blanket and start != AS_IS:
+            d, last, unused = self.correction, self._last, self._inverse
+            other = unused if coarse is None else coarse.correction.texture
+            inputs = [d.texture, self.load.texture, self._inverse, other]
+            number = {"first_scale": np.array([first], np.float32)}
+            self._run("begin", {"START": start}, inputs, [d.other, last.other], number)
+            d.turn()
+            last.turn()
+            start, coarse = AS_IS, None
+        super()._smooth(start, scale, momentum, first, coarse)
+
+    def _smoother_matrix(self, steps: Steps) -> Float64Array:
+        """Found by applying the host's model to every single displacement."""
+        host = self._cliques
+        count = 4 * self._pairs[0] * self._pairs[1]
+        grid = (*self._pairs, 2, 2)
+        model = np.zeros((count, count))
+        image = host.vector()
+        for number in range(count):
+            row, pair, second, component = np.unravel_index(number, grid)
+            col = 2 * pair + second
+            if col < host.grid[1]:
+                single = host.vector()
+                single[component, row + 2, col + 2] = 1
+                host.apply(single, image)
+                model[:, number] = stored_planes(image).ravel()
+                host.free(single)
+        if host.weight is not None:
+            model += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
+        inverse = stored_planes(host.inverse).astype(np.float64).reshape(-1, 1)
+        moved = taken = np.zeros_like(model)
+        for scale, momentum in steps:
+            taken = scale * inverse * (np.eye(count) - model @ moved) + momentum * taken
+            moved = moved + taken
+        return moved
+
+
+class GLSeilerModel:
+    """`LinearModel` of the paper's cliques.
+
+    Parameters
+    ----------
+    passes : Passes
+        Its own: they end with it.
+    material : SeilerMaterial
+    """
+
+    def __init__(self, passes: Passes, material: SeilerMaterial) -> None:
+        self._passes = passes
+        self._host = the_model(material)
+        self.bounds = self._host.bounds
+        self.levels = [GLSeilerLevel(passes, level) for level in self._host.levels]
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        self._host.hold(held)
+        for level in self.levels:
+            level.hold()
+
+    def residual(self, d: Planes, load: Planes | None) -> Planes:
+        """Load - A d in double precision, 0 where held."""
+        return self._host.residual(d, load)
+
+    def pull(self, d: Planes) -> Planes:
+        """- A d everywhere, in double precision."""
+        return self._host.pull(d)
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The cliques' share of U_total, and the norm of all pulls."""
+        return self._host.work(d)
+
+    @property
+    def steepness(self) -> Planes:
+        """The second derivative of each site's energy; 0 where no clique pulls."""
+        return self._host.steepness
+
+    def close(self) -> None:
+        """Free every texture."""
+        self._passes.close()

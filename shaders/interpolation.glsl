@@ -1,0 +1,27 @@
+// The coarser level's correction on the sites of a level: bilinear, coarse site i on fine site 2 i.
+//
+// Kernels that include this read `coarse`, the coarser level's correction; pairs.
+//
+// Border rule: reads are clamped; every site that moves lies between coarse ones.
+
+/// The coarser level's correction at the sites of a row.
+void read_coarse(ivec2 pair, out vec2 row[4])
+{
+    ivec2 size = textureSize(coarse, 0);
+    ivec2 near = ivec2((pair.x - 1) >> 1, pair.y >> 1);
+    ivec2 far = near + ivec2(0, pair.y & 1);
+    vec4 first = texelFetch(coarse, clamped(near, size), 0);
+    first += texelFetch(coarse, clamped(far, size), 0);
+    near.x = far.x = (pair.x + 1) >> 1;
+    vec4 second = texelFetch(coarse, clamped(near, size), 0);
+    second += texelFetch(coarse, clamped(far, size), 0);
+    // Twice the correction at three coarse sites: before the pair, on its first site and after it.
+    bool odd = (pair.x & 1) == 1;
+    vec2 before = odd ? first.xy : first.zw;
+    vec2 on = odd ? first.zw : second.xy;
+    vec2 after = odd ? second.xy : second.zw;
+    row[0] = 0.25 * (before + on);
+    row[1] = 0.5 * on;
+    row[2] = 0.25 * (on + after);
+    row[3] = 0.5 * after;
+}

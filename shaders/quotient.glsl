@@ -1,0 +1,20 @@
+// A scalar over another, of either sign, each of them a product of two.
+//
+//     value = (above / below) (above_by / below_by); 0 where one of those below is 0
+//
+// Inputs:  above, above_by, below, below_by  scalars (scalars.glsl), any units
+// Outputs: value  a scalar
+// Border rule: none needed, there is one texel.
+
+/// a / b; 0 where b is 0.
+float part(sampler2D a, sampler2D b)
+{
+    float under = texelFetch(b, ivec2(0), 0).x;
+    bool there = under != 0.0;
+    return there ? texelFetch(a, ivec2(0), 0).x / (there ? under : 1.0) : 0.0;
+}
+
+void kernel(ivec2 one)
+{
+    value = part(above, below) * part(above_by, below_by);
+}

@@ -1,0 +1,85 @@
+"""Levels of a linear model, as compiled loops and as shaders, and what both make of the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from opengl_here import on_compute_thread
+
+from napari_hmrf import ElasticPrior, Problem
+from napari_hmrf.backends.cpu import CpuBackend
+from napari_hmrf.backends.opengl import OpenGLBackend
+from napari_hmrf.priors import Prior
+
+
+@dataclass
+class Example:
+    """Random tissue with holes, some components of it held, and random vectors on it."""
+
+    problem: Problem
+    prior: Prior
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(1)
+
+    def model(self, backend):
+        elastic = isinstance(self.prior, ElasticPrior)
+        make = backend.elastic_model if elastic else backend.seiler_model
+        made = make(self.prior.material(self.problem))
+        height, width = self.problem.shape
+        held = np.zeros((2, height + 4, width + 4), bool)
+        held[:, 2:-2, 2:-2] = np.moveaxis(self.problem.c > 0, -1, 0)
+        made.hold(held)
+        return made
+
+    def planes(self, host_level) -> np.ndarray:
+        """Random values wherever something moves."""
+        values = self._random.normal(size=host_level.inverse.shape)
+        return np.where(host_level.inverse > 0, values, 0).astype(np.float32)
+
+
+def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
+    """Random tissue of a ratio of stiffnesses, with holes, a tenth of it held."""
+    random = np.random.default_rng([*shape, int(ratio)])
+    m = ratio ** -random.random(shape)
+    m[random.random(shape) < 0.05] = 0
+    m[0, 0] = 1
+    held = (random.random((*shape, 2)) < 0.1) & (m > 0)[..., None]
+    return Example(Problem(random.normal(size=(*shape, 2)), held, m, spacing), prior)
+
+
+def with_levels(stage, given: Example, job, number=0):
+    """What a job makes of a level and the next coarser one, on the processor and as shaders."""
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                coarse = model.levels[number + 1] if number + 1 < len(model.levels) else None
+                answers.append(job(model.levels[number], coarse))
+            finally:
+                backend.close()
+        return answers
+
+    return on_compute_thread(both)
+
+
+def host_levels(given: Example):
+    """The levels of the compiled loops, to know their grids and what moves."""
+
+    def job():
+        backend = CpuBackend(lambda: None)
+        try:
+            return given.model(backend).levels
+        finally:
+            backend.close()
+
+    return on_compute_thread(job)
+
+
+def assert_same(actual, expected, relative=1e-5):
+    """Equal to a fraction of the largest value, as float32 arithmetic allows."""
+    for ours, theirs in zip(actual, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())

@@ -1,0 +1,406 @@
+"""Multigrid of the paper's prior as shaders: every step is that of the compiled loops."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from linear_levels import Example, assert_same, host_levels, random_example, with_levels
+from opengl_here import left, on_compute_thread, require_opengl
+
+from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, phantom, solve
+from napari_hmrf.backends.cpu import CpuBackend
+from napari_hmrf.backends.opengl import OpenGLBackend
+from napari_hmrf.backends.opengl.device import the_device
+from napari_hmrf.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
+
+#: Odd, even, two sites wide, small enough to be the only level.
+SHAPES = [(31, 37), (64, 48), (2, 9), (4, 5)]
+SPACINGS = [(1.0, 1.0), (2.0, 0.5)]
+CENTRED, BLANKET = SeilerPrior(), SeilerPrior(conditional="blanket")
+STEPS = chebyshev(0.5, 2.0, 3)
+
+readings = pytest.mark.parametrize("prior", [CENTRED, BLANKET], ids=["centred", "blanket"])
+
+
+@pytest.fixture(params=["fragment", "compute"])
+def stage(request) -> str:
+    require_opengl(request.param)
+    return request.param
+
+
+# Each step -------------------------------------------------------------------------------------
+
+
+@readings
+@pytest.mark.parametrize("spacing", SPACINGS)
+@pytest.mark.parametrize("ratio", [4.0, 1e3])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
+    given = random_example(shape, prior, spacing, ratio)
+    hosts = host_levels(given)
+    for number, (host, below) in enumerate(pairwise([*hosts, None])):
+        load = given.planes(host)
+        for steps in (STEPS[:1], STEPS):
+
+            def job(level, coarse, load=load, steps=steps, below=below):
+                level.load = level.vector(load.copy())
+                level.descend(steps, coarse)
+                made = [level.planes(level.correction).copy()]
+                if coarse is not None:
+                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
+                return made
+
+            loops, shaders = with_levels(stage, given, job, number)
+            assert_same(shaders, loops)
+
+
+@readings
+@pytest.mark.parametrize("spacing", SPACINGS)
+@pytest.mark.parametrize("shape", SHAPES[:3])
+def test_a_coarse_correction_comes_up_alike(stage, shape, spacing, prior):
+    given = random_example(shape, prior, spacing)
+    hosts = host_levels(given)
+    for number, (host, below) in enumerate(pairwise(hosts)):
+        random = [given.planes(each) for each in (host, host, below)]
+
+        def job(level, coarse, random=random):
+            load, correction, of_coarse = random
+            level.load = level.vector(load.copy())
+            level.correction = level.vector(correction.copy())
+            coarse.correction = coarse.vector(of_coarse.copy())
+            level.ascend(STEPS, coarse)
+            return [level.planes(level.correction).copy()]
+
+        loops, shaders = with_levels(stage, given, job, number)
+        assert_same(shaders, loops)
+
+
+@readings
+def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage, prior):
+    given = random_example((31, 37), prior)
+    hosts = host_levels(given)
+    load = given.planes(hosts[-1])
+
+    def job(level, _):
+        level.load = level.vector(load.copy())
+        made = []
+        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
+            level.descend(steps, None)
+            made.append(level.planes(level.correction).copy())
+        return made
+
+    loops, shaders = with_levels(stage, given, job, len(hosts) - 1)
+    assert_same(shaders, loops, 3e-5)
+
+
+@readings
+@pytest.mark.parametrize("spacing", SPACINGS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_tissue_pulls_alike(stage, shape, spacing, prior):
+    given = random_example(shape, prior, spacing, 100.0)
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        image = level.vector()
+        work = level.apply(level.vector(values.copy()), image)
+        return [level.planes(image).copy(), np.array(level.read(work))]
+
+    loops, shaders = with_levels(stage, given, job)
+    assert_same(shaders, loops)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_step_of_stabilised_gradients_is_the_same_everywhere(stage, shape):
+    given = random_example(shape, CENTRED, (1.0, 2.0))
+    (host, *_) = host_levels(given)
+    first = [given.planes(host) for _ in range(4)]
+    first[1] *= 1e-9  # as small as scalars come that are multiplied
+
+    def job(level, _):
+        found, rest, direction, image = (level.vector(each.copy()) for each in first)
+        along, against = level.product(rest, rest), level.product(rest, direction)
+        length = level.quotient(along, against)
+        stride = level.quotient(against, level.product(image, image))
+        share = level.quotient(level.times(along, length), level.times(against, stride))
+        none = level.quotient(along, level.largest(level.vector()))
+        level.lean(rest, direction, image, length, stride)
+        square = level.advance(found, rest, direction, image, length)
+        scalars = level.read(along, length, stride, share, none, square)
+        return [np.array([each]) for each in scalars] + [
+            level.planes(vector).copy() for vector in (found, rest, direction)
+        ]
+
+    loops, shaders = with_levels(stage, given, job)
+    assert_same(shaders, loops, 1e-4)  # one of the scalars is a sum of either sign
+    assert shaders[4] == 0
+
+
+def test_a_step_goes_back_where_its_length_is_negative(stage):
+    given = random_example((9, 8), CENTRED)
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        d, direction, rest, image = (level.vector(values.copy()) for _ in range(4))
+        length = level.quotient(
+            level.product(direction, rest), level.product(rest, level.vector(-2 * values))
+        )
+        level.advance(d, rest, direction, image, length)
+        return [level.planes(d).copy(), level.planes(rest).copy(), np.array(level.read(length))]
+
+    for d, rest, length in with_levels(stage, given, job):
+        assert length == -0.5
+        np.testing.assert_array_equal(d, 0.5 * values)
+        np.testing.assert_array_equal(rest, 1.5 * values)
+
+
+@readings
+def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
+    given = random_example((70, 55), prior, (1.0, 1.5))
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                cycle = Cycle(model, AVERAGING if prior is CENTRED else BENDING)
+                finest = model.levels[0]
+                vector = finest.vector(load.copy())
+                answers.append([finest.planes(cycle.run(vector)).copy() for _ in range(2)])
+            finally:
+                backend.close()
+        return answers
+
+    loops, shaders = on_compute_thread(both)
+    assert_same(shaders, loops, 3e-5)
+    np.testing.assert_array_equal(*shaders)
+
+
+# Whole solves ----------------------------------------------------------------------------------
+
+
+def torn(shape=(67, 90), ratio=20.0, spacing=(1.0, 1.0)) -> Problem:
+    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
+    rows, cols = np.indices(shape)
+    m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
+    m[np.hypot(rows - 30, cols - 30) < 9] = 0
+    m[:6, 20:] = 0
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    c[:, :2] = c[:, -2:] = 1
+    y[:, -2:] = (1.5, 4)
+    return Problem(y * spacing, c, m, spacing)
+
+
+@readings
+@pytest.mark.parametrize("spacing", SPACINGS)
+def test_torn_tissue_moves_alike_everywhere(stage, spacing, prior):
+    problem = torn(spacing=spacing)
+    loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
+    off = np.abs(shaders.displacement - loops.displacement) / np.array(spacing)
+    assert off.max() < 2e-3
+    assert (shaders.displacement[~problem.tissue] == 0).all()
+    assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=1e-4)
+    assert shaders.convergence.error <= 5e-4
+    assert abs(shaders.iterations - loops.iterations) <= max(2, loops.iterations // 4)
+
+
+@readings
+@pytest.mark.parametrize(("name", "size"), [("expansion", 64), ("mass-effect", 96)])
+def test_a_phantom_moves_alike_everywhere(stage, name, size, prior):
+    problem = phantom(name, size).problem
+    loops = solve(problem, prior, Multigrid(), backend="cpu")
+    shaders = solve(problem, prior, Multigrid(), backend=f"opengl:{stage}")
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+    assert abs(shaders.iterations - loops.iterations) <= 1
+
+
+def test_a_tumour_that_swims_in_soft_tissue_moves_alike(stage):
+    problem = torn(ratio=1e4)
+    loops = solve(problem, CENTRED, Multigrid(1e-3), backend="cpu")
+    shaders = solve(problem, CENTRED, Multigrid(1e-3), backend=f"opengl:{stage}")
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+
+
+@readings
+def test_observations_that_slip_are_the_same_everywhere(stage, prior):
+    problem = torn(ratio=5.0)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.c
+    problem = Problem(problem.y, graded, problem.m)
+    prior = SeilerPrior(penalty=3.0, conditional=prior.conditional)
+    loops = solve(problem, prior, Multigrid(1e-3), backend="cpu")
+    shaders = solve(problem, prior, Multigrid(1e-3), backend=f"opengl:{stage}")
+    slipped = np.abs(loops.displacement - problem.y)[problem.c > 0] > 0.01
+    assert 0 < slipped.sum() < slipped.size
+    assert np.abs(shaders.displacement - loops.displacement).max() < 4e-3
+
+
+@readings
+def test_the_same_solve_gives_the_same_bits(stage, prior):
+    backend = f"opengl:{stage}"
+    first, second = (solve(torn(), prior, Multigrid(), backend=backend) for _ in range(2))
+    np.testing.assert_array_equal(first.displacement, second.displacement)
+
+
+# What stays behind -----------------------------------------------------------------------------
+
+
+def test_an_iteration_allocates_nothing(stage, made):
+    given = random_example((70, 55), CENTRED)
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def job():
+        backend = OpenGLBackend(lambda: None, stage)
+        try:
+            model = given.model(backend)
+            level, cycle = model.levels[0], Cycle(model, AVERAGING)
+            counts = []
+            rest, found, direction, image = level.vector(load), *(level.vector() for _ in "123")
+            along = level.product(rest, rest)
+            for _ in range(6):
+                steepest = cycle.run(rest)
+                level.apply(steepest, image)
+                length = level.quotient(along, level.product(rest, image))
+                level.advance(found, rest, steepest, image, length)
+                share = level.quotient(level.times(along, length), level.times(along, along))
+                level.lean(rest, direction, image, share, length)
+                level.read(level.largest(rest), share)
+                counts.append(len(made))
+            return counts
+        finally:
+            backend.close()
+
+    counts = on_compute_thread(job)
+    assert counts[3:] == [counts[3]] * 3
+    assert left(made) == 0
+
+
+def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
+    """Solve, cancelled at one of the looks; how many looks there were."""
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        if looks == stop_at:
+            raise Cancelled
+        looks += 1
+
+    def job() -> int:
+        backend = OpenGLBackend(look, stage)
+        try:
+            Multigrid().run(torn(), prior.resolved(torn()), backend, lambda _: None)
+        finally:
+            backend.close()
+        return looks
+
+    return on_compute_thread(job)
+
+
+@readings
+@pytest.mark.parametrize("where", [0.0, 0.5, 0.999])
+def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where, prior):
+    backend = f"opengl:{stage}"
+    before = solve(torn(), prior, Multigrid(), backend=backend)
+    looks = _batches(stage, prior)
+    assert looks >= before.iterations  # one in every cycle at least
+    with pytest.raises(Cancelled):
+        _batches(stage, prior, stop_at=int(where * looks))
+    assert left(made) == 0
+    after = solve(torn(), prior, Multigrid(), backend=backend)
+    np.testing.assert_array_equal(after.displacement, before.displacement)
+    assert left(made) == 0
+
+
+def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
+    from napari_hmrf.backends.opengl import backend, regions
+
+    whole = solve(torn(), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
+    monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
+    monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
+    monkeypatch.setattr(regions, "_ACROSS", 2)
+    cut = solve(torn(), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
+    np.testing.assert_array_equal(cut, whole)
+
+
+# A wrong shader --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "right", "wrong"),
+    [
+        ("pulls", "force[1] = answer(site + HORIZONTAL, 2)", "force[1] = answer(site, 2)"),
+        ("cliques", "ratio.x * u + s", "ratio.y * u + s"),
+        ("ends", "ratio = end > 0 ? ratio : ratio.yx", "ratio = ratio.yx"),
+        ("ends", "middle + end * line", "middle - end * line"),
+        ("begin", "taken = first_scale * inverses", "taken = first_scale"),
+        ("begin", "greaterThan(inverses, vec4(0.0))", "bvec4(true)"),
+        ("residual", "texelFetch(load, at, 0) - pulls", "texelFetch(load, at, 0) + pulls"),
+        ("gather", "(before + first.zw)", "(first.zw + first.zw)"),
+        ("gather", "fine - VERTICAL", "fine"),
+        ("smooth", "pulls += texelFetch(springs", "pulls -= texelFetch(springs"),
+        ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
+    ],
+)
+def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
+    from napari_hmrf.backends.opengl import source
+
+    require_opengl("compute")
+    text = source._text
+
+    def broken(name):
+        if name != file:
+            return text(name)
+        assert right in text(name)
+        return text(name).replace(right, wrong)
+
+    monkeypatch.setattr(source, "_text", broken)
+    given = random_example((33, 47), BLANKET, (1.0, 1.5))
+    hosts = host_levels(given)
+    loads = [given.planes(host) for host in hosts]
+    device = on_compute_thread(the_device)
+    monkeypatch.setattr(device, "_programs", {})
+    monkeypatch.setattr(device, "rows", 4)
+    loops, shaders = [], []
+    for number in (0, 1):  # the first holds, the others have springs
+        below = hosts[number + 1].inverse
+
+        def job(level, coarse, number=number, below=below):
+            level.load = level.vector(loads[number].copy())
+            level.descend(STEPS, coarse)
+            given_down = np.where(below > 0, coarse.planes(coarse.load), 0)
+            coarse.correction = coarse.vector(loads[number + 1].copy())
+            level.ascend(STEPS, coarse)
+            image = level.vector()
+            work = level.read(level.apply(level.correction, image))
+            return [level.planes(level.correction).copy(), given_down, np.array(work)]
+
+        of_loops, of_shaders = with_levels("compute", given, job, number)
+        loops += of_loops
+        shaders += of_shaders
+    with pytest.raises(AssertionError):
+        assert_same(shaders, loops)
+
+
+def test_a_load_that_is_a_mean_stays_one_at_the_border_of_tissue(monkeypatch):
+    require_opengl()
+    given: Example = random_example((33, 47), CENTRED)
+    hosts = host_levels(given)
+    load = given.planes(hosts[0])
+
+    def job(level, coarse):
+        level.load = level.vector(load.copy())
+        level.descend(STEPS, coarse)
+        return [np.where(hosts[1].inverse > 0, coarse.planes(coarse.load), 0)]
+
+    loops, shaders = with_levels(None, given, job)
+    assert_same(shaders, loops)
+    monkeypatch.setattr("napari_hmrf.backends.cpu.seiler.even_out", lambda *_: None)
+    loops, shaders = with_levels(None, given, job)
+    with pytest.raises(AssertionError):
+        assert_same(shaders, loops)
