@@ -70,6 +70,9 @@ def converge(
             refinement.run(d, states.load)
             changed = states.exchange(d, model.pull(d), settings.tolerance / 2)
         energy, forces = model.work(d)
+    except ConvergenceError:
+        model.forget()
+        raise
     finally:
         model.close()
     energy += float((force * np.abs(y - d)).sum())

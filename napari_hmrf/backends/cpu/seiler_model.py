@@ -220,7 +220,8 @@ class CpuSeilerModel:
         return float(rows.sum()) / (2 if self._blanket else 1), norm
 
     def forget(self) -> None:
-        """Nothing to do: no vector outlives a solve."""
+        """Be not the last model any more: what is left in its vectors may be no number."""
+        _last[:] = ()
 
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""

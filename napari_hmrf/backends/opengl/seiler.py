@@ -136,6 +136,9 @@ class GLSeilerModel:
         """The second derivative of each site's energy; 0 where no clique pulls."""
         return self._host.steepness
 
+    def forget(self) -> None:
+        """Nothing to do: no vector outlives a solve."""
+
     def close(self) -> None:
         """Free every texture."""
         self._passes.close()
