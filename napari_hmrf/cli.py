@@ -14,8 +14,8 @@ import napari_hmrf
 from napari_hmrf.annotation import USUAL_POISSON
 from napari_hmrf.backends import BACKEND_NAMES
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.models import Model, converging
-from napari_hmrf.optimizers import Monitor
+from napari_hmrf.models import Model
+from napari_hmrf.optimizers import Monitor, Multigrid
 from napari_hmrf.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.priors.elastic import POISSON_RANGE, Plane
@@ -155,7 +155,7 @@ def _demo(options: argparse.Namespace) -> int:
     from napari_hmrf.demo import demonstrate, write_results
 
     prior = _prior(options)
-    optimizer = converging(prior) if options.converged else None
+    optimizer = Multigrid() if options.converged else None
     # Before the work, so that it is not done in vain.
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()

@@ -5,31 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from napari_hmrf.optimizers import ICM, Multigrid, Optimizer
-from napari_hmrf.priors import ElasticPrior, Prior
+from napari_hmrf.optimizers import Optimizer
 
 #: The paper's Markov random field, or linear elasticity.
 Model = Literal["paper", "elastic"]
 #: By the paper's schedule, or until the field no longer changes.
 Schedule = Literal["paper", "converged"]
 
-#: Sweeps enough for any image, if they may end once the energy stands still to so many digits.
-_SWEEPS = 50_000
+# Sweeps that may end only once the energy stands still to so many digits converge, too.
 _STILL = 1e-7
-
-
-def converging(prior: Prior, tolerance: float = Multigrid.tolerance) -> Optimizer:
-    """The optimizer that takes a prior to its converged field.
-
-    Parameters
-    ----------
-    prior : SeilerPrior or ElasticPrior
-    tolerance : float
-        How far from it a site may stay, in pixels, where the optimizer knows.
-    """
-    if isinstance(prior, ElasticPrior):
-        return Multigrid(tolerance)
-    return ICM(iterations=_SWEEPS, steps=None, tolerance=_STILL)
 
 
 def converges(optimizer: Optimizer) -> bool:

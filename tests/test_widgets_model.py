@@ -335,9 +335,8 @@ def test_tissue_that_could_turn_is_refused_in_one_sentence(widget, small_sample,
 def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, run, monkeypatch):
     small_sample(viewer_of(widget))
     elastic(widget)
-    monkeypatch.setattr(
-        "napari_hmrf.widgets.settings.converging", lambda *_: Multigrid(1e-3, max_iterations=1)
-    )
+    hasty = property(lambda _: Multigrid(1e-3, max_iterations=1))
+    monkeypatch.setattr(type(widget.settings), "optimizer", hasty)
     assert run(widget) is None
     assert widget.status.startswith("No result: ")
     assert "px from converged" in widget.status

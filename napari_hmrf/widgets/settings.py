@@ -8,7 +8,6 @@ from typing import Any
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, SpinBox
 
 from napari_hmrf.backends import BACKEND_NAMES
-from napari_hmrf.models import converging
 from napari_hmrf.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.widgets.forms import Prose, align_labels
@@ -152,7 +151,7 @@ class SolverSettings(Container):
     def optimizer(self) -> Optimizer:
         """The schedule chosen."""
         if self._model.is_elastic or self._model.schedule.value == "converged":
-            return converging(self.prior, self.accuracy.value)
+            return Multigrid(self.accuracy.value)
         options: dict[str, Any] = {} if self.method.value == "steps" else {"steps": None}
         return ICM(self.sweeps.value, tolerance=self.tolerance.value or None, **options)
 

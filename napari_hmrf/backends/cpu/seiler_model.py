@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +15,9 @@ from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids
 from napari_hmrf.priors.seiler import SeilerMaterial
+
+# Levels of fewer sites are visited by one thread: waking the others costs more.
+_SMALL = 8000
 
 
 class CpuSeilerLevel(CpuLevel):
@@ -40,6 +45,7 @@ class CpuSeilerLevel(CpuLevel):
         self.stiffness, self.pins, self._curvature = (self.vector() for _ in range(3))
         self.even = self.vector()[0]
         self.weight = None if finest else self.vector()
+        self.threads = 1
         self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
@@ -83,9 +89,15 @@ class CpuSeilerLevel(CpuLevel):
 
         Centred, a load is a mean over sites: at the border of tissue, over those that exist.
         """
+        numba.set_num_threads(self.threads)
         super().descend(steps, coarse)
         if coarse is not None and not self.blanket:
             seiler.even_out(coarse.load, coarse.even)
+
+    def ascend(self, steps: Steps, coarse: Self) -> None:
+        """Add the coarse correction, and relax."""
+        numba.set_num_threads(self.threads)
+        super().ascend(steps, coarse)
 
     def _forget(self) -> None:
         """The kernels write within the spans only: beyond them there must be 0."""
@@ -173,6 +185,9 @@ class CpuSeilerModel:
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
+        threads = numba.get_num_threads()
+        for level in self.levels:
+            level.threads = 1 if math.prod(level.grid) < _SMALL else threads
         if self._held is not None and np.array_equal(held, self._held):
             return
         self._held = held.copy()
