@@ -61,7 +61,7 @@ class Solution:
         tissue at X moves to X + d(X). Zero where there is no tissue.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
-        squared.
+        squared. Of multigrid for the centred update, which no energy leads, the last throughout.
     levels : tuple of LevelRun
         The levels in the order they were run, with their iterations: the boundaries in `energy`.
     tissue : ndarray, shape (H, W), bool

@@ -240,6 +240,16 @@ def test_observations_that_slip_are_the_same_everywhere(stage, prior):
     assert np.abs(shaders.displacement - loops.displacement).max() < 4e-3
 
 
+def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
+    from napari_hmrf.backends import opengl
+
+    require_opengl()
+    monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
+    provenance = solve(torn(), CENTRED, Multigrid(), backend="auto").provenance
+    assert provenance.backend.startswith("opengl:")
+    assert provenance.reason == "a GPU is there"
+
+
 @readings
 def test_the_same_solve_gives_the_same_bits(stage, prior):
     backend = f"opengl:{stage}"

@@ -101,9 +101,14 @@ def draw_energy(canvas: Any, solution: Solution | None, colour: str) -> None:
 
 
 def _draw_cycles(axes: Any, solution: Solution, colour: str) -> None:
-    """Cycles go over all levels, and there are few: a point for each, and how near they led."""
-    cycles = np.arange(1, len(solution.energy) + 1)
-    axes.plot(cycles, solution.energy, color=_LINE, linewidth=1.2, marker="o", markersize=3)
+    """Cycles go over all levels, and there are few: a point for each, and how near they led.
+
+    No energy leads to where the centred update ends: of that, the last is all that is known.
+    """
+    energy = solution.energy
+    cycles = np.arange(1, len(energy) + 1)
+    known = slice(-1, None) if (energy == energy[-1]).all() else slice(None)
+    axes.plot(cycles[known], energy[known], color=_LINE, linewidth=1.2, marker="o", markersize=3)
     axes.set_xlim(0.5, len(cycles) + 0.5)
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set_xlabel("cycle over all levels")
