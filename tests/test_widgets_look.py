@@ -499,6 +499,15 @@ def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to):
     QApplication.processEvents()
 
 
+def test_what_others_drew_since_is_not_put_back(look, set_to):
+    moved = viewer_of(look).layers["MR deformed"]
+    set_to(look, percent=20)
+    newer = np.zeros_like(moved.data)
+    moved.data = newer
+    look._scene.put_back()
+    assert moved.data is newer
+
+
 def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, wait_for):
     from skimage.io import imread
 

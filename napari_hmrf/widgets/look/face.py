@@ -56,7 +56,7 @@ class LookFace:
         self.slider = Slider(
             value=100,
             max=100,
-            label="deformed (%)",
+            readout=False,
             tooltip="How much of the displacement the tissue has moved by: 0 % is the image as it "
             "was, 100 % the result",
         )
@@ -115,7 +115,7 @@ class LookFace:
         body = Container(
             widgets=[
                 Container(widgets=[self.result, self.image]),
-                Container(widgets=[self.slider]),
+                Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 buttons,
                 Container(widgets=[self.colours]),

@@ -5,9 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-#: How many times finer than the screen the canvas is saved.
-_FINER = 2
-
 
 def save_canvas(viewer: Any, path: Path) -> list[Path]:
     """Save what the canvas shows, with a scale bar.
@@ -34,7 +31,7 @@ def save_canvas(viewer: Any, path: Path) -> list[Path]:
     visible = bar.visible
     bar.visible = True
     try:
-        viewer.screenshot(str(path), scale=_FINER, canvas_only=True, flash=False)
+        viewer.screenshot(str(path), canvas_only=True, flash=False)
     finally:
         bar.visible = visible
     return [path]

@@ -37,6 +37,7 @@ class ShownLayers:
         self._names: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
         self._hidden: list[tuple[weakref.ref[Any], bool]] = []
         self._full: list[tuple[weakref.ref[Any], Any, Any]] = []
+        self._drawn: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
         self.arrows: Any = None
         self.result: FoundResult | None = None
         self.source: Any = None
@@ -86,7 +87,7 @@ class ShownLayers:
             picture, layer = getattr(moment, kind), self.layer(kind)
             if picture is None or layer is None:
                 continue
-            layer.data = self.result.frame.put_image(picture)
+            layer.data = self._drawn[layer] = self.result.frame.put_image(picture)
             known = layer.metadata.get(METADATA)
             if isinstance(known, dict):  # whoever saves the layer now can tell what it is
                 known["percent"] = percent
@@ -96,6 +97,7 @@ class ShownLayers:
         layer = self.layer("grid")
         if layer is not None and moment.grid is not None and self.result is not None:
             layer.data = self.result.frame.put_vectors(moment.grid)
+            self._drawn[layer] = layer.data
 
     def remember(self) -> None:
         """Keep what the layers show now, to be put back: the whole deformation."""
@@ -106,11 +108,13 @@ class ShownLayers:
                 self._full.append((weakref.ref(layer), layer.data, known_of(layer).get("percent")))
 
     def restore(self) -> None:
-        """Put back what `remember` kept, in the layers that were moved since."""
+        """Put back what `remember` kept, where nobody else has drawn since."""
         full, self._full = self._full, []
         for reference, data, percent in full:
             layer = reference()
-            if layer is None or layer not in self._viewer.layers or layer.data is data:
+            if layer is None or layer not in self._viewer.layers:
+                continue
+            if layer.data is not self._drawn.get(layer):
                 continue
             layer.data = data
             known = layer.metadata.get(METADATA)

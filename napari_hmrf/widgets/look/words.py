@@ -25,7 +25,7 @@ FULL = 100
 
 _ABOUT: dict[Quantity, str] = {
     "magnitude": "how far ({unit})",
-    "jacobian": "area change (Jacobian)",
+    "jacobian": "Jacobian",
     "equivalent": "strain: equivalent",
     "stretch": "strain: largest stretch",
     "squeeze": "strain: largest squeeze",
