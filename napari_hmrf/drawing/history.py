@@ -96,11 +96,17 @@ class History:
             raise RuntimeError("no edit was begun; call begin() first, or do()")
         self._show(drawing)
 
-    def end(self) -> None:
-        """End the edit in progress, if there is one; it can be undone from now on."""
+    def end(self, word: str = "") -> None:
+        """End the edit in progress, if there is one; it can be undone from now on.
+
+        Parameters
+        ----------
+        word : str, optional
+            What was done, if that turned out to be something else than was begun.
+        """
         begun, self._begun = self._begun, None
         if begun is not None and begun.drawing != self._drawing:
-            self._past.append(begun)
+            self._past.append(begun._replace(word=word or begun.word))
             self._future.clear()
 
     def cancel(self) -> None:

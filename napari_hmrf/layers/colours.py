@@ -18,6 +18,10 @@ RISING = "magma"
 FOLDED = "#ffee00"
 #: From this part of their range on colours hide the image under them.
 _OPAQUE = 0.4
+#: Of arrows that are drawn by hand, and of the one that is selected: red, green, blue and opacity.
+#: Told apart by those who are blind to colours, too, as one is much brighter.
+DRAWN = (0.0, 0.62, 1.0, 1.0)
+SELECTED = (1.0, 0.9, 0.1, 1.0)
 #: Of boundary labels 1, 2, ...; napari's own would repeat the colours of the tissues.
 #: The first two, which hold and push in new layers, differ from the arrows on them.
 _BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")

@@ -1,0 +1,220 @@
+"""The tissue that is drawn on: an image, where it is tissue, and what holds it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from napari.layers import Labels
+from scipy import ndimage
+
+from napari_hmrf.annotation import Material, poisson_image, stiffness_image
+from napari_hmrf.drawing import Canvas
+from napari_hmrf.label_images import labels_present
+from napari_hmrf.layers.background import background_of
+from napari_hmrf.layers.defaults import default_material
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import TISSUE, rows_of
+from napari_hmrf.layers.naming import LayerError, naming
+from napari_hmrf.layers.outputs import Pictures
+from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
+from napari_hmrf.layers.snapshot import look_of
+from napari_hmrf.layers.view import View
+from napari_hmrf.priors import ElasticPrior, Prior
+from napari_hmrf.problem import Problem
+
+FloatArray = npt.NDArray[np.float32]
+
+#: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
+#: enough to hinder nothing, and still tissue, so that there always is something that holds.
+_TISSUE, _SURROUNDINGS = 1.0, 0.01
+#: Of the edge of a picture: from which part on what is dark there surrounds something.
+_AROUND = 0.75
+#: K of eq. 19 where some confidence is below 1: what is held with confidence c slips where it would
+#: take more than what strains the stiffest tissue by c.
+_PENALTY = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """What a drawing is drawn on; copies, which no later painting changes.
+
+    Attributes
+    ----------
+    frame : Frame
+        Where the slice lies.
+    base : Canvas
+        What is held without a drawing.
+    m : ndarray, shape (H, W), float32
+        Stiffness; 0 is no tissue.
+    prior : Prior
+        The energy, with the tissues' own Poisson's ratios.
+    pictures : Pictures
+        The slice of the image, to be deformed.
+    pieces : ndarray of int, shape (H, W)
+        Numbers of the connected pieces of tissue, from 1.
+    """
+
+    frame: Frame
+    base: Canvas
+    m: FloatArray
+    prior: Prior
+    pictures: Pictures
+    pieces: npt.NDArray[Any]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.base.shape
+
+    @property
+    def usual_radius(self) -> float:
+        """A radius to take hold of tissue with, in the unit of the frame's spacing."""
+        steps = self.frame.spacing
+        shorter = min(size * step for size, step in zip(self.shape, steps, strict=True))
+        return float(f"{shorter / 16:.2g}")
+
+    def same_as(self, other: Ground) -> bool:
+        """Whether a drawing moves the same tissue in the same way on the other."""
+        picture, its = self.pictures.image, other.pictures.image
+        assert picture is not None
+        assert its is not None
+        return (
+            self.frame == other.frame
+            and self.prior == other.prior
+            and np.array_equal(self.m, other.m)
+            and np.array_equal(self.base.c, other.base.c)
+            and np.array_equal(picture, its, equal_nan=picture.dtype.kind == "f")
+        )
+
+    def problem(self, canvas: Canvas) -> tuple[Problem, Prior]:
+        """The problem of a drawing, and its energy.
+
+        Tissue that nobody holds anywhere stays out of it, and where it is. Where something is not
+        certain, all of it may slip.
+
+        Raises
+        ------
+        ProblemError
+            If nothing is held.
+        """
+        held = (canvas.c > 0).any(axis=-1)
+        touched = np.zeros(int(self.pieces.max()) + 1, dtype=bool)
+        touched[self.pieces[held]] = True
+        touched[0] = False
+        m = self.m
+        if touched.any() and not touched[1:].all():
+            m = np.where(touched[self.pieces], m, np.float32(0))
+        prior = self.prior
+        unsure = (canvas.c > 0) & (canvas.c < 1)
+        if isinstance(prior, ElasticPrior) and prior.penalty == math.inf and unsure.any():
+            prior = replace(prior, penalty=_PENALTY)
+        return Problem(canvas.y, canvas.c, m, self.frame.spacing), prior
+
+
+def read_ground(
+    image: Any,
+    tissue: Any = None,
+    view: View | None = None,
+    hold_edge: bool = True,
+    prior: Prior | None = None,
+) -> Ground:
+    """Copy the slice that is shown out of an image and a tissue layer.
+
+    Parameters
+    ----------
+    image : napari.layers.Image
+    tissue : napari.layers.Labels or napari.layers.Image, optional
+        Labels, with a table of materials in the layer's metadata, or the stiffness itself. Without
+        it all that is in the picture is tissue of one stiffness, and its dark surroundings, if it
+        has any, are a hundred times softer.
+    view : View, optional
+        Which slice; by default the first, of the last two axes.
+    hold_edge : bool
+        Whether the edge of the tissue stays where it is: its pixels beside what is no tissue or the
+        surroundings, and at the edge of the image.
+    prior : Prior, optional
+        By default elastic tissue.
+
+    Returns
+    -------
+    Ground
+
+    Raises
+    ------
+    ProblemError
+        Naming the layer, what is wrong with it and what to do.
+    """
+    frame = Frame.of(image, view)
+    shape = plane_shape(image, frame)
+    picture = copy_slice(image, frame)
+    prior = prior or ElasticPrior()
+    if tissue is None:
+        around = _surroundings(picture)
+        m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
+    else:
+        around = np.zeros(shape, dtype=bool)
+        labels = take_slice(tissue, Frame.of(tissue, view), image, frame, shape)
+        m, prior = _stiffness(tissue, labels, prior)
+    there = m > 0
+    if not there.any():
+        raise LayerError(
+            tissue, "has no tissue in this slice: give what is tissue a stiffness above 0."
+        )
+    base = Canvas.blank(shape, frame.spacing)
+    if hold_edge:
+        for part in (there, there & ~around):
+            base.c[part & ~ndimage.binary_erosion(part)] = 1
+    pieces, _ = ndimage.label(there, structure=np.ones((3, 3)))
+    return Ground(
+        frame=frame,
+        base=base,
+        m=m,
+        prior=prior,
+        pictures=Pictures(image=picture, name=str(image.name), look=look_of(image)),
+        pieces=pieces,
+    )
+
+
+def _surroundings(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """The dark background, where it really surrounds something: in a photograph it is a shadow."""
+    dark = background_of(picture)
+    edge = np.concatenate([dark[0], dark[-1], dark[:, 0], dark[:, -1]])
+    return dark if edge.mean() >= _AROUND else np.zeros_like(dark)
+
+
+def _stiffness(tissue: Any, labels: npt.NDArray[Any], prior: Prior) -> tuple[FloatArray, Prior]:
+    with naming(m=tissue, poisson=tissue):
+        if not isinstance(tissue, Labels):
+            if labels.ndim != 2:
+                raise LayerError(
+                    tissue, "is a colour image. Choose a Labels layer or a grey image."
+                )
+            values = labels.astype(np.float32)
+            if not np.isfinite(values).all() or (values < 0).any():
+                raise LayerError(
+                    tissue, "holds values that are no stiffness. Give numbers of 0 or more."
+                )
+            return values, prior
+        materials = _completed(rows_of(tissue, TISSUE) or (), labels)
+        if isinstance(prior, ElasticPrior):
+            prior = replace(prior, poisson=poisson_image(labels, materials))
+        return stiffness_image(labels, materials), prior
+
+
+def _completed(known: Iterable[Material], labels: npt.NDArray[Any]) -> tuple[Material, ...]:
+    """A table with rows for labels that it does not mention."""
+    materials = list(known)
+    listed = {material.label for material in materials}
+    return (
+        *materials,
+        *(
+            default_material(int(label), materials)
+            for label in labels_present(labels)
+            if int(label) not in listed
+        ),
+    )

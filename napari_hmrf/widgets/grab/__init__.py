@@ -1,0 +1,1 @@
+"""*Grab and pull*: tissue that follows the mouse."""

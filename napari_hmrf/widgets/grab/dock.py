@@ -1,0 +1,300 @@
+"""The dock widget *Grab and pull*: press on tissue, drag, and it follows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from magicgui.widgets import Container
+from psygnal import Signal
+from qtpy.QtCore import QTimer
+
+from napari_hmrf.drawing import Drawing, History
+from napari_hmrf.drawing.pull import Grip
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.ground import read_ground
+from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.layers.view import View, unit_symbol
+from napari_hmrf.widgets.grab.form import GrabForm
+from napari_hmrf.widgets.grab.puller import OFF, ON, Puller
+from napari_hmrf.widgets.grab.watch import GrabWatch
+from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.words import WELCOME
+
+START = "Press 'Grab and pull', then drag tissue in the image."
+FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
+ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
+IMAGE_GONE = "There is no image to pull: choose one, or open one (File > Open)."
+
+#: How long a drawing must rest until its displacement is drawn, in milliseconds.
+_REST = 300
+
+
+class GrabAndPull(Container):
+    """Pull tissue with the mouse and see all of it follow.
+
+    Everything the mouse can do a script can do too: choose `image` and `tissue`, `start()`, set
+    `drawing`, `undo()` and `redo()`; `seen` is emitted with every new state of the tissue.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    form : GrabForm
+        The fields and buttons.
+    seen : Signal(object)
+        Emitted with what is `Seen` from now on.
+    """
+
+    seen = Signal(object)
+
+    def __init__(self, napari_viewer: Any) -> None:
+        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
+        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
+        self.form = GrabForm(lambda: list(self._viewer.layers))
+        super().__init__(widgets=[self.form], labels=False)
+        self._life = Life(self.native, self._on_closed)
+        self._docked = self._started = self._sized = False
+        self._status = ""
+        self._puller = Puller(self._viewer, lambda: self.form.grip)
+        self._resting = QTimer(self.native)
+        self._resting.setSingleShot(True)
+        self._resting.setInterval(_REST)
+        self._resting.timeout.connect(self._on_rest)
+        self._connect()
+        self._watch = GrabWatch(self, self._viewer)
+        self._puller.arrows.bind_viewer()
+        self.native_parent_changed.connect(self._on_parent)
+        self.reset_choices()
+        images = self.form.image.offered
+        if images:
+            self.image = images[0]
+        self.say(START if images else WELCOME)
+
+    # What there is to see
+
+    @property
+    def image(self) -> Any:
+        """The image whose tissue is pulled, or None."""
+        return self.form.image.value
+
+    @image.setter
+    def image(self, layer: Any) -> None:
+        self.form.image.choose(layer)
+
+    @property
+    def tissue(self) -> Any:
+        """How stiff tissue is: a Labels layer with its table, an image of stiffness, or None."""
+        return self.form.tissue.value
+
+    @tissue.setter
+    def tissue(self, layer: Any) -> None:
+        self.form.tissue.choose(layer)
+
+    @property
+    def drawing(self) -> Drawing:
+        """What is drawn on the slice that is shown."""
+        return self.history.drawing
+
+    @drawing.setter
+    def drawing(self, drawing: Drawing) -> None:
+        self._puller.set_drawing(drawing, "took over a drawing")
+
+    @property
+    def history(self) -> History:
+        """Of the slice that is shown."""
+        return self._puller.history
+
+    @property
+    def active(self) -> bool:
+        """Whether the mouse pulls tissue."""
+        return self._puller.active
+
+    @property
+    def busy(self) -> bool:
+        """Whether tissue is still on its way."""
+        return self._puller.follower.busy or self._resting.isActive()
+
+    @property
+    def away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+        return self._life.over or (self._docked and self.native.parent() is None)
+
+    @property
+    def status(self) -> str:
+        """The sentence below the buttons."""
+        return self._status
+
+    # What can be done
+
+    def start(self) -> bool:
+        """Have the mouse pull tissue; whether it does from now on."""
+        self._started = True
+        if self.look():
+            ground = self._puller.ground
+            assert ground is not None
+            if not self._sized:
+                self.form.radius.value = ground.usual_radius
+                self._sized = True
+            self._puller.take(self.form.radius.value)
+        self.show_toggle()
+        return self.active
+
+    def stop(self) -> None:
+        """Have the mouse move the view again; what is drawn stays."""
+        if self.active and self.image in self._viewer.layers:
+            self._viewer.layers.selection = {self.image}
+        self.active_changed()
+
+    def look(self) -> bool:
+        """Read the layers of the slice that is shown, and go on with what is drawn there.
+
+        Returns
+        -------
+        bool
+            Whether there is anything to draw on.
+        """
+        if not self._started or self.away:
+            return False
+        try:
+            if self.image is None:
+                raise HmrfError(IMAGE_GONE if self._viewer.layers else WELCOME)
+            if self._viewer.dims.ndisplay != 2:
+                raise HmrfError(FLAT)
+            view = View.of(self._viewer.dims)
+            ground = read_ground(self.image, self.tissue, view, self.form.edge.value)
+        except (HmrfError, ValueError) as error:
+            self._puller.stand_on(None)
+            self.say(error.sentence if isinstance(error, LayerError) else str(error))
+            return False
+        before = self._puller.ground
+        if before is None or not before.same_as(ground):
+            self._puller.stand_on(ground, self.image)
+            self.form.radius.label = f"radius ({unit_symbol(ground.frame.unit)})"
+        return True
+
+    def undo(self) -> None:
+        """Take back what was done last."""
+        self._puller.undo()
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._puller.redo()
+
+    def remove(self) -> None:
+        """Remove the arrow that is selected."""
+        self._puller.remove()
+
+    def clear(self) -> None:
+        """Remove all arrows."""
+        self._puller.set_drawing(Drawing(), "removed all arrows")
+
+    def reset_choices(self, *_: Any) -> None:
+        """Look again at which layers there are."""
+        if not self.away:
+            self.form.image.refresh()
+            self.form.tissue.refresh()
+
+    def say(self, sentence: str) -> None:
+        """Say something below the buttons."""
+        if not self.away:
+            self._status = sentence
+            self.form.status.say(sentence)
+
+    def let_go(self) -> None:
+        """End a drag where it is."""
+        self._puller.release()
+
+    # What happens elsewhere
+
+    def active_changed(self) -> None:
+        """Another layer feels the mouse, or ours does again."""
+        if self._puller.quiet:
+            return
+        if not self.active:
+            self._puller.release()
+            if self._status == ON:
+                self.say(OFF)
+        elif self._status == OFF:
+            self.say(ON)
+        self.show_toggle()
+
+    def show_toggle(self) -> None:
+        """Show whether the mouse pulls."""
+        self.form.show_toggle(self.active)
+
+    def layer_gone(self, layer: Any) -> None:
+        """A layer was removed: nothing of it is pulled any more."""
+        if self._puller.quiet or not self._started:
+            return
+        if layer is self._puller.arrows.former:
+            self._puller.release()
+            self.say(ARROWS_GONE)
+        if self._puller.ground is not None and self.image is None:
+            self._puller.stand_on(None)
+            self.say(IMAGE_GONE)
+        self.show_toggle()
+
+    def _connect(self) -> None:
+        form, puller = self.form, self._puller
+        form.grab.native.clicked.connect(self._on_toggle)
+        for button, answer in (
+            (form.undo, self.undo),
+            (form.redo, self.redo),
+            (form.remove, self.remove),
+            (form.clear, self.clear),
+        ):
+            button.changed.connect(answer)
+        for field in (form.radius, form.confidence, form.components):
+            field.changed.connect(self._on_grip)
+        puller.said.connect(self.say)
+        puller.changed.connect(self._on_changed)
+        puller.seen.connect(self.seen.emit)
+        puller.taken.connect(form.show_grip)
+
+    def _on_changed(self) -> None:
+        if self.away:
+            return
+        self._resting.start()
+        history, pull = self._puller.history, self._puller.pull
+        self.form.show_steps(history.undo_word, history.redo_word)
+        self.form.remove.enabled = pull.selected is not None
+        self.form.clear.enabled = bool(history.drawing.marks)
+
+    def _on_rest(self) -> None:
+        if self.away:
+            return
+        if self._puller.pull.holding or self._puller.follower.busy:
+            self._resting.start()
+        else:
+            self._puller.complete()
+
+    def _on_toggle(self, *_: Any) -> None:
+        if self.active:
+            self.stop()
+        else:
+            self.start()
+
+    def _on_grip(self, *_: Any) -> None:
+        grip: Grip = self.form.grip
+        self._puller.arrows.show_radius(grip.radius)
+        self._puller.pull.change(
+            radius=grip.radius, confidence=grip.confidence, components=grip.components
+        )
+
+    def _on_parent(self, *_: Any) -> None:
+        """Napari closes a dock by taking the widget out of it."""
+        if self._life.over:
+            return
+        if self.native.parent() is not None:
+            self._docked = True
+            self.reset_choices()
+        elif self._docked:
+            self._resting.stop()
+            self._puller.release()
+
+    def _on_closed(self) -> None:
+        """The dock or the viewer is gone: listen to nothing any more."""
+        self._watch.release()
+        self._puller.end()

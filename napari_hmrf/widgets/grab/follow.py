@@ -1,0 +1,173 @@
+"""Tissue that follows a drawing: solved and warped away from the window, the newest shown."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy.typing as npt
+
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.drawing import Drawing, Rendering
+from napari_hmrf.drawing.marks import Point
+from napari_hmrf.layers.ground import Ground
+from napari_hmrf.layers.outputs import RESTORED, Outputs, emptiness, result_layers
+from napari_hmrf.live import LiveSolver, Update
+from napari_hmrf.origin import origin
+from napari_hmrf.priors import Prior
+from napari_hmrf.problem import Problem
+from napari_hmrf.solution import Solution
+from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.widgets.grab.newest import Newest
+
+_log = logging.getLogger("napari_hmrf")
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The tissue as a drawing has moved it.
+
+    Attributes
+    ----------
+    ground : Ground
+    drawing : Drawing
+    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+        The image, moved with the tissue.
+    solution : Solution, optional
+    error : Exception, optional
+        Why there is no solution; the picture is then the one before.
+    outputs : Outputs, optional
+        The arrows of the displacement, and the folds; only once a drawing has come to rest.
+    """
+
+    ground: Ground
+    drawing: Drawing
+    picture: npt.NDArray[Any]
+    solution: Solution | None = None
+    error: Exception | None = None
+    outputs: Outputs | None = None
+
+    @classmethod
+    def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:
+        """Nothing has moved."""
+        picture = ground.pictures.image
+        assert picture is not None
+        return cls(ground, drawing or Drawing(), picture)
+
+    def came_from(self, point: Point) -> Point | None:
+        """Where the tissue seen at a point was before it moved; None if there is none."""
+        before: Point | None = point
+        if self.solution is not None:
+            solution = self.solution
+            before = origin(point, solution.displacement, solution.spacing, solution.tissue)
+            # What nobody held anywhere stayed out of it, and where it was.
+            before = before or (None if self._tissue_at(point, solution.tissue) else point)
+        return before if before is not None and self._tissue_at(before, self.ground.m) else None
+
+    def _tissue_at(self, point: Point, image: npt.NDArray[Any]) -> bool:
+        row, col = (round(along) for along in point)
+        rows, cols = self.ground.shape
+        return 0 <= row < rows and 0 <= col < cols and bool(image[row, col] > 0)
+
+
+class Follower:
+    """Has the tissue of a ground follow a drawing.
+
+    Parameters
+    ----------
+    show : callable
+        Called with what is to be `Seen`, by the event loop of the thread this was made on.
+    """
+
+    def __init__(self, show: Callable[[Seen], None]) -> None:
+        self._newest = Newest(show)
+        self._scene: _Scene | None = None
+
+    @property
+    def ground(self) -> Ground | None:
+        """What is drawn on."""
+        return None if self._scene is None else self._scene.ground
+
+    def stand_on(self, ground: Ground | None) -> None:
+        """Follow drawings on another ground, or none; nothing of the one before is shown."""
+        if self._scene is not None:
+            self._scene.live.close()
+        self._newest.forget()
+        self._scene = None if ground is None else _Scene(ground, self._newest)
+
+    def follow(self, drawing: Drawing) -> None:
+        """Have the tissue move as a drawing says; returns at once."""
+        scene = self._scene
+        if scene is None:
+            return
+        # Without a mark nothing moves, and still that is solved where it can be: what has to be
+        # compiled then is when the first one is drawn.
+        if drawing.marks or scene.ground.base.c.any():
+            scene.live.submit(lambda: scene.problem(drawing))
+        else:
+            scene.live.forget()
+            self._newest.put(Seen.still(scene.ground))
+
+    def complete(self) -> None:
+        """Have what takes longer made of the latest result, unless there is a newer one then."""
+        scene = self._scene
+        if scene is not None:
+            compute_thread.submit(scene.complete)
+
+    @property
+    def busy(self) -> bool:
+        """Whether an answer is still to come."""
+        return self._scene is not None and self._scene.live.busy
+
+    def release(self) -> None:
+        """Follow nothing any more."""
+        self.stand_on(None)
+        self._newest.release()
+
+
+class _Scene:
+    """A ground with what was found on it; but for `live`, only the compute thread looks at it."""
+
+    def __init__(self, ground: Ground, newest: Newest) -> None:
+        self.ground = ground
+        self.live = LiveSolver(self._deliver, ground.prior)
+        self._newest = newest
+        self._rendering: Rendering | None = None
+        self._warper: Warper | None = None
+        self._seen = Seen.still(ground)
+
+    def problem(self, drawing: Drawing) -> tuple[Problem, Prior]:
+        if self._rendering is None:
+            self._rendering = Rendering(self.ground.base)
+        self._rendering.show(drawing)
+        return self.ground.problem(self._rendering.canvas)
+
+    def _deliver(self, update: Update) -> None:
+        seen = self._seen
+        drawing = seen.drawing if self._rendering is None else self._rendering.drawing
+        if update.solution is None:
+            self._newest.put(replace(seen, error=update.error, outputs=None))
+            return
+        solution, picture = update.solution, self.ground.pictures.image
+        assert picture is not None
+        if self._warper is None:
+            shown = Picture(picture, fill=emptiness(picture))
+            self._warper = Warper(shown, solution.spacing)
+        (moved,) = self._warper(solution.displacement, solution.tissue)
+        self._seen = Seen(self.ground, drawing, moved, solution)
+        self._newest.put(self._seen)
+
+    def complete(self) -> None:
+        seen = self._seen
+        if seen.solution is None or not seen.drawing.marks or self.live.busy:
+            return
+        try:
+            # A drawing is kept in the file of the solution it belongs to.
+            solution = replace(seen.solution, frame={"drawing": seen.drawing.as_dict()})
+            outputs = result_layers(solution, self.ground.frame, None, kinds=RESTORED)
+            if not self.live.busy:
+                self._newest.put(replace(seen, outputs=outputs))
+        except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
+            _log.exception("the displacement could not be drawn")

@@ -1,0 +1,109 @@
+"""The layers that show tissue while it is pulled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from napari.layers import Layer
+
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.ground import Ground
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.outputs import LayerData
+from napari_hmrf.widgets.grab.follow import Seen
+from napari_hmrf.widgets.results import same_selection, update_layer
+
+PICTURE, ARROWS = "Deformed image", "Displacement"
+
+
+class LiveLayers:
+    """*Deformed image* above the image, and *Displacement*, which is hidden until it is asked for.
+
+    A layer that was deleted is made again; one that was renamed keeps its name.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._picture: Any = None
+        self._arrows: Any = None
+        self._frame: Frame | None = None
+        self._hidden = False
+
+    @property
+    def picture(self) -> Any:
+        """The *Deformed image*, if there is one in the viewer."""
+        return self._there(self._picture)
+
+    @property
+    def arrows(self) -> Any:
+        """The *Displacement*, if there is one in the viewer."""
+        return self._there(self._arrows)
+
+    def show(self, seen: Seen, image: Any) -> None:
+        """Bring the layers up to date.
+
+        Parameters
+        ----------
+        seen : Seen
+        image : napari.layers.Image
+            What is deformed.
+        """
+        self._show_picture(seen, image)
+        if seen.outputs is not None:
+            made = seen.outputs.layers["arrows"]
+            made.attributes["name"] = ARROWS
+            layer = self.arrows
+            if layer is None or layer.ndim != seen.ground.frame.ndim:
+                self._arrows = self._add(made, len(self._viewer.layers), visible=False)
+            else:
+                update_layer(layer, made)
+                layer.visible = layer.visible or self._hidden
+            self._hidden = False
+        else:
+            self.outdate()
+
+    def outdate(self) -> None:
+        """The displacement is not that of what is seen: hide it until it is."""
+        layer = self.arrows
+        if layer is not None and layer.visible:
+            layer.visible, self._hidden = False, True
+
+    def _show_picture(self, seen: Seen, image: Any) -> None:
+        frame, layer = seen.ground.frame, self.picture
+        data = frame.put_image(seen.picture)
+        rgb = seen.picture.ndim == 3
+        if layer is not None and (layer.ndim, layer.rgb) == (frame.ndim, rgb):
+            if frame == self._frame:
+                layer.data = data
+            else:
+                update_layer(layer, LayerData(data, self._attributes(seen.ground, rgb), "image"))
+        else:
+            made = LayerData(data, self._attributes(seen.ground, rgb), "image")
+            layers = self._viewer.layers
+            above = layers.index(image) + 1 if image in layers else len(layers)
+            self._picture = self._add(made, above)
+        self._frame = frame
+
+    def _attributes(self, ground: Ground, rgb: bool) -> dict[str, Any]:
+        facts = {"kind": "image", "source": ground.pictures.name, "slice": ground.frame.slice_name}
+        return {
+            **ground.pictures.look,
+            **ground.frame.placement(image=True),
+            "rgb": rgb,
+            "name": PICTURE,
+            "metadata": {METADATA: {**facts, "unit": ground.frame.unit}},
+        }
+
+    def _add(self, made: LayerData, at: int, visible: bool = True) -> Any:
+        layer = Layer.create(*made)
+        layer.visible = visible
+        with same_selection(self._viewer):
+            self._viewer.layers.insert(at, layer)
+        return layer
+
+    def _there(self, layer: Any) -> Any:
+        return layer if layer is not None and layer in self._viewer.layers else None

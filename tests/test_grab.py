@@ -1,0 +1,380 @@
+"""*Grab and pull* in a real window, with real events of the mouse and the keyboard."""
+
+import numpy as np
+import pytest
+from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
+from qtpy.QtGui import QMouseEvent
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf.annotation import Material
+from napari_hmrf.drawing import Arrow, Drawing
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+
+LEFT, NO_BUTTON = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
+PLAIN, CTRL = Qt.KeyboardModifier.NoModifier, Qt.KeyboardModifier.ControlModifier
+SHIFT = Qt.KeyboardModifier.ShiftModifier
+
+
+class Person:
+    """Somebody before a window: moves the mouse to pixels of the image, and presses keys."""
+
+    def __init__(self, viewer, qtbot):
+        self.viewer = viewer
+        self._qtbot = qtbot
+        self._canvas = viewer.window._qt_viewer.canvas
+
+    def where(self, row, col):
+        view = self._canvas.view
+        x, y = (view.transform * view.scene.transform).map([col, row])[:2]
+        return QPoint(round(x), round(y))
+
+    def press(self, row, col):
+        QTest.mousePress(self._canvas.native, LEFT, PLAIN, self.where(row, col))
+
+    def move(self, row, col, button=LEFT):
+        place = QPointF(self.where(row, col))
+        native = self._canvas.native
+        there = QPointF(native.mapToGlobal(place.toPoint()))
+        event = QMouseEvent(QEvent.Type.MouseMove, place, there, NO_BUTTON, button, PLAIN)
+        QApplication.sendEvent(native, event)
+
+    def release(self, row, col):
+        QTest.mouseRelease(self._canvas.native, LEFT, PLAIN, self.where(row, col))
+
+    def drag(self, *places):
+        self.press(*places[0])
+        for place in places[1:]:
+            self.move(*place)
+        self.release(*places[-1])
+
+    def key(self, key, modifiers=PLAIN):
+        self._canvas.native.setFocus()
+        QTest.keyClick(self._canvas.native, key, modifiers)
+
+
+@pytest.fixture
+def open_window(make_napari_viewer, qtbot):
+    """Open a window with *Grab and pull* beside an image."""
+
+    def opened(data=None, **place):
+        viewer = make_napari_viewer(show=True)
+        if data is None:
+            rows, cols = np.indices((64, 64))
+            data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
+        viewer.add_image(data, name="MR", **place)
+        _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+        qtbot.wait(50)
+        return Person(viewer, qtbot), widget
+
+    return opened
+
+
+@pytest.fixture
+def pulling(open_window, settle):
+    """Somebody who has pressed *Grab and pull*."""
+    person, widget = open_window()
+    widget.form.grab.native.click()
+    assert widget.active
+    settle(widget)
+    return person, widget
+
+
+@pytest.fixture
+def settle(qtbot):
+    """Wait until the tissue has followed, and its displacement is drawn."""
+
+    def wait(widget):
+        qtbot.waitUntil(lambda: not widget.busy, timeout=240_000)
+        qtbot.wait(60)
+
+    return wait
+
+
+def only(widget):
+    (mark,) = widget.drawing.marks
+    return mark
+
+
+def by_name(viewer, name):
+    return viewer.layers[name]
+
+
+def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
+    person, widget = pulling
+    still = by_name(person.viewer, "Deformed image").data.copy()
+    seen = []
+    widget.seen.connect(seen.append)
+    person.press(30, 30)
+    for step in range(1, 5):
+        person.move(30 + step, 30 + 2 * step)
+        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=10_000)
+    assert widget.history.in_progress, "the button is still down"
+    moved = by_name(person.viewer, "Deformed image").data
+    assert (moved != still).mean() > 0.05
+    person.release(34, 38)
+    settle(widget)
+    arrow = only(widget)
+    assert arrow.at == pytest.approx((30, 30), abs=0.6)
+    assert arrow.by == pytest.approx((4, 8), abs=0.6)
+    field = seen[-1].solution.displacement
+    at = tuple(round(along) for along in arrow.at)
+    assert field[at] == pytest.approx(arrow.by, abs=0.02)
+    assert not field[0].any(), "the edge is held"
+    assert 0.5 < np.linalg.norm(field[20, 20]) < 8
+    assert seen[-1].outputs is not None
+    assert person.viewer.layers.selection.active.name == "Arrows"
+    assert by_name(person.viewer, "Displacement").metadata[METADATA]["solution"] is not None
+    assert widget.history.undo_word == "drew an arrow"
+
+
+def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34), (36, 36))
+    settle(widget)
+    person.drag((36, 36), (36, 40))
+    assert only(widget).by == pytest.approx((6, 10), abs=0.8)
+    person.drag((30, 30), (28, 30))
+    assert only(widget).at == pytest.approx((28, 30), abs=0.6)
+    assert only(widget).by == pytest.approx((8, 10), abs=0.8)
+
+
+def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (36, 36))
+    settle(widget)
+    person.drag((40, 44), (40, 44))
+    settle(widget)
+    held = widget.drawing.marks[1]
+    assert held.at[0] < 39.5, "it has come from further up"
+    assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
+    assert widget.history.undo_word == "held a place"
+
+
+def test_keys_remove_undo_and_redo(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    drawn = widget.drawing
+    person.key(Qt.Key.Key_Delete)
+    assert widget.drawing == Drawing()
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == drawn
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == Drawing()
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    assert widget.drawing == drawn
+    person.drag((34, 34), (34, 34))
+    person.key(Qt.Key.Key_Backspace)
+    assert widget.drawing == Drawing()
+    settle(widget)
+    image = by_name(person.viewer, "MR").data
+    assert np.array_equal(by_name(person.viewer, "Deformed image").data, image)
+
+
+def test_escape_gives_a_drag_up(pulling):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(35, 35)
+    assert widget.drawing.marks
+    person.key(Qt.Key.Key_Escape)
+    person.move(40, 40)
+    person.release(40, 40)
+    assert (widget.drawing, widget.history.undo_word) == (Drawing(), "")
+    assert widget.status == "Cancelled; everything is as before."
+
+
+def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pulling):
+    person, widget = pulling
+    before = person.where(0, 0)
+    person.drag((30, 30), (34, 34))
+    assert person.where(0, 0) == before
+    layer = by_name(person.viewer, "Arrows")
+    assert not layer.mouse_pan
+    native = person.viewer.window._qt_viewer.canvas.native
+    QTest.keyPress(native, Qt.Key.Key_Space)
+    assert layer.mouse_pan
+    person.drag((50, 50), (54, 54))
+    QTest.keyRelease(native, Qt.Key.Key_Space)
+    assert not layer.mouse_pan
+    assert len(widget.drawing.marks) == 1
+    assert layer.cursor == "circle"
+    assert layer.cursor_size == pytest.approx(2 * widget.form.radius.value)
+
+
+def test_another_active_layer_pauses_the_tool(pulling):
+    person, widget = pulling
+    person.viewer.layers.selection.active = by_name(person.viewer, "MR")
+    assert not widget.active
+    assert not widget.form.grab.native.isChecked()
+    assert "Paused" in widget.status
+    person.drag((30, 30), (34, 34))
+    assert not widget.drawing.marks
+    widget.form.grab.native.click()
+    assert widget.active
+    widget.form.grab.native.click()
+    assert not widget.active
+
+
+def test_labels_keep_their_own_undo(pulling):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
+    labels.paint((10, 10), 3)
+    assert labels.data.any()
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not labels.data.any()
+    assert widget.drawing.marks, "ours was not touched"
+    person.viewer.layers.selection.active = by_name(person.viewer, "MR")
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks, "an image has no undo of its own"
+
+
+def test_fields_change_the_selected_arrow_and_the_next_ones(pulling, settle):
+    person, widget = pulling
+    form = widget.form
+    form.components.value = "row"
+    person.drag((30, 30), (34, 36))
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6)
+    form.radius.value = 6.0
+    form.confidence.value = 0.5
+    assert (only(widget).radius, only(widget).confidence) == (6.0, 0.5)
+    form.undo.native.click()
+    assert only(widget).confidence == 1.0
+    settle(widget)
+    person.drag((10, 10), (10, 10))
+    assert widget.drawing.marks[1].radius == 6.0
+    form.clear.native.click()
+    assert widget.drawing == Drawing()
+    assert not form.clear.enabled
+
+
+def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(34, 34)
+    person.viewer.layers.remove("Arrows")
+    person.move(40, 40)
+    person.release(40, 40)
+    assert only(widget).by == pytest.approx((4, 4), abs=0.6)
+    assert not widget.history.in_progress
+    assert not widget.active
+    assert "is gone" in widget.status
+    settle(widget)
+    widget.form.grab.native.click()
+    assert len(by_name(person.viewer, "Arrows").data) > 10
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+
+
+def test_the_image_deleted_in_mid_drag_ends_it(pulling, qtbot):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(34, 34)
+    person.viewer.layers.remove("MR")
+    person.move(40, 40)
+    person.release(40, 40)
+    qtbot.wait(100)
+    assert widget.image is None
+    assert not widget.drawing.marks
+    assert "no image" in widget.status
+
+
+def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(32, 32)
+    settle_moves(person, widget)
+    by_name(person.viewer, "MR").name = "T1"
+    by_name(person.viewer, "Arrows").name = "mine"
+    person.viewer.layers.remove("Deformed image")
+    person.move(34, 34)
+    person.release(34, 34)
+    settle(widget)
+    assert only(widget).by == pytest.approx((4, 4), abs=0.6)
+    assert "Deformed image" in person.viewer.layers, "it is made again"
+    assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
+
+
+def settle_moves(person, widget):
+    person._qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
+
+
+def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_window(stack, scale=(5, 1, 1))
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    settle(widget)
+    person.press(20, 30)
+    person.move(24, 30)
+    viewer.dims.set_current_step(0, 2)
+    person.move(30, 30)
+    person.release(30, 30)
+    settle(widget)
+    assert not widget.drawing.marks, "nothing is drawn on this slice"
+    assert by_name(viewer, "Arrows").data.shape[0] == 0
+    viewer.dims.set_current_step(0, 1)
+    settle(widget)
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag ended with the slice"
+    assert (by_name(viewer, "Arrows").data[:, 0, 0] == 1).all()
+    assert by_name(viewer, "Deformed image").data.shape == (1, 48, 64)
+    viewer.dims.ndisplay = 3
+    qtbot.wait(50)
+    assert "two dimensions" in widget.status
+
+
+def test_void_cannot_be_taken_hold_of(open_window, settle):
+    person, widget = open_window()
+    labels = np.zeros((64, 64), np.uint8)
+    labels[10:50, 10:50] = 1
+    materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
+    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    assert widget.tissue is by_name(person.viewer, "T")
+    assert widget.start()
+    settle(widget)
+    person.drag((58, 58), (50, 50))
+    assert not widget.drawing.marks
+    assert "no tissue" in widget.status
+    person.drag((30, 30), (33, 30))
+    settle(widget)
+    assert only(widget).by[0] == pytest.approx(3, abs=0.6)
+
+
+def test_two_viewers_pull_their_own_tissue(open_window, settle):
+    one, mine = open_window()
+    other, its = open_window()
+    for widget in (mine, its):
+        assert widget.start()
+        settle(widget)
+    one.drag((30, 30), (34, 30))
+    other.drag((40, 40), (40, 36))
+    settle(mine)
+    settle(its)
+    assert only(mine).by == pytest.approx((4, 0), abs=0.6)
+    assert only(its).by == pytest.approx((0, -4), abs=0.6)
+    one.key(Qt.Key.Key_Z, CTRL)
+    assert not mine.drawing.marks
+    assert its.drawing.marks
+
+
+def test_a_window_closed_in_mid_drag_ends_everything(pulling, qtbot):
+    person, _ = pulling
+    person.press(30, 30)
+    person.move(34, 34)
+    person.viewer.close()
+    qtbot.wait(300)
+
+
+def test_scripts_draw_without_a_mouse(open_window, settle):
+    person, widget = open_window()
+    seen = []
+    widget.seen.connect(seen.append)
+    assert widget.start()
+    widget.drawing = Drawing((Arrow((30, 30), (3, -3), 5.0),))
+    settle(widget)
+    assert seen[-1].solution.displacement[30, 30] == pytest.approx((3, -3), abs=0.02)
+    kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]
+    assert Drawing.from_dict(kept) == widget.drawing
+    solution = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"]
+    assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing

@@ -1,0 +1,249 @@
+"""Drawing with a pointer, without a window: what is taken hold of, how it looks, what it moves."""
+
+import threading
+
+import numpy as np
+import pytest
+from napari.layers import Image, Labels
+
+from napari_hmrf import ProblemError
+from napari_hmrf.annotation import Material
+from napari_hmrf.drawing import Arrow, Drawing, History, Landmark, Rendering
+from napari_hmrf.drawing.pull import Grip, Pull
+from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.ground import read_ground
+from napari_hmrf.layers.metadata import TISSUE, described
+from napari_hmrf.origin import origin
+
+SPACING = (1.0, 2.0)
+
+
+@pytest.fixture
+def history():
+    return History()
+
+
+@pytest.fixture
+def pull(history):
+    return Pull(history, SPACING)
+
+
+def drag(pull, *points, reach=1.0, grip=None, **options):
+    assert pull.press(points[0], reach, grip or Grip(3.0), **options)
+    for point in points[1:]:
+        pull.move(point)
+    return pull.release()
+
+
+def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, history):
+    assert drag(pull, (10, 10), (11, 10), (14, 13)) == "drew an arrow"
+    assert history.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
+    assert history.undo() == "drew an arrow"
+    assert not history.drawing.marks
+
+
+def test_a_click_holds_tissue_where_it_is_seen(pull, history):
+    grip = Grip(3.0, confidence=0.5)
+    assert drag(pull, (10, 10), grip=grip, came_from=lambda _: (8.0, 11.0)) == "held a place"
+    assert history.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
+
+
+def test_what_is_no_tissue_is_not_taken_hold_of(pull, history):
+    assert not pull.press((10, 10), 1, Grip(3.0), lambda _: None)
+    pull.move((12, 12))
+    assert (pull.release(), history.drawing.marks, history.undo_word) == ("", (), "")
+
+
+def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(pull, history):
+    drag(pull, (10, 10), (14, 12))
+    drag(pull, (14.5, 12), (16.5, 13))  # beside its head, by half a pixel
+    assert history.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
+    drag(pull, (10, 10), (11, 10))
+    assert history.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head stays"
+    assert history.undo() == "moved an arrow"
+    assert history.undo() == "moved an arrow"
+    assert history.undo() == "drew an arrow"
+
+
+def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, history):
+    drag(pull, (10, 10), (14, 12))
+    assert drag(pull, (14, 12)) == ""
+    assert pull.selected == 0
+    assert history.undo_word == "drew an arrow"
+
+
+def test_an_arrow_of_one_component_stays_on_its_line(pull, history):
+    drag(pull, (10, 10), (14, 13), grip=Grip(3.0, components="row"))
+    assert history.drawing.marks[0].by == (4, 0)
+    assert pull.change(components="col")
+    assert history.drawing.marks[0].by == (0, 0)
+
+
+def test_the_selected_arrow_is_changed_and_removed(pull, history):
+    drag(pull, (10, 10), (14, 12))
+    drag(pull, (20, 20), (21, 21))
+    assert pull.selected == 1
+    assert pull.change(radius=5.0, confidence=0.25)
+    assert history.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
+    assert not pull.change(radius=5.0), "that makes no difference"
+    assert pull.remove()
+    assert len(history.drawing.marks) == 1
+    assert pull.selected is None
+    assert not pull.remove()
+    history.undo()
+    assert pull.selected is None, "what comes back is not selected"
+
+
+def test_a_cancelled_drag_leaves_nothing(pull, history):
+    drag(pull, (10, 10), (14, 12))
+    before = history.drawing
+    pull.press((20, 20), 1, Grip(3.0))
+    pull.move((25, 25))
+    assert pull.cancel()
+    pull.move((26, 26))
+    pull.release()
+    assert (history.drawing, history.undo_word) == (before, "drew an arrow")
+    assert not pull.cancel()
+
+
+def test_a_landmark_is_moved_by_either_end(pull, history):
+    history.do(Drawing((Landmark((5, 5), (8, 8), 2),)), "opened")
+    drag(pull, (8, 8), (9, 9))
+    drag(pull, (5, 5), (4, 4))
+    assert history.drawing.marks == (Landmark((4, 4), (9, 9), 2),)
+
+
+def test_what_is_seen_at_a_point_is_found_where_it_came_from():
+    rows, cols = np.indices((40, 30)).astype(np.float32)
+    field = np.stack([3 * np.sin(cols / 8), 0.2 * rows], axis=-1)
+    tissue = np.ones((40, 30), bool)
+    for before in [(10.0, 12.0), (20.3, 8.6), (30.7, 3.2)]:
+        d = (3 * np.sin(before[1] / 8), 0.2 * before[0])
+        seen = (before[0] + d[0] / SPACING[0], before[1] + d[1] / SPACING[1])
+        assert origin(seen, field, SPACING, tissue) == pytest.approx(before, abs=0.05)
+    tissue[:, 15:] = False
+    assert origin((5.0, 28.0), field, SPACING, tissue) is None
+    assert origin((500.0, 28.0), field, SPACING, tissue) is None
+
+
+# How it looks
+
+
+def test_an_arrow_is_drawn_from_where_tissue_was_to_where_it_goes():
+    drawing = Drawing((Arrow((10, 10), (4, 6), 3.0), Arrow((30, 30), (0, 0), 2.0, 0.5)))
+    lines, colours = arrow_lines(drawing, SPACING, selected=1)
+    ends = lines[:, 0] + lines[:, 1]
+    shaft = np.flatnonzero((lines[:, 0] == (10, 10)).all(axis=1))
+    assert ends[shaft].tolist() == [[14, 13]]
+    outline = (lines[:20, 0] - (14, 13)) * SPACING
+    assert np.allclose(np.linalg.norm(outline, axis=1), 3)
+    assert np.unique(colours, axis=0).shape == (2, 4)
+    assert colours[-1, 3] < colours[0, 3], "what is less certain is paler"
+    assert len(arrow_lines(Drawing(), SPACING)[0]) == 0
+
+
+def test_arrows_lie_on_their_slice():
+    frame = Frame.of(Image(np.zeros((4, 20, 30)), scale=(5, 2, 2)))
+    made = arrow_layer(frame, (20, 30))
+    assert made.attributes["ndim"] == 3
+    assert tuple(made.attributes["scale"]) == (5, 2, 2)
+
+
+# What it moves
+
+
+def disc(shape=(40, 40), radius=12):
+    rows, cols = np.indices(shape)
+    inside = np.hypot(rows - shape[0] / 2, cols - shape[1] / 2) <= radius
+    return inside, (inside * 180 + 10 + (rows + cols) % 7).astype(np.uint8)
+
+
+def test_without_a_tissue_layer_what_is_not_background_is_tissue_and_its_edge_is_held():
+    inside, picture = disc()
+    ground = read_ground(Image(picture, scale=(2, 2), name="MR"))
+    assert (ground.m[inside] == 1).all()
+    assert np.allclose(ground.m[~inside], 0.01)
+    held = (ground.base.c > 0).all(axis=-1)
+    assert held[0].all()
+    assert held[:, -1].all()
+    assert not held[20, 20]
+    assert held[inside].sum() == pytest.approx(2 * np.pi * 12, rel=0.2)
+    assert ground.frame.spacing == (2, 2)
+    assert ground.usual_radius == 5.0
+    free = read_ground(Image(picture), hold_edge=False)
+    assert not free.base.c.any()
+
+
+def test_a_photograph_has_no_background():
+    rows, cols = np.indices((40, 50))
+    photograph = np.stack([rows * 4, cols * 4, rows + cols], axis=-1).astype(np.uint8)
+    assert (read_ground(Image(photograph, rgb=True)).m == 1).all()
+
+
+def test_a_tissue_layer_says_how_stiff_what_is():
+    inside, picture = disc()
+    materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0, 0.3))
+    labels = Labels(inside.astype(np.uint8), metadata=described(TISSUE, materials, "kPa"))
+    ground = read_ground(Image(picture), labels)
+    assert np.array_equal(ground.m, np.where(inside, 20, 0))
+    assert ground.prior.poisson == 0.3
+    assert not (ground.base.c[~inside] > 0).any()
+    with pytest.raises(ProblemError, match="no tissue in this slice"):
+        read_ground(Image(picture), Labels(np.zeros((40, 40), np.uint8), metadata=labels.metadata))
+    stiffness = Image(np.where(inside, 3.0, 1.0), name="E")
+    assert read_ground(Image(picture), stiffness).m.max() == 3
+    with pytest.raises(ProblemError, match="no stiffness"):
+        read_ground(Image(picture), Image(np.where(inside, 3.0, -1.0)))
+
+
+def test_a_piece_of_tissue_that_nobody_holds_stays_where_it_is():
+    two = np.zeros((20, 40), np.uint8)
+    two[5:15, 5:15] = two[5:15, 25:35] = 1
+    materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
+    labels = Labels(two, metadata=described(TISSUE, materials, "kPa"))
+    ground = read_ground(Image(two * 100), labels, hold_edge=False)
+    rendering = Rendering(ground.base)
+    rendering.show(Drawing((Arrow((10, 10), (1, 2), 2.0),)))
+    problem, prior = ground.problem(rendering.canvas)
+    assert problem.tissue[5:15, 5:15].all()
+    assert not problem.tissue[5:15, 25:35].any()
+    assert prior.penalty == np.inf
+    rendering.show(Drawing((Arrow((10, 10), (1, 2), 2.0, confidence=0.5),)))
+    assert ground.problem(rendering.canvas)[1].penalty < np.inf, "what is unsure may slip"
+
+
+def test_grounds_are_the_same_until_something_is_painted():
+    _, picture = disc()
+    image = Image(picture)
+    one = read_ground(image)
+    assert one.same_as(read_ground(image))
+    image.data = picture[::-1].copy() // 2
+    assert not one.same_as(read_ground(image))
+    assert not one.same_as(read_ground(image, hold_edge=False))
+
+
+# Handing over
+
+
+def test_only_the_newest_result_reaches_the_window(qtbot):
+    from napari_hmrf.widgets.grab.newest import Newest
+
+    answered = []
+    newest = Newest(lambda value: answered.append((value, threading.current_thread())))
+    work = threading.Thread(target=lambda: [newest.put(number) for number in range(50)])
+    work.start()
+    work.join()
+    assert not answered
+    qtbot.waitUntil(lambda: bool(answered))
+    assert answered == [(49, threading.main_thread())]
+    newest.put(50)
+    newest.forget()
+    newest.put(51)
+    qtbot.waitUntil(lambda: len(answered) == 2)
+    assert answered[-1][0] == 51
+    newest.put(52)
+    newest.release()
+    newest.put(53)
+    qtbot.wait(30)
+    assert len(answered) == 2
