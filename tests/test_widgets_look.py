@@ -499,6 +499,23 @@ def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to):
     QApplication.processEvents()
 
 
+def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wait_for):
+    viewer, dock, _ = window
+    viewer.window.remove_dock_widget(dock)
+    QApplication.processEvents()
+    assert "Shift+B" not in [str(key) for key in viewer.keymap]
+    viewer.status = "Ready"
+    viewer.cursor.position = (10, 12)
+    assert "Jacobian" not in str(viewer.status)
+    _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
+    wait_for(lambda: again.idle, 60_000)
+    assert again.result is viewer.layers["MR arrows"]
+    assert "Shift+B" in [str(key) for key in viewer.keymap]
+    viewer.status = "Ready"
+    viewer.status = "looked again"
+    assert "Jacobian" in viewer.status
+
+
 def test_what_others_drew_since_is_not_put_back(look, set_to):
     moved = viewer_of(look).layers["MR deformed"]
     set_to(look, percent=20)

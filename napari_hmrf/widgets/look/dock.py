@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
@@ -17,6 +18,7 @@ from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
 from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
 
+_BEFORE = coerce_keybinding(BEFORE_KEY)
 #: How long a result has to stand still before it is looked at anew, in milliseconds.
 _SETTLED = 150
 
@@ -109,8 +111,7 @@ class LookAtResult(LookControls):
         ]
         for event, answer in self._events:
             event.connect(answer)
-        if hasattr(viewer, "bind_key") and BEFORE_KEY not in viewer.keymap:
-            viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
+        self._bind_key()
         self.native_parent_changed.connect(self._on_parent)
 
     @property
@@ -201,6 +202,20 @@ class LookAtResult(LookControls):
         if theme is not None and not self.away:
             self._face.energy.show_theme(str(theme))
 
+    @property
+    def _key(self) -> Any:
+        """What the key does that is held to see the image as it was, if it does anything."""
+        keys = getattr(self._viewer, "keymap", {})
+        return next((does for key, does in keys.items() if key == _BEFORE), None)
+
+    def _bind_key(self) -> None:
+        if self._key is None:
+            self._viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
+
+    def _unbind_key(self) -> None:
+        if self._key == self._while_key_is_held:
+            self._viewer.bind_key(BEFORE_KEY, None)
+
     def _while_key_is_held(self, _: Any) -> Any:
         self.before = True
         yield
@@ -212,9 +227,12 @@ class LookAtResult(LookControls):
             return
         if self.native.parent() is not None:
             self._docked = True
+            self._bind_key()
             self._choose_newest()
+            self._take()
         elif self._docked:
-            self._scene.put_back()
+            self._unbind_key()
+            self._scene.rest()
             self._face.point.say(POINT)
 
     def _on_closed(self) -> None:
@@ -223,6 +241,5 @@ class LookAtResult(LookControls):
         for event, answer in self._events:
             event.disconnect(answer)
         self._events = []
-        if hasattr(self._viewer, "bind_key") and BEFORE_KEY in self._viewer.keymap:
-            self._viewer.bind_key(BEFORE_KEY, None)
+        self._unbind_key()
         self._scene.release()

@@ -22,7 +22,7 @@ _TICK = 40
 #: Steps of the slider in which is played, at best, in per cent.
 _STEP = 2
 #: Moments kept, in bytes; a second pass then costs nothing.
-_KEPT = 128 * 2**20
+_KEPT = 256 * 2**20
 
 
 class Player:

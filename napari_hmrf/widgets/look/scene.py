@@ -14,9 +14,10 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.found import FoundResult, picture_of, result_of, source_of, tissue_of
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.moving import Moment, Motion
-from napari_hmrf.layers.outputs import ARROWS, LayerData, arrows_apart
+from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.point import Points
 from napari_hmrf.layers.quantity_layers import FloatArray
+from napari_hmrf.widgets.look.arrow_choices import ArrowChoices
 from napari_hmrf.widgets.look.cursor import UnderCursor
 from napari_hmrf.widgets.look.errands import Errands
 from napari_hmrf.widgets.look.face import LookFace
@@ -64,6 +65,7 @@ class Scene:
         self.shown = ShownLayers(viewer)
         self.player = Player(widget.native, self._errands, self._draw)
         self.cursor = UnderCursor(viewer, lambda line: face.point.say(line or POINT))
+        self._arrows = ArrowChoices(face, self.shown, self._errands)
         self._colours: FloatArray | None = None
         self._longest = 0.0
         self._moment: Moment | None = None
@@ -74,9 +76,6 @@ class Scene:
         self._lines.timeout.connect(self._draw_lines)
         face.colours.changed.connect(self._on_colours)
         face.grid.changed.connect(self._on_grid)
-        face.arrows.changed.connect(self._on_arrows)
-        face.count.changed.connect(self._on_count)
-        face.length.changed.connect(self._on_length)
 
     @property
     def busy(self) -> bool:
@@ -137,8 +136,7 @@ class Scene:
         self._set_slider(FULL)
         shown.remember()
         self.prepare()
-        if face.count.value != ARROWS:
-            self._on_count(face.count.value)
+        self._arrows.apply()
         if face.colours.value != NOTHING:
             self._on_colours(face.colours.value)
 
@@ -187,6 +185,12 @@ class Scene:
         self.shown.release()
         self.shown.restore()
         self._set_slider(FULL)
+
+    def rest(self) -> None:
+        """Touch nothing any more, until a result is taken again."""
+        self.put_back()
+        self.cursor.watch(None, None, None, self._fraction)
+        self.shown.arrows = self.shown.result = None
 
     def release(self) -> None:
         """The window is gone."""
@@ -273,27 +277,6 @@ class Scene:
         self.prepare()
         if drawn:
             self.player.show(self._face.slider.value)
-
-    def _on_arrows(self, drawn: bool) -> None:
-        if self.shown.arrows is not None:
-            self.shown.arrows.visible = drawn
-
-    def _on_count(self, about: int) -> None:
-        result, arrows = self.shown.result, self.shown.arrows
-        if result is None:
-            return
-
-        def show(found: tuple[Any, float]) -> None:
-            if result is self.shown.result:
-                segments, width = found
-                arrows.data = result.frame.put_vectors(segments)
-                arrows.edge_width = width
-
-        self._errands.send("arrows", partial(arrows_apart, result.solution, about), show)
-
-    def _on_length(self, times: float) -> None:
-        if self.shown.arrows is not None:
-            self.shown.arrows.length = times
 
     def _make_image(self) -> None:
         result, source, motion = self.shown.result, self.shown.source, self.player.motion

@@ -1,0 +1,55 @@
+"""How a result's arrows are drawn: whether, how many, how long."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from napari_hmrf.layers.found import FoundResult
+from napari_hmrf.layers.outputs import ARROWS, arrows_apart
+from napari_hmrf.widgets.look.errands import Errands
+from napari_hmrf.widgets.look.face import LookFace
+from napari_hmrf.widgets.look.shown import ShownLayers
+
+
+class ArrowChoices:
+    """Has the arrows drawn as the widget says.
+
+    Parameters
+    ----------
+    face : LookFace
+    shown : ShownLayers
+    errands : Errands
+    """
+
+    def __init__(self, face: LookFace, shown: ShownLayers, errands: Errands) -> None:
+        self._face, self._shown, self._errands = face, shown, errands
+        face.arrows.changed.connect(self._on_drawn)
+        face.count.changed.connect(self._on_count)
+        face.length.changed.connect(self._on_length)
+
+    def apply(self) -> None:
+        """Draw a new result's arrows as those before it were; as they are, if nobody has chosen."""
+        if self._face.count.value != ARROWS:
+            self._on_count(self._face.count.value)
+        if self._face.length.value != 1:
+            self._on_length(self._face.length.value)
+
+    def _on_drawn(self, drawn: bool) -> None:
+        if self._shown.arrows is not None:
+            self._shown.arrows.visible = drawn
+
+    def _on_count(self, about: int) -> None:
+        result, arrows = self._shown.result, self._shown.arrows
+        if result is not None:
+            work = partial(arrows_apart, result.solution, about)
+            self._errands.send("arrows", work, partial(self._draw, result, arrows))
+
+    def _draw(self, result: FoundResult, arrows: Any, found: tuple[Any, float]) -> None:
+        if result is self._shown.result:
+            segments, arrows.edge_width = found
+            arrows.data = result.frame.put_vectors(segments)
+
+    def _on_length(self, times: float) -> None:
+        if self._shown.arrows is not None:
+            self._shown.arrows.length = times
