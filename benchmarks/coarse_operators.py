@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
 from napari_hmrf.coarsening import COARSEST, smoother_bounds
 from napari_hmrf.optimizers.cycle import STRETCHING, chebyshev
-from napari_hmrf.priors.elastic import element_forces
+from napari_hmrf.priors.elements import element_forces
 
 _FALL = 1e-6
 

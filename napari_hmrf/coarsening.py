@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.priors.elastic import ElasticMaterial, ElementShape, Lame, element_forces
+from napari_hmrf.priors.elements import ElasticMaterial, ElementShape, Lame, element_forces
 
 #: A level this small (sites along its longer axis) is the last one.
 COARSEST = 5

@@ -23,7 +23,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.coarsening import smoother_bounds
-from napari_hmrf.priors.elastic import element_forces
+from napari_hmrf.priors.elements import element_forces
 
 PLANES = ["stress", "strain"]
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, phantom, solve
-from napari_hmrf.priors.elastic import element_forces
+from napari_hmrf.priors.elements import element_forces
 
 
 def stiffness_matrix(problem, prior):

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level
-from napari_hmrf.priors.elastic import ElasticMaterial
+from napari_hmrf.priors.elements import ElasticMaterial
 from napari_hmrf.priors.seiler import SeilerMaterial
 
 FloatArray = npt.NDArray[np.float32]

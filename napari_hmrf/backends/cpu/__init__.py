@@ -14,7 +14,7 @@ from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, Fl
 from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level, nearest_pixels
 from napari_hmrf.priors import line_weights
-from napari_hmrf.priors.elastic import ElasticMaterial
+from napari_hmrf.priors.elements import ElasticMaterial
 from napari_hmrf.priors.seiler import SeilerMaterial
 
 # A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.

@@ -13,7 +13,7 @@ from napari_hmrf.backends.cpu import assembly, elastic, exact, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
-from napari_hmrf.priors.elastic import ElasticMaterial
+from napari_hmrf.priors.elements import ElasticMaterial
 
 # A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
 # kernels that a large one does, so that a rehearsal compiles them.

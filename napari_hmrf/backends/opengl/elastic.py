@@ -13,7 +13,7 @@ from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import Float64Array, Model, RelaxingLevel
-from napari_hmrf.priors.elastic import ElasticMaterial, ElementShape, Lame, element_forces
+from napari_hmrf.priors.elements import ElasticMaterial, ElementShape, Lame, element_forces
 
 
 class GLElasticLevel(RelaxingLevel):
