@@ -378,3 +378,25 @@ def test_scripts_draw_without_a_mouse(open_window, settle):
     assert Drawing.from_dict(kept) == widget.drawing
     solution = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"]
     assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing
+
+
+def test_a_sample_brings_its_tissue_and_hides_the_paint(open_window, settle):
+    person, widget = open_window()
+    person.viewer.layers.clear()
+    person.viewer.open_sample("napari-hmrf", "mass-effect")
+    layers = person.viewer.layers
+    assert (widget.image, widget.tissue) == (layers["Brain"], layers["Tissue"])
+    assert widget.start()
+    assert not layers["Tissue"].visible
+    assert not layers["Boundary"].visible
+    settle(widget)
+    widget.boundary = layers["Boundary"]
+    settle(widget)
+    painted = layers["Boundary"].data == 2
+    seen = []
+    widget.seen.connect(seen.append)
+    widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
+    settle(widget)
+    field = seen[-1].solution.displacement
+    assert field[60, 100] == pytest.approx((2, 0), abs=0.02)
+    assert np.linalg.norm(field[painted], axis=-1).min() > 1, "the boundary moves, too"

@@ -7,13 +7,13 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf import ProblemError
-from napari_hmrf.annotation import Material
+from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.drawing import Arrow, Drawing, History, Landmark, Rendering
 from napari_hmrf.drawing.pull import Grip, Pull
 from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import read_ground
-from napari_hmrf.layers.metadata import TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.origin import origin
 
 SPACING = (1.0, 2.0)
@@ -173,6 +173,18 @@ def test_without_a_tissue_layer_what_is_not_background_is_tissue_and_its_edge_is
     assert ground.usual_radius == 5.0
     free = read_ground(Image(picture), hold_edge=False)
     assert not free.base.c.any()
+
+
+def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
+    _, picture = disc()
+    labels = np.zeros((40, 40), np.uint8)
+    labels[18:22, 18:22] = 2
+    rules = (BoundaryRule(2, "move", vector=(0.0, 3.0), confidence=(1.0, 0.5)),)
+    painted = Labels(labels, metadata=described(BOUNDARY, rules))
+    ground = read_ground(Image(picture), boundary=painted)
+    assert (ground.base.y[labels == 2] == (0, 3)).all()
+    assert (ground.base.c[labels == 2] == (1, 0.5)).all()
+    assert not ground.same_as(read_ground(Image(picture)))
 
 
 def test_a_photograph_has_no_background():

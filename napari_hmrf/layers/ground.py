@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,13 @@ import numpy.typing as npt
 from napari.layers import Labels
 from scipy import ndimage
 
-from napari_hmrf.annotation import Material, poisson_image, stiffness_image
+from napari_hmrf.annotation import Material, boundary_images, poisson_image, stiffness_image
 from napari_hmrf.drawing import Canvas
 from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.background import background_of
-from napari_hmrf.layers.defaults import default_material
+from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.metadata import TISSUE, rows_of
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, rows_of
 from napari_hmrf.layers.naming import LayerError, naming
 from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
@@ -71,6 +72,10 @@ class Ground:
         """Rows and columns."""
         return self.base.shape
 
+    @cached_property
+    def _pieces_there(self) -> int:
+        return int(self.pieces.max())
+
     @property
     def usual_radius(self) -> float:
         """A radius to take hold of tissue with, in the unit of the frame's spacing."""
@@ -88,6 +93,7 @@ class Ground:
             and self.prior == other.prior
             and np.array_equal(self.m, other.m)
             and np.array_equal(self.base.c, other.base.c)
+            and np.array_equal(self.base.y, other.base.y)
             and np.array_equal(picture, its, equal_nan=picture.dtype.kind == "f")
         )
 
@@ -102,16 +108,17 @@ class Ground:
         ProblemError
             If nothing is held.
         """
-        held = (canvas.c > 0).any(axis=-1)
-        touched = np.zeros(int(self.pieces.max()) + 1, dtype=bool)
-        touched[self.pieces[held]] = True
-        touched[0] = False
-        m = self.m
-        if touched.any() and not touched[1:].all():
-            m = np.where(touched[self.pieces], m, np.float32(0))
-        prior = self.prior
-        unsure = (canvas.c > 0) & (canvas.c < 1)
-        if isinstance(prior, ElasticPrior) and prior.penalty == math.inf and unsure.any():
+        m, prior = self.m, self.prior
+        count = self._pieces_there
+        if count > 1:
+            held = (canvas.c > 0).any(axis=-1)
+            touched = np.zeros(count + 1, dtype=bool)
+            touched[self.pieces[held]] = True
+            touched[0] = False
+            if touched.any() and not touched[1:].all():
+                m = np.where(touched[self.pieces], m, np.float32(0))
+        exact = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
+        if exact and ((canvas.c > 0) & (canvas.c < 1)).any():
             prior = replace(prior, penalty=_PENALTY)
         return Problem(canvas.y, canvas.c, m, self.frame.spacing), prior
 
@@ -119,6 +126,7 @@ class Ground:
 def read_ground(
     image: Any,
     tissue: Any = None,
+    boundary: Any = None,
     view: View | None = None,
     hold_edge: bool = True,
     prior: Prior | None = None,
@@ -132,6 +140,9 @@ def read_ground(
         Labels, with a table of materials in the layer's metadata, or the stiffness itself. Without
         it all that is in the picture is tissue of one stiffness, and its dark surroundings, if it
         has any, are a hundred times softer.
+    boundary : napari.layers.Labels, optional
+        What is painted to hold or to move, with a table of rules in the layer's metadata; drawings
+        come on top of it.
     view : View, optional
         Which slice; by default the first, of the last two axes.
     hold_edge : bool
@@ -169,6 +180,9 @@ def read_ground(
     if hold_edge:
         for part in (there, there & ~around):
             base.c[part & ~ndimage.binary_erosion(part)] = 1
+    if boundary is not None:
+        labels = take_slice(boundary, Frame.of(boundary, view), image, frame, shape)
+        _paint_boundary(boundary, labels, base)
     pieces, _ = ndimage.label(there, structure=np.ones((3, 3)))
     return Ground(
         frame=frame,
@@ -204,6 +218,17 @@ def _stiffness(tissue: Any, labels: npt.NDArray[Any], prior: Prior) -> tuple[Flo
         if isinstance(prior, ElasticPrior):
             prior = replace(prior, poisson=poisson_image(labels, materials))
         return stiffness_image(labels, materials), prior
+
+
+def _paint_boundary(boundary: Any, labels: npt.NDArray[Any], base: Canvas) -> None:
+    """Have what is painted hold or move, over what is held already."""
+    rules = list(rows_of(boundary, BOUNDARY) or ())
+    listed = {0, *(rule.label for rule in rules)}
+    rules += [default_rule(int(label)) for label in labels_present(labels) if label not in listed]
+    with naming(y=boundary, c=boundary):
+        y, c = boundary_images(labels, rules, base.spacing)
+    painted = (c > 0).any(axis=-1)
+    base.y[painted], base.c[painted] = y[painted], c[painted]
 
 
 def _completed(known: Iterable[Material], labels: npt.NDArray[Any]) -> tuple[Material, ...]:

@@ -131,7 +131,8 @@ class ArrowsLayer:
             return
         lines, colours = arrow_lines(drawing, frame.spacing, selected)
         layer.data = frame.put_vectors(lines)
-        if len(lines):
+        # Of a drag only the first move changes colours; to set them takes as long as the lines.
+        if len(lines) and not np.array_equal(layer.edge_color, colours):
             layer.edge_color = colours
 
     def keep(self, drawing: Drawing) -> None:

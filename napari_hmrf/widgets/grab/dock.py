@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from magicgui.widgets import Container
 from psygnal import Signal
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.drawing import Drawing, History
-from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import OFF, ON, Puller
-from napari_hmrf.widgets.grab.watch import GrabWatch
+from napari_hmrf.widgets.grab.watch import GrabWatch, timer
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.words import WELCOME
 
@@ -58,19 +57,14 @@ class GrabAndPull(Container):
         self._docked = self._started = self._sized = False
         self._status = ""
         self._puller = Puller(self._viewer, lambda: self.form.grip)
-        self._resting = QTimer(self.native)
-        self._resting.setSingleShot(True)
-        self._resting.setInterval(_REST)
-        self._resting.timeout.connect(self._on_rest)
+        self._resting = timer(self.native, _REST, self._on_rest)
         self._connect()
         self._watch = GrabWatch(self, self._viewer)
         self._puller.arrows.bind_viewer()
         self.native_parent_changed.connect(self._on_parent)
         self.reset_choices()
-        images = self.form.image.offered
-        if images:
-            self.image = images[0]
-        self.say(START if images else WELCOME)
+        self._watch.choose_by_role(list(self._viewer.layers))
+        self.say(START if self.image is not None else WELCOME)
 
     # What there is to see
 
@@ -91,6 +85,15 @@ class GrabAndPull(Container):
     @tissue.setter
     def tissue(self, layer: Any) -> None:
         self.form.tissue.choose(layer)
+
+    @property
+    def boundary(self) -> Any:
+        """A Labels layer of what holds and moves beside what is drawn, or None."""
+        return self.form.boundary.value
+
+    @boundary.setter
+    def boundary(self, layer: Any) -> None:
+        self.form.boundary.choose(layer)
 
     @property
     def drawing(self) -> Drawing:
@@ -137,6 +140,7 @@ class GrabAndPull(Container):
             if not self._sized:
                 self.form.radius.value = ground.usual_radius
                 self._sized = True
+            self._watch.hide_paint()
             self._puller.take(self.form.radius.value)
         self.show_toggle()
         return self.active
@@ -163,7 +167,8 @@ class GrabAndPull(Container):
             if self._viewer.dims.ndisplay != 2:
                 raise HmrfError(FLAT)
             view = View.of(self._viewer.dims)
-            ground = read_ground(self.image, self.tissue, view, self.form.edge.value)
+            edge = self.form.edge.value
+            ground = read_ground(self.image, self.tissue, self.boundary, view, edge)
         except (HmrfError, ValueError) as error:
             self._puller.stand_on(None)
             self.say(error.sentence if isinstance(error, LayerError) else str(error))
@@ -193,8 +198,8 @@ class GrabAndPull(Container):
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
         if not self.away:
-            self.form.image.refresh()
-            self.form.tissue.refresh()
+            for choice in self.form.choices:
+                choice.refresh()
 
     def say(self, sentence: str) -> None:
         """Say something below the buttons."""
@@ -257,10 +262,7 @@ class GrabAndPull(Container):
         if self.away:
             return
         self._resting.start()
-        history, pull = self._puller.history, self._puller.pull
-        self.form.show_steps(history.undo_word, history.redo_word)
-        self.form.remove.enabled = pull.selected is not None
-        self.form.clear.enabled = bool(history.drawing.marks)
+        self.form.show_steps(self.history, self._puller.pull.selected is not None)
 
     def _on_rest(self) -> None:
         if self.away:
@@ -277,11 +279,9 @@ class GrabAndPull(Container):
             self.start()
 
     def _on_grip(self, *_: Any) -> None:
-        grip: Grip = self.form.grip
+        grip = self.form.grip
         self._puller.arrows.show_radius(grip.radius)
-        self._puller.pull.change(
-            radius=grip.radius, confidence=grip.confidence, components=grip.components
-        )
+        self._puller.pull.change(**asdict(grip))
 
     def _on_parent(self, *_: Any) -> None:
         """Napari closes a dock by taking the widget out of it."""
@@ -295,6 +295,6 @@ class GrabAndPull(Container):
             self._puller.release()
 
     def _on_closed(self) -> None:
-        """The dock or the viewer is gone: listen to nothing any more."""
+        """Listen to nothing any more: the dock or the viewer is gone."""
         self._watch.release()
         self._puller.end()

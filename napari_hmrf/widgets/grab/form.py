@@ -15,6 +15,7 @@ from magicgui.widgets import (
 )
 from napari.layers import Image, Labels
 
+from napari_hmrf.drawing import History
 from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.widgets.forms import Prose
@@ -63,6 +64,17 @@ class GrabForm(Container):
             tooltip="Labels with a table of stiffnesses (as Deform tissue makes them), or an image "
             "of stiffness; may be left out",
         )
+        self.boundary = LayerChoice(
+            layers,
+            lambda layer: (
+                isinstance(layer, Labels)
+                and "kind" not in known_of(layer)
+                and layer is not self.tissue.value
+            ),
+            label="boundary",
+            tooltip="Labels with a table of what holds and what moves (as Deform tissue makes "
+            "them); arrows come on top of it; may be left out",
+        )
         self.edge = CheckBox(
             text="hold the edge of the tissue",
             value=True,
@@ -110,7 +122,8 @@ class GrabForm(Container):
             Container(widgets=pair, layout="horizontal", labels=False)
             for pair in ([self.undo, self.redo], [self.remove, self.clear])
         ]
-        first = Container(widgets=[self.image, self.tissue])
+        self._steps = ("", "")
+        first = Container(widgets=[self.image, self.tissue, self.boundary])
         fields = Container(widgets=[self.radius, self.confidence, self.components])
         super().__init__(
             widgets=[first, self.edge, self.grab, fields, *buttons, self.status, keys, about],
@@ -121,6 +134,11 @@ class GrabForm(Container):
         for words in (about, keys):
             words.say(str(words.value))
         self.native.layout().addStretch()
+
+    @property
+    def choices(self) -> tuple[LayerChoice, ...]:
+        """The menus of layers."""
+        return self.image, self.tissue, self.boundary
 
     @property
     def grip(self) -> Grip:
@@ -138,8 +156,13 @@ class GrabForm(Container):
                 with field.changed.blocked():
                     field.value = value
 
-    def show_steps(self, undo: str, redo: str) -> None:
-        """Show what can be taken back and done again."""
+    def show_steps(self, history: History, selected: bool) -> None:
+        """Show what can be taken back, done again and removed."""
+        self.remove.enabled, self.clear.enabled = selected, bool(history.drawing.marks)
+        undo, redo = steps = history.undo_word, history.redo_word
+        if steps == self._steps:
+            return
+        self._steps = steps
         self.undo.enabled, self.redo.enabled = bool(undo), bool(redo)
         self.undo.tooltip = f"Take back: {undo} (Ctrl+Z)" if undo else "Ctrl+Z"
         self.redo.tooltip = f"Do again: {redo} (Ctrl+Shift+Z)" if redo else "Ctrl+Shift+Z"

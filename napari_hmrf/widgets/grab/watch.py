@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from qtpy.QtCore import QTimer
 
-from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 
 if TYPE_CHECKING:
     from napari_hmrf.widgets.grab.dock import GrabAndPull
@@ -29,13 +30,12 @@ class GrabWatch:
     def __init__(self, widget: GrabAndPull, viewer: Any) -> None:
         self._widget = widget
         self._viewer = viewer
-        self._looking = QTimer(widget.native)
-        self._looking.setSingleShot(True)
-        self._looking.timeout.connect(self._look)
+        self._looking = timer(widget.native, _PAUSE, self._look)
         self._layers: list[Any] = []
         form = widget.form
         form.image.changed.connect(self._on_choice)
         form.tissue.changed.connect(self._on_choice)
+        form.boundary.changed.connect(self._on_choice)
         form.edge.changed.connect(self._on_choice)
         self._events = [
             (viewer.layers.events.inserted, self._on_inserted),
@@ -48,6 +48,23 @@ class GrabWatch:
         ]
         for event, answer in self._events:
             event.connect(answer)
+
+    def choose_by_role(self, layers: list[Any]) -> None:
+        """Choose an image and its tissue as they come, and the first image if there is none yet."""
+        widget = self._widget
+        for layer in layers:
+            role = role_of(layer)
+            if role == TISSUE:
+                widget.tissue = layer
+            elif layer in widget.form.image.offered and (role == IMAGE or widget.image is None):
+                widget.image = layer
+
+    def hide_paint(self) -> None:
+        """Hide what is painted: it says where tissue is before it moves, and would tint it."""
+        widget = self._widget
+        for layer in self._viewer.layers:
+            if layer in (widget.tissue, widget.boundary) or role_of(layer) in (TISSUE, BOUNDARY):
+                layer.visible = False
 
     def release(self) -> None:
         """Listen no more."""
@@ -75,7 +92,9 @@ class GrabWatch:
         widget = self._widget
         if widget.away:
             return
-        self._listen_to([layer for layer in (widget.image, widget.tissue) if layer is not None])
+        self._listen_to(
+            [layer for layer in (widget.image, widget.tissue, widget.boundary) if layer is not None]
+        )
         self._looking.start(0)
 
     def _on_pixels(self, *_: Any) -> None:
@@ -89,16 +108,9 @@ class GrabWatch:
             self._looking.start(0)
 
     def _on_inserted(self, event: Any) -> None:
-        widget, layer = self._widget, event.value
-        if widget.away:
-            return
-        widget.reset_choices()
-        if role_of(layer) == TISSUE:
-            widget.tissue = layer
-        elif role_of(layer) == IMAGE or (
-            widget.image is None and layer in widget.form.image.offered and not known_of(layer)
-        ):
-            widget.image = layer
+        if not self._widget.away:
+            self._widget.reset_choices()
+            self.choose_by_role([event.value])
 
     def _on_removed(self, event: Any) -> None:
         widget = self._widget
@@ -109,3 +121,12 @@ class GrabWatch:
     def _on_active(self, *_: Any) -> None:
         if not self._widget.away:
             self._widget.active_changed()
+
+
+def timer(parent: Any, milliseconds: int, answer: Callable[[], None]) -> QTimer:
+    """A timer that rings once, so long after it was started last."""
+    made = QTimer(parent)
+    made.setSingleShot(True)
+    made.setInterval(milliseconds)
+    made.timeout.connect(answer)
+    return made
