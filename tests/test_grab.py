@@ -366,6 +366,24 @@ def test_a_window_closed_in_mid_drag_ends_everything(pulling, qtbot):
     qtbot.wait(300)
 
 
+def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    drawn = widget.drawing
+    window = person.viewer.window
+    window.remove_dock_widget(widget.native)
+    assert "Arrows" not in person.viewer.layers
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == drawn
+    window.add_dock_widget(widget.native, name="Grab and pull")
+    assert widget.start()
+    settle(widget)
+    assert widget.drawing == drawn
+    assert len(by_name(person.viewer, "Arrows").data) > 10
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+
+
 def test_scripts_draw_without_a_mouse(open_window, settle):
     person, widget = open_window()
     seen = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Protocol
 
 import numpy as np
@@ -72,7 +72,7 @@ class ArrowsLayer:
         self._radius = 1.0
         #: Counts drags: one that was ended from elsewhere does not go on.
         self._drag = 0
-        self._bound: list[tuple[str, Callable[[Any], Any]]] = []
+        self._bound: list[str] = []
 
     @property
     def layer(self) -> Any:
@@ -168,6 +168,7 @@ class ArrowsLayer:
     def bind_viewer(self) -> None:
         """Undo and redo from wherever no layer has keys of its own for it, as Labels have."""
         hand = self._hand
+        self.unbind_viewer()
         for key, answer in (
             ("Control-Z", lambda _: hand.undo()),
             ("Control-Shift-Z", lambda _: hand.redo()),
@@ -176,14 +177,18 @@ class ArrowsLayer:
                 self._viewer.bind_key(key, answer)
             except ValueError:  # somebody else's
                 continue
-            self._bound.append((key, answer))
+            self._bound.append(key)
+
+    def unbind_viewer(self) -> None:
+        """Leave the viewer's keys alone."""
+        for key in self._bound:
+            self._viewer.bind_key(key, None)
+        self._bound.clear()
 
     def release(self) -> None:
         """Feel nothing any more."""
         self.end_drag()
-        for key, _ in self._bound:
-            self._viewer.bind_key(key, None)
-        self._bound.clear()
+        self.unbind_viewer()
         layer, self._layer = self._layer, None
         if layer is not None:
             if self._on_drag in layer.mouse_drag_callbacks:

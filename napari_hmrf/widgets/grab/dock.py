@@ -60,7 +60,6 @@ class GrabAndPull(Container):
         self._resting = timer(self.native, _REST, self._on_rest)
         self._connect()
         self._watch = GrabWatch(self, self._viewer)
-        self._puller.arrows.bind_viewer()
         self.native_parent_changed.connect(self._on_parent)
         self.reset_choices()
         self._watch.choose_by_role(list(self._viewer.layers))
@@ -289,10 +288,11 @@ class GrabAndPull(Container):
             return
         if self.native.parent() is not None:
             self._docked = True
+            self._puller.arrows.bind_viewer()
             self.reset_choices()
         elif self._docked:
             self._resting.stop()
-            self._puller.release()
+            self._puller.leave()
 
     def _on_closed(self) -> None:
         """Listen to nothing any more: the dock or the viewer is gone."""

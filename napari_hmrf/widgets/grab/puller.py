@@ -180,6 +180,13 @@ class Puller:
         self.release()
         self.history.do(drawing, word)
 
+    def leave(self) -> None:
+        """Take the layer of arrows away, as nobody answers it; what is drawn is kept."""
+        self.release()
+        self.arrows.unbind_viewer()
+        with self._own_doing():
+            self.arrows.remove()
+
     def end(self) -> None:
         """Pull nothing any more."""
         self.arrows.release()
