@@ -8,7 +8,9 @@ col), so that site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 from __future__ import annotations
 
 import numba
-from numba import float32, int64, prange
+from numba import float32, prange
+
+from napari_hmrf.backends.cpu.vectors import span
 
 _ARITHMETIC = {"contract", "nsz"}
 _inline = numba.njit(inline="always", error_model="numpy")
@@ -74,19 +76,6 @@ def diagonal(lame, shape, out):
             out[0, i + 2, j], out[1, i + 2, j] = _diagonal(lame, shape, i + 2, j)
 
 
-@_inline
-def _span(inverse, spans, i):
-    """Where row i's moving sites begin and end."""
-    first, past = int64(0), int64(0)
-    for j in range(inverse.shape[2] - 4):
-        if inverse[0, i + 2, j + 2] > float32(0) or inverse[1, i + 2, j + 2] > float32(0):
-            if past == 0:
-                first = j
-            past = j + 1
-    spans[i, 0] = first
-    spans[i, 1] = past
-
-
 @_parallel
 def hold(lame, shape, held, inverse, pins, spans):
     """The finest level's inverse diagonal, 0 where held; `pins` counts what is held: 1 or 0."""
@@ -100,7 +89,7 @@ def hold(lame, shape, held, inverse, pins, spans):
             inverse[0, i + 2, j] = float32(1) / row if moves else float32(0)
             moves = col > float32(0) and not held[1, i + 2, j]
             inverse[1, i + 2, j] = float32(1) / col if moves else float32(0)
-        _span(inverse, spans, i)
+        span(inverse, spans, i)
 
 
 @_parallel
@@ -121,4 +110,4 @@ def spring(lame, shape, pins, most, strength, inverse, weight, spans):
             col += weight[1, i + 2, j]
             inverse[0, i + 2, j] = float32(1) / row if row > float32(0) else float32(0)
             inverse[1, i + 2, j] = float32(1) / col if col > float32(0) else float32(0)
-        _span(inverse, spans, i)
+        span(inverse, spans, i)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.cpu import assembly, elastic, exact, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
+from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
 from napari_hmrf.priors.elements import ElasticMaterial
@@ -187,7 +188,7 @@ class _SmallLevels:
         return self._pair[0 if number % 2 == 1 else 1]
 
 
-class CpuElasticModel:
+class CpuElasticModel(CpuModel):
     """`LinearModel` of elastic tissue; other backends take their levels from it.
 
     Parameters
@@ -217,7 +218,7 @@ class CpuElasticModel:
         self.bounds = smoother_bounds(material)
         self._shape[:] = material.shape
         self._exact_shape = self._shape.astype(np.float64)
-        self._held: HeldPlanes | None = None
+        self._held = None
         each = None if isinstance(material.poisson, float) else material.poisson
         assembly.elements(
             material.m,
@@ -231,16 +232,6 @@ class CpuElasticModel:
             assembly.coarsen(fine.lame, coarse.lame)
         # Exactly what the kernels in single precision see.
         np.copyto(self._exact_lame, self.levels[0].lame)
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
-        if self._held is not None and np.array_equal(held, self._held):
-            return
-        self._held = held.copy()
-        self._exact_rest.fill(0)
-        self.levels[0].hold(held)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            coarse.hold_as(fine)
 
     def residual(self, d: Planes, load: Planes | None) -> Planes:
         """Load - A d in double precision, 0 where held; valid until the next call."""
@@ -278,9 +269,6 @@ class CpuElasticModel:
     def forget(self) -> None:
         """Be not the last model any more: what is left in its vectors may be no number."""
         _last[:] = ()
-
-    def close(self) -> None:
-        """Nothing to do: memory goes with the last reference."""
 
 
 _last: list[CpuElasticModel] = []

@@ -17,10 +17,10 @@ Numba's cache does not notice when `napari_hmrf.backends.cpu.kernels` changes: t
 from __future__ import annotations
 
 import numba
-from numba import float32, int64, prange
+from numba import float32, prange
 
 from napari_hmrf.backends.cpu.kernels import around, square, weighted
-from napari_hmrf.backends.cpu.vectors import row_product
+from napari_hmrf.backends.cpu.vectors import row_product, span
 
 _TINY = float32(1e-30)
 _ARITHMETIC = {"contract", "nsz"}
@@ -156,19 +156,6 @@ def even_out(load, even):
                 load[k, i + 2, j] *= even[i + 2, j]
 
 
-@_inline
-def _span(inverse, spans, i):
-    """Where row i's moving sites begin and end."""
-    first, past = int64(0), int64(0)
-    for j in range(inverse.shape[2] - 4):
-        if inverse[0, i + 2, j + 2] > float32(0) or inverse[1, i + 2, j + 2] > float32(0):
-            if past == 0:
-                first = j
-            past = j + 1
-    spans[i, 0] = first
-    spans[i, 1] = past
-
-
 @_parallel
 def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
     """The finest level's inverse diagonal, 0 where held; `pins` counts tissue that cannot move."""
@@ -181,7 +168,7 @@ def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
                 inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
                 pinned = stiffness[0, i + 2, j] > float32(0) and not moves
                 pins[k, i + 2, j] = float32(1) if pinned else float32(0)
-        _span(inverse, spans, i)
+        span(inverse, spans, i)
 
 
 @_parallel
@@ -200,4 +187,4 @@ def spring(curvatures, blanket, pins, most, strength, inverse, weight, spans):
                 diagonal += weight[k, i + 2, j]
                 moves = steep > float32(0)
                 inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
-        _span(inverse, spans, i)
+        span(inverse, spans, i)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.backends import host
 from napari_hmrf.backends.cpu import kernels, seiler, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
+from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids
 from napari_hmrf.priors.seiler import SeilerMaterial
@@ -148,7 +149,7 @@ class CpuSeilerLevel(CpuLevel):
         return float(self._rows.sum())
 
 
-class CpuSeilerModel:
+class CpuSeilerModel(CpuModel):
     """`LinearModel` of the paper's cliques; other backends take their levels from it.
 
     Parameters
@@ -159,7 +160,7 @@ class CpuSeilerModel:
     def __init__(self, material: SeilerMaterial) -> None:
         self.material = material
         self.bounds = material.bounds
-        self._held: HeldPlanes | None = None
+        self._held = None
         self._blanket = material.blanket or None
         # Square pixels have kernels of their own.
         lines = None if material.square and not material.blanket else material.lines
@@ -177,7 +178,7 @@ class CpuSeilerModel:
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
-        self._rest, self._pull = np.zeros_like(self._stiffness), np.zeros_like(self._stiffness)
+        self._exact_rest, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
         finest.settle()
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
@@ -188,17 +189,11 @@ class CpuSeilerModel:
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
-        if self._held is not None and np.array_equal(held, self._held):
-            return
-        self._held = held.copy()
-        self._rest.fill(0)
-        self.levels[0].hold(held)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            coarse.hold_as(fine)
+        super().hold(held)
 
     def residual(self, d: Planes, load: Planes | None) -> Planes:
         """Load - A d in double precision, 0 where held; valid until the next call."""
-        finest, out = self.levels[0], self._rest
+        finest, out = self.levels[0], self._exact_rest
         seiler.residual(
             d,
             load,
@@ -237,9 +232,6 @@ class CpuSeilerModel:
     def forget(self) -> None:
         """Be not the last model any more: what is left in its vectors may be no number."""
         _last[:] = ()
-
-    def close(self) -> None:
-        """Nothing to do: memory goes with the last reference."""
 
 
 _last: list[CpuSeilerModel] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numba
-from numba import float32, prange
+from numba import float32, int64, prange
 
 _ARITHMETIC = {"contract", "nsz"}
 _parallel = numba.njit(
@@ -27,6 +27,19 @@ def row_product(a: Any, b: Any, row: int) -> float:
         for j in range(a.shape[2]):
             total += a[component, row, j] * b[component, row, j]
     return total
+
+
+@numba.njit(inline="always", error_model="numpy")
+def span(inverse, spans, i):
+    """Where row i's moving sites begin and end."""
+    first, past = int64(0), int64(0)
+    for j in range(inverse.shape[2] - 4):
+        if inverse[0, i + 2, j + 2] > float32(0) or inverse[1, i + 2, j + 2] > float32(0):
+            if past == 0:
+                first = j
+            past = j + 1
+    spans[i, 0] = first
+    spans[i, 1] = past
 
 
 @_parallel

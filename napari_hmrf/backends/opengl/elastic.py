@@ -9,8 +9,9 @@ import numpy as np
 
 from napari_hmrf.backends.cpu.elastic_model import CpuElasticLevel, the_model
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.backends.linear import Steps
 from napari_hmrf.backends.opengl.level import stored_planes
+from napari_hmrf.backends.opengl.model import GLModel
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import Float64Array, Model, RelaxingLevel
 from napari_hmrf.priors.elements import ElasticMaterial, ElementShape, Lame, element_forces
@@ -50,7 +51,7 @@ class GLElasticLevel(RelaxingLevel):
         return _smoother_matrix(self._host, self._lame, self._element, steps)
 
 
-class GLElasticModel:
+class GLElasticModel(GLModel):
     """`LinearModel` of elastic tissue.
 
     Parameters
@@ -61,40 +62,10 @@ class GLElasticModel:
     """
 
     def __init__(self, passes: Passes, material: ElasticMaterial) -> None:
-        self._passes = passes
-        self._host = the_model(material)
-        self.bounds = self._host.bounds
-        self.levels = [GLElasticLevel(passes, level, material.shape) for level in self._host.levels]
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
-        self._host.hold(held)
-        for level in self.levels:
-            level.hold()
-
-    def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held."""
-        return self._host.residual(d, load)
-
-    def pull(self, d: Planes) -> Planes:
-        """- A d everywhere, in double precision."""
-        return self._host.pull(d)
-
-    def work(self, d: Planes) -> tuple[float, float]:
-        """The elastic energy, and the norm of the forces."""
-        return self._host.work(d)
-
-    @property
-    def steepness(self) -> Planes:
-        """The diagonal of the stiffness matrix."""
-        return self._host.steepness
-
-    def forget(self) -> None:
-        """Nothing to do: no vector outlives a solve."""
-
-    def close(self) -> None:
-        """Free every texture."""
-        self._passes.close()
+        host = the_model(material)
+        super().__init__(
+            passes, host, [GLElasticLevel(passes, level, material.shape) for level in host.levels]
+        )
 
 
 def _smoother_matrix(

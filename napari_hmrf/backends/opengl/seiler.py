@@ -7,9 +7,10 @@ from typing import Self
 import numpy as np
 
 from napari_hmrf.backends.cpu.seiler_model import CpuSeilerLevel, the_model
-from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.backends.linear import Steps
 from napari_hmrf.backends.opengl.fields import singles
 from napari_hmrf.backends.opengl.level import stored_planes
+from napari_hmrf.backends.opengl.model import GLModel
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import AS_IS, Float64Array, Model, RelaxingLevel
 from napari_hmrf.priors.seiler import SeilerMaterial
@@ -97,7 +98,7 @@ class GLSeilerLevel(RelaxingLevel):
         return moved
 
 
-class GLSeilerModel:
+class GLSeilerModel(GLModel):
     """`LinearModel` of the paper's cliques.
 
     Parameters
@@ -108,37 +109,5 @@ class GLSeilerModel:
     """
 
     def __init__(self, passes: Passes, material: SeilerMaterial) -> None:
-        self._passes = passes
-        self._host = the_model(material)
-        self.bounds = self._host.bounds
-        self.levels = [GLSeilerLevel(passes, level) for level in self._host.levels]
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
-        self._host.hold(held)
-        for level in self.levels:
-            level.hold()
-
-    def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held."""
-        return self._host.residual(d, load)
-
-    def pull(self, d: Planes) -> Planes:
-        """- A d everywhere, in double precision."""
-        return self._host.pull(d)
-
-    def work(self, d: Planes) -> tuple[float, float]:
-        """The cliques' share of U_total, and the norm of all pulls."""
-        return self._host.work(d)
-
-    @property
-    def steepness(self) -> Planes:
-        """The second derivative of each site's energy; 0 where no clique pulls."""
-        return self._host.steepness
-
-    def forget(self) -> None:
-        """Nothing to do: no vector outlives a solve."""
-
-    def close(self) -> None:
-        """Free every texture."""
-        self._passes.close()
+        host = the_model(material)
+        super().__init__(passes, host, [GLSeilerLevel(passes, level) for level in host.levels])

@@ -1,0 +1,57 @@
+"""A linear model on the device: its levels; all that is done in double precision is the host's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.backends.opengl.passes import Passes
+from napari_hmrf.backends.opengl.relaxing import RelaxingLevel
+
+
+class GLModel:
+    """`LinearModel`, which says what each method does.
+
+    Parameters
+    ----------
+    passes : Passes
+        Its own: they end with it.
+    host : LinearModel
+        The compiled loops' model of the same tissue.
+    levels : sequence of RelaxingLevel
+        Of that model, on the device.
+    """
+
+    def __init__(self, passes: Passes, host: LinearModel, levels: Sequence[RelaxingLevel]) -> None:
+        self._passes, self._host, self.levels = passes, host, levels
+        self.bounds = host.bounds
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        self._host.hold(held)
+        for level in self.levels:
+            level.hold()
+
+    def residual(self, d: Planes, load: Planes | None) -> Planes:
+        """Load - A d in double precision, 0 where held."""
+        return self._host.residual(d, load)
+
+    def pull(self, d: Planes) -> Planes:
+        """- A d everywhere, in double precision."""
+        return self._host.pull(d)
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The model's energy, and the norm of its forces."""
+        return self._host.work(d)
+
+    @property
+    def steepness(self) -> Planes:
+        """The diagonal of A, whatever is held."""
+        return self._host.steepness
+
+    def forget(self) -> None:
+        """Nothing to do: no vector outlives a solve."""
+
+    def close(self) -> None:
+        """Free every texture."""
+        self._passes.close()
