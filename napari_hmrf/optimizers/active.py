@@ -23,15 +23,15 @@ from napari_hmrf.backends.linear import HeldPlanes, Planes
 FreeMotion = Callable[[HeldPlanes], Planes | None]
 
 # Exchanges of whole blocks that may pass without fewer contradictions than ever before.
-_PATIENCE = 6
+PATIENCE = 6
 # What is this close to its mark, in pixels, has come to rest there.
 _ON_THE_MARK = 1e-7
 # A part of a way that is none.
 _NO_WAY = 1e-6
 
 
-class ActiveSet:
-    """The states of the observed components.
+class States:
+    """Which observed components are held, and which slip.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class ActiveSet:
     y : ndarray, planes
         What was observed, in pixels.
     limit : ndarray, planes
-        p of each component, in units of the model's forces.
+        What pulls at those that slip, in units of the model's residuals.
     d : ndarray, planes
         Where the components are: those elsewhere than observed slip from the beginning.
     """
@@ -52,13 +52,7 @@ class ActiveSet:
         # The sign of the force of those that slip; 0 where held.
         self._slips: npt.NDArray[Any] = np.sign(self._y - d.ravel()[self._at])
         self._fewest = len(self._at) + 1
-        self._patience = _PATIENCE
-        self._barred = np.zeros(len(self._at), dtype=np.bool_)
-
-    @property
-    def lost(self) -> bool:
-        """Whether exchanges alone have led nowhere for a while: from then on, for good."""
-        return self._patience == 0
+        self._patience = PATIENCE
 
     @property
     def held(self) -> HeldPlanes:
@@ -66,6 +60,11 @@ class ActiveSet:
         made = np.zeros(self._grid, dtype=np.bool_)
         made.ravel()[self._at[self._slips == 0]] = True
         return made
+
+    @property
+    def any_slip(self) -> bool:
+        """Whether there is a load at all."""
+        return bool(self._slips.any())
 
     @property
     def load(self) -> Planes:
@@ -78,6 +77,19 @@ class ActiveSet:
         """Move the held components to what was observed, in place."""
         here = self._slips == 0
         d.ravel()[self._at[here]] = self._y[here]
+
+
+class ActiveSet(States):
+    """The states of observations of a model that has an energy: `limit` is p of each component."""
+
+    def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
+        super().__init__(observed, y, limit, d)
+        self._barred = np.zeros(len(self._at), dtype=np.bool_)
+
+    @property
+    def lost(self) -> bool:
+        """Whether exchanges alone have led nowhere for a while: from then on, for good."""
+        return self._patience == 0
 
     def cost(self, d: Planes) -> float:
         """The energy of the observations: sum of p |y - d|."""
@@ -114,7 +126,7 @@ class ActiveSet:
         wrong = (np.where(held, excess, passed) > tolerance) & ~self._barred
         count = int(wrong.sum())
         if 0 < count < self._fewest and not self.lost:
-            self._fewest, self._patience = count, _PATIENCE
+            self._fewest, self._patience = count, PATIENCE
         elif count and not self.lost:
             self._patience -= 1
         before, exchanged = self._slips, np.where(held, np.sign(needed), 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -31,6 +32,12 @@ class Monitor:
 
 
 Report = Callable[[Monitor], None]
+
+
+def part_done(first: float, now: float, tolerance: float) -> float:
+    """How much of the way from a first error to a tolerance is behind, in orders of magnitude."""
+    way = math.log(max(first / tolerance, 1 + 1e-9))
+    return min(max(1 - math.log(max(now / tolerance, 1.0)) / way, 0.0), 1.0)
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend, FloatArray
 from napari_hmrf.backends.linear import HeldPlanes, Planes
 from napari_hmrf.errors import ConvergenceError
-from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report
+from napari_hmrf.optimizers.active import PATIENCE, States
+from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report, part_done
 from napari_hmrf.optimizers.cycle import AVERAGING, Cycle
 from napari_hmrf.optimizers.krylov import StabilisedGradients, Step
 from napari_hmrf.priors import SeilerPrior
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 # How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
 _BARRIER = 0.5
 _BARRIER_AIM = 0.4
-# Exchanges of all contradictions at once that may pass without fewer of them than ever before.
-_PATIENCE = 6
 # Runs of the iteration that may pass without a smaller residual than ever before: where stiff
 # tissue swims in soft, single precision gains little in each.
 _VAIN_RUNS = 20
@@ -62,12 +60,12 @@ def converge(
         if start is not None:
             np.copyto(d, host.planes(start), where=~observed & (steep > 0))
         # A site that is the middle of no clique stays where it is: nothing pulls at it.
-        states = _States(observed & (steep > 0), y, force, steep)
+        states = _CentredStates(observed & (steep > 0), y, force, steep)
         changed = True
         while changed:
             states.place(d)
             model.hold(states.held)
-            refinement.run(d, states.load)
+            refinement.run(d, states.load if states.any_slip else None)
             changed = states.exchange(d, model.pull(d), settings.tolerance / 2)
         energy, forces = model.work(d)
     except ConvergenceError:
@@ -85,7 +83,7 @@ def converge(
     )
 
 
-class _States:
+class _CentredStates(States):
     """Which observed components are held, and which slip: eq. 19 for the centred update.
 
     A component is held where q is within p / 2 A of what was observed. Which ones are is found by
@@ -94,34 +92,8 @@ class _States:
     """
 
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
-        self._grid = candidates.shape
-        self._at = np.flatnonzero(candidates)
-        self._y = y.ravel()[self._at]
-        self._limit = force.ravel()[self._at] / steep.ravel()[self._at]
-        # The direction that those that slip are pulled in; 0 where held.
-        self._slips: npt.NDArray[Any] = np.zeros(len(self._at))
-        self._fewest, self._patience = len(self._at) + 1, _PATIENCE
-
-    @property
-    def held(self) -> HeldPlanes:
-        """Which are held."""
-        made = np.zeros(self._grid, dtype=np.bool_)
-        made.ravel()[self._at] = self._slips == 0
-        return made
-
-    @property
-    def load(self) -> Planes | None:
-        """How far from q those that slip are pulled."""
-        if not self._slips.any():
-            return None
-        made = np.zeros(self._grid)
-        made.ravel()[self._at] = self._slips * self._limit
-        return made
-
-    def place(self, d: Planes) -> None:
-        """Move those that are held to what was observed, in place."""
-        here = self._slips == 0
-        d.ravel()[self._at[here]] = self._y[here]
+        limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
+        super().__init__(candidates, y, limit, y)
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
         """Let go of what is pulled too far, and hold what has passed its mark.
@@ -135,7 +107,7 @@ class _States:
         wrong = np.where(held, excess, passed) > tolerance
         count = int(wrong.sum())
         if count < self._fewest:
-            self._fewest, self._patience = count, _PATIENCE
+            self._fewest, self._patience = count, PATIENCE
         elif self._patience > 0:
             self._patience -= 1
         else:
@@ -221,10 +193,8 @@ class _Refinement:
         done = 0.0
         if math.isfinite(estimate):
             self._first = self._first or estimate
-            tolerance = self._settings.tolerance
-            way = math.log(max(self._first / tolerance, 1 + 1e-9))
-            done = 1 - math.log(max(estimate / tolerance, 1.0)) / way
-        self._report(Monitor(f"cycle {self.cycles}, {message}", min(max(done, 0.0), 1.0)))
+            done = part_done(self._first, estimate, self._settings.tolerance)
+        self._report(Monitor(f"cycle {self.cycles}, {message}", done))
         if self.cycles - self._begun > self._settings.max_iterations:
             self._give_up()
 

@@ -21,7 +21,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.held import FreeMotion, free_motion
 from napari_hmrf.optimizers import centred
 from napari_hmrf.optimizers.active import ActiveSet
-from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report
+from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report, part_done
 from napari_hmrf.optimizers.cycle import BENDING, STRETCHING, Cycle, Smoothing
 from napari_hmrf.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
@@ -250,11 +250,8 @@ class _Refinement:
         """Report, and give up in time."""
         cycles = len(self._gains)
         self._first = self._first or estimate
-        way = math.log(max(self._first / tolerance, 1 + 1e-9))
-        done = 1 - math.log(max(estimate / tolerance, 1.0)) / way
-        self._report(
-            Monitor(f"cycle {self._cycles}, {estimate:.2g} px to go", min(max(done, 0.0), 1.0))
-        )
+        done = part_done(self._first, estimate, tolerance)
+        self._report(Monitor(f"cycle {self._cycles}, {estimate:.2g} px to go", done))
         if cycles >= self._settings.max_iterations and estimate > tolerance:
             raise ConvergenceError(
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
