@@ -16,11 +16,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
+from report.assembly import assemble
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
 from napari_hmrf.coarsening import COARSEST, smoother_bounds
 from napari_hmrf.optimizers.cycle import STRETCHING, chebyshev
-from napari_hmrf.priors.elements import element_forces
 
 _FALL = 1e-6
 
@@ -106,26 +106,14 @@ def same_model(problem: Problem, prior: ElasticPrior) -> int:
 
 def reduced_system(problem: Problem, prior: ElasticPrior) -> tuple[sp.csr_array, np.ndarray]:
     """The stiffness matrix with zero rows and columns where nothing moves, and the load."""
-    lame, shape = prior.lame(problem), prior.shape(problem.spacing)
-    height, width = problem.shape
-    number = np.arange(height * width * 2).reshape(height, width, 2)
-    parts = []
-    for a, b, component in np.ndindex(3, 3, 2):
-        impulse = np.zeros((height, width, 2))
-        impulse[a::3, b::3, component] = 1
-        forces = element_forces(lame, shape, impulse)
-        source = np.full((height + 2, width + 2), -1)
-        source[1:-1, 1:-1][a::3, b::3] = number[a::3, b::3, component]
-        for i, j, along in np.ndindex(3, 3, 2):
-            column = source[i : i + height, j : j + width]
-            there = (column >= 0) & (forces[..., along] != 0)
-            parts.append((forces[..., along][there], number[..., along][there], column[there]))
-    values, rows, columns = (np.concatenate(each) for each in zip(*parts, strict=True))
-    matrix = sp.csr_array((values, (rows, columns)), shape=(number.size, number.size))
-    given = (problem.c.ravel() > 0) & np.repeat(problem.tissue.ravel(), 2)
-    field = np.where(given, problem.y.ravel(), 0).astype(float)
-    free = sp.diags_array((~given).astype(float))
-    return sp.csr_array(free @ matrix @ free), -(free @ (matrix @ field))
+    system = assemble(problem, prior)
+    held = (problem.c > 0) & problem.tissue[..., None]
+    site = np.flatnonzero(system.free)
+    place = np.stack([2 * site, 2 * site + 1], axis=-1).ravel()
+    moves = ~held.ravel()[place]
+    shape = (2 * system.free.size, len(place))
+    spread = sp.csr_array((moves.astype(float), (place, np.arange(len(place)))), shape=shape)
+    return sp.csr_array(spread @ system.matrix @ spread.T), spread @ system.load
 
 
 def _linear(fine: int, coarse: int) -> sp.csr_array:

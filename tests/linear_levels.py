@@ -10,6 +10,7 @@ from opengl_here import on_compute_thread
 from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.opengl import OpenGLBackend
+from napari_hmrf.optimizers.cycle import Cycle
 from napari_hmrf.priors import Prior
 
 
@@ -83,3 +84,35 @@ def assert_same(actual, expected, relative=1e-5):
     """Equal to a fraction of the largest value, as float32 arithmetic allows."""
     for ours, theirs in zip(actual, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())
+
+
+def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:
+    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
+    rows, cols = np.indices(shape)
+    m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
+    m[np.hypot(rows - 30, cols - 30) < 9] = 0
+    m[:6, 20:] = 0
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    c[:, :2] = c[:, -2:] = 1
+    y[:, -2:] = (1.5, 4)
+    return Problem(y * spacing, c, m, spacing)
+
+
+def cycles(stage, given: Example, smoothing):
+    """What the first and the second run of a V-cycle make of a load, as loops and as shaders."""
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                cycle, finest = Cycle(model, smoothing), model.levels[0]
+                vector = finest.vector(load.copy())
+                answers.append([finest.planes(cycle.run(vector)).copy() for _ in range(2)])
+            finally:
+                backend.close()
+        return answers
+
+    return on_compute_thread(both)

@@ -4,9 +4,8 @@ import threading
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
-import scipy.sparse.linalg as spl
 import skfem
+from elastic_oracle import direct_solution
 from fem import plane_stress_displacement, rmsd
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
@@ -37,31 +36,6 @@ def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed
     c = np.zeros((*shape, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     return Problem(rng.normal(size=(*shape, 2)), c, m, spacing)
-
-
-def direct_solution(problem, prior):
-    """The field of least energy by a sparse direct solve, from impulses three sites apart."""
-    lame, shape = prior.lame(problem), prior.shape(problem.spacing)
-    height, width = problem.shape
-    number = np.arange(height * width * 2).reshape(height, width, 2)
-    parts = []
-    for a, b, component in np.ndindex(3, 3, 2):
-        impulse = np.zeros((height, width, 2))
-        impulse[a::3, b::3, component] = 1
-        forces = element_forces(lame, shape, impulse)
-        source = np.full((height + 2, width + 2), -1)
-        source[1:-1, 1:-1][a::3, b::3] = number[a::3, b::3, component]
-        for i, j, along in np.ndindex(3, 3, 2):
-            column = source[i : i + height, j : j + width]
-            there = column >= 0
-            parts.append((forces[..., along][there], number[..., along][there], column[there]))
-    values, rows, columns = (np.concatenate(each) for each in zip(*parts, strict=True))
-    matrix = sp.csr_matrix((values, (rows, columns)), shape=(number.size, number.size))
-    field = np.where(problem.c > 0, problem.y, 0).astype(float).ravel()
-    free = (problem.c.ravel() == 0) & (matrix.diagonal() > 0)
-    right = -(matrix[free][:, ~free] @ field[~free])
-    field[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
-    return field.reshape(height, width, 2)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])

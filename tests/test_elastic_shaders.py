@@ -6,7 +6,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from linear_levels import Example, assert_same, host_levels, random_example, with_levels
+from linear_levels import (
+    Example,
+    assert_same,
+    cycles,
+    host_levels,
+    random_example,
+    torn,
+    with_levels,
+)
 from opengl_here import left, on_compute_thread, require_opengl
 
 from napari_hmrf import (
@@ -18,10 +26,9 @@ from napari_hmrf import (
     phantom,
     solve,
 )
-from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.opengl import OpenGLBackend
 from napari_hmrf.backends.opengl.device import the_device
-from napari_hmrf.optimizers.cycle import Cycle, chebyshev
+from napari_hmrf.optimizers.cycle import STRETCHING, Cycle, chebyshev
 
 #: Odd, even, prime, two sites wide, small enough to be the only level.
 SHAPES = [(31, 37), (64, 48), (2, 9), (101, 7), (4, 5)]
@@ -177,39 +184,12 @@ def test_sums_and_largest_values_take_in_every_site(stage, shape):
 
 def test_a_whole_cycle_is_the_same_everywhere(stage):
     given = example((70, 55), PRIORS[1], (1.0, 1.5))
-    (host, *_) = host_levels(given)
-    load = given.planes(host)
-
-    def both():
-        answers = []
-        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
-            try:
-                model = given.model(backend)
-                cycle, finest = Cycle(model), model.levels[0]
-                vector = finest.vector(load.copy())
-                answers.append([finest.planes(cycle.run(vector)).copy() for _ in range(2)])
-            finally:
-                backend.close()
-        return answers
-
-    loops, shaders = on_compute_thread(both)
+    loops, shaders = cycles(stage, given, STRETCHING)
     assert_same(shaders, loops, 3e-5)
     np.testing.assert_array_equal(*shaders)
 
 
 # Whole solves ----------------------------------------------------------------------------------
-
-
-def torn(shape=(67, 90), ratio=1e4, spacing=(1.0, 1.0)) -> Problem:
-    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
-    rows, cols = np.indices(shape)
-    m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
-    m[np.hypot(rows - 30, cols - 30) < 9] = 0
-    m[:6, 20:] = 0
-    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-    c[:, :2] = c[:, -2:] = 1
-    y[:, -2:] = (1.5, 4)
-    return Problem(y * spacing, c, m, spacing)
 
 
 @pytest.mark.parametrize(
@@ -257,14 +237,14 @@ def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stag
 
 def test_an_earlier_solution_is_a_good_beginning(stage):
     backend = f"opengl:{stage}"
-    first = solve(torn(), ElasticPrior(), backend=backend)
-    again = solve(torn(), ElasticPrior(), backend=backend, start=first)
+    first = solve(torn(1e4), ElasticPrior(), backend=backend)
+    again = solve(torn(1e4), ElasticPrior(), backend=backend, start=first)
     assert again.iterations < first.iterations / 3
     assert np.abs(again.displacement - first.displacement).max() < 4e-3
 
 
 def test_the_same_solve_gives_the_same_bits(stage):
-    first, second = (solve(torn(), ElasticPrior(), backend=f"opengl:{stage}") for _ in range(2))
+    first, second = (solve(torn(1e4), ElasticPrior(), backend=f"opengl:{stage}") for _ in range(2))
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
@@ -340,7 +320,7 @@ def _batches(stage: str, stop_at: int | None = None) -> int:
     def job() -> int:
         backend = OpenGLBackend(look, stage)
         try:
-            Multigrid().run(torn(), ElasticPrior(), backend, lambda _: None)
+            Multigrid().run(torn(1e4), ElasticPrior(), backend, lambda _: None)
         finally:
             backend.close()
         return looks
@@ -351,13 +331,13 @@ def _batches(stage: str, stop_at: int | None = None) -> int:
 @pytest.mark.parametrize("where", [0.0, 0.1, 0.5, 0.999])
 def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where):
     backend = f"opengl:{stage}"
-    before = solve(torn(), ElasticPrior(), backend=backend)
+    before = solve(torn(1e4), ElasticPrior(), backend=backend)
     looks = _batches(stage)
     assert looks >= before.iterations  # one in every cycle at least
     with pytest.raises(Cancelled):
         _batches(stage, stop_at=int(where * looks))
     assert left(made) == 0
-    after = solve(torn(), ElasticPrior(), backend=backend)
+    after = solve(torn(1e4), ElasticPrior(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
@@ -365,18 +345,18 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, wh
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     from napari_hmrf.backends.opengl import backend, regions
 
-    whole = solve(torn(), ElasticPrior(), backend=f"opengl:{stage}").displacement
+    whole = solve(torn(1e4), ElasticPrior(), backend=f"opengl:{stage}").displacement
     monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
     monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
     monkeypatch.setattr(regions, "_ACROSS", 2)
-    cut = solve(torn(), ElasticPrior(), backend=f"opengl:{stage}").displacement
+    cut = solve(torn(1e4), ElasticPrior(), backend=f"opengl:{stage}").displacement
     np.testing.assert_array_equal(cut, whole)
 
 
 def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest", 80)
     with pytest.raises(BackendError, match=r"67 x 90 pixels, but .* at most 80 x 80"):
-        solve(torn(), ElasticPrior(), backend="opengl")
+        solve(torn(1e4), ElasticPrior(), backend="opengl")
     assert left(made) == 0
 
 

@@ -6,11 +6,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from linear_levels import Example, assert_same, host_levels, random_example, with_levels
+from linear_levels import (
+    Example,
+    assert_same,
+    cycles,
+    host_levels,
+    random_example,
+    torn,
+    with_levels,
+)
 from opengl_here import left, on_compute_thread, require_opengl
 
 from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, phantom, solve
-from napari_hmrf.backends.cpu import CpuBackend
 from napari_hmrf.backends.opengl import OpenGLBackend
 from napari_hmrf.backends.opengl.device import the_device
 from napari_hmrf.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
@@ -160,23 +167,7 @@ def test_a_step_goes_back_where_its_length_is_negative(stage):
 @readings
 def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
     given = random_example((70, 55), prior, (1.0, 1.5))
-    (host, *_) = host_levels(given)
-    load = given.planes(host)
-
-    def both():
-        answers = []
-        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
-            try:
-                model = given.model(backend)
-                cycle = Cycle(model, AVERAGING if prior is CENTRED else BENDING)
-                finest = model.levels[0]
-                vector = finest.vector(load.copy())
-                answers.append([finest.planes(cycle.run(vector)).copy() for _ in range(2)])
-            finally:
-                backend.close()
-        return answers
-
-    loops, shaders = on_compute_thread(both)
+    loops, shaders = cycles(stage, given, AVERAGING if prior is CENTRED else BENDING)
     assert_same(shaders, loops, 3e-5)
     np.testing.assert_array_equal(*shaders)
 
@@ -184,22 +175,10 @@ def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
 # Whole solves ----------------------------------------------------------------------------------
 
 
-def torn(shape=(67, 90), ratio=20.0, spacing=(1.0, 1.0)) -> Problem:
-    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
-    rows, cols = np.indices(shape)
-    m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
-    m[np.hypot(rows - 30, cols - 30) < 9] = 0
-    m[:6, 20:] = 0
-    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-    c[:, :2] = c[:, -2:] = 1
-    y[:, -2:] = (1.5, 4)
-    return Problem(y * spacing, c, m, spacing)
-
-
 @readings
 @pytest.mark.parametrize("spacing", SPACINGS)
 def test_torn_tissue_moves_alike_everywhere(stage, spacing, prior):
-    problem = torn(spacing=spacing)
+    problem = torn(20.0, spacing=spacing)
     loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
     off = np.abs(shaders.displacement - loops.displacement) / np.array(spacing)
@@ -246,7 +225,7 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
 
     require_opengl()
     monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
-    provenance = solve(torn(), CENTRED, Multigrid(), backend="auto").provenance
+    provenance = solve(torn(20.0), CENTRED, Multigrid(), backend="auto").provenance
     assert provenance.backend.startswith("opengl:")
     assert provenance.reason == "a GPU is there"
 
@@ -254,7 +233,7 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
 @readings
 def test_the_same_solve_gives_the_same_bits(stage, prior):
     backend = f"opengl:{stage}"
-    first, second = (solve(torn(), prior, Multigrid(), backend=backend) for _ in range(2))
+    first, second = (solve(torn(20.0), prior, Multigrid(), backend=backend) for _ in range(2))
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
@@ -305,7 +284,7 @@ def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
     def job() -> int:
         backend = OpenGLBackend(look, stage)
         try:
-            Multigrid().run(torn(), prior.resolved(torn()), backend, lambda _: None)
+            Multigrid().run(torn(20.0), prior.resolved(torn(20.0)), backend, lambda _: None)
         finally:
             backend.close()
         return looks
@@ -317,13 +296,13 @@ def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
 @pytest.mark.parametrize("where", [0.0, 0.5, 0.999])
 def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where, prior):
     backend = f"opengl:{stage}"
-    before = solve(torn(), prior, Multigrid(), backend=backend)
+    before = solve(torn(20.0), prior, Multigrid(), backend=backend)
     looks = _batches(stage, prior)
     assert looks >= before.iterations  # one in every cycle at least
     with pytest.raises(Cancelled):
         _batches(stage, prior, stop_at=int(where * looks))
     assert left(made) == 0
-    after = solve(torn(), prior, Multigrid(), backend=backend)
+    after = solve(torn(20.0), prior, Multigrid(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
@@ -331,11 +310,11 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, wh
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     from napari_hmrf.backends.opengl import backend, regions
 
-    whole = solve(torn(), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
+    whole = solve(torn(20.0), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
     monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
     monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
     monkeypatch.setattr(regions, "_ACROSS", 2)
-    cut = solve(torn(), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
+    cut = solve(torn(20.0), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
     np.testing.assert_array_equal(cut, whole)
 
 
