@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
-from typing import NamedTuple
+from collections.abc import Hashable
+from typing import Any
 
 from psygnal import Signal
 
 from napari_hmrf.drawing.drawing import Drawing
-
-
-class _Step(NamedTuple):
-    """A drawing, and in a word what was done to it next, or to reach it."""
-
-    drawing: Drawing
-    word: str
+from napari_hmrf.edits import DEPTH, Edits
 
 
 class History:
-    """The drawing as it is now, and those it can go back to and on to.
+    """A drawing as it is now, among all that is edited in turn.
 
     Drawings do not change, so that what comes back is exactly what was there.
 
@@ -28,6 +22,10 @@ class History:
         To begin with.
     depth : int
         How many steps are kept; the oldest are forgotten.
+    edits : Edits, optional
+        The steps of all that is edited; by default the drawing is all.
+    slot : hashable
+        The drawing's own, among them.
 
     Attributes
     ----------
@@ -37,33 +35,41 @@ class History:
 
     changed = Signal(Drawing)
 
-    def __init__(self, drawing: Drawing | None = None, depth: int = 500) -> None:
-        self._drawing = drawing or Drawing()
-        self._past: deque[_Step] = deque(maxlen=depth)
-        self._future: list[_Step] = []
-        self._begun: _Step | None = None
+    def __init__(
+        self,
+        drawing: Drawing | None = None,
+        depth: int = DEPTH,
+        edits: Edits | None = None,
+        slot: Hashable = "drawing",
+    ) -> None:
+        self.edits = Edits(depth) if edits is None else edits
+        self.slot = slot
+        self._first = drawing or Drawing()
+        self.edits.open(slot, self._first)
+        self.edits.changed.connect(self._on_changed)
 
     @property
     def drawing(self) -> Drawing:
         """As it is now, an edit in progress included."""
-        return self._drawing
+        drawing: Drawing = self.edits.get(self.slot, self._first)
+        return drawing
 
     @property
     def in_progress(self) -> bool:
-        """Whether an edit was begun and not ended."""
-        return self._begun is not None
+        """Whether an edit of this drawing was begun and not ended."""
+        return self.slot in self.edits and self.edits.in_progress == self.slot
 
     @property
     def undo_word(self) -> str:
         """What `undo` would take back, such as "moved an arrow"; empty if nothing."""
-        if self._begun is not None and self._begun.drawing != self._drawing:
-            return self._begun.word
-        return self._past[-1].word if self._past else ""
+        step = self.edits.next_undo
+        return step.word if step is not None else ""
 
     @property
     def redo_word(self) -> str:
         """What `redo` would do again; empty if nothing."""
-        return self._future[-1].word if self._future else ""
+        step = self.edits.next_redo
+        return step.word if step is not None else ""
 
     def do(self, drawing: Drawing, word: str) -> None:
         """Make one step; an edit in progress ends before it.
@@ -81,8 +87,8 @@ class History:
 
     def begin(self, word: str) -> None:
         """Begin an edit that takes a while, as a drag does: however it goes on, it is one step."""
-        self.end()
-        self._begun = _Step(self._drawing, word)
+        self.edits.open(self.slot, self._first)
+        self.edits.begin(self.slot, word)
 
     def update(self, drawing: Drawing) -> None:
         """Go on with the edit in progress.
@@ -92,9 +98,9 @@ class History:
         RuntimeError
             If none was begun.
         """
-        if self._begun is None:
+        if not self.in_progress:
             raise RuntimeError("no edit was begun; call begin() first, or do()")
-        self._show(drawing)
+        self.edits.update(drawing)
 
     def end(self, word: str = "") -> None:
         """End the edit in progress, if there is one; it can be undone from now on.
@@ -104,50 +110,36 @@ class History:
         word : str, optional
             What was done, if that turned out to be something else than was begun.
         """
-        begun, self._begun = self._begun, None
-        if begun is not None and begun.drawing != self._drawing:
-            self._past.append(begun._replace(word=word or begun.word))
-            self._future.clear()
+        if self.in_progress:
+            self.edits.end(word)
 
     def cancel(self) -> None:
         """Drop the edit in progress: the drawing is as before it, and nothing is to be undone."""
-        begun, self._begun = self._begun, None
-        if begun is not None:
-            self._show(begun.drawing)
+        if self.in_progress:
+            self.edits.cancel()
 
     def undo(self) -> str:
-        """Go one step back, ending an edit in progress first.
+        """Go one step back, whatever it was a step of; an edit in progress ends first.
 
         Returns
         -------
         str
             What was taken back; empty if there was nothing.
         """
-        self.end()
-        if not self._past:
-            return ""
-        step = self._past.pop()
-        self._future.append(_Step(self._drawing, step.word))
-        self._show(step.drawing)
-        return step.word
+        step = self.edits.undo()
+        return "" if step is None else step.word
 
     def redo(self) -> str:
-        """Go one step on again, ending an edit in progress first.
+        """Go one step on again, whatever it was a step of; an edit in progress ends first.
 
         Returns
         -------
         str
             What was done again; empty if there was nothing.
         """
-        self.end()
-        if not self._future:
-            return ""
-        step = self._future.pop()
-        self._past.append(_Step(self._drawing, step.word))
-        self._show(step.drawing)
-        return step.word
+        step = self.edits.redo()
+        return "" if step is None else step.word
 
-    def _show(self, drawing: Drawing) -> None:
-        if drawing != self._drawing:
-            self._drawing = drawing
-            self.changed.emit(drawing)
+    def _on_changed(self, slot: Hashable, value: Any) -> None:
+        if slot == self.slot:
+            self.changed.emit(value)

@@ -1,0 +1,200 @@
+"""One order of steps for all that is edited: undo gives back exactly what was there, of each."""
+
+from types import MappingProxyType
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.drawing import Arrow, Drawing, History
+from napari_hmrf.edits import Edits
+
+#: What each slot may hold; of the kinds there are.
+VALUES = {
+    ("drawing", 0): [
+        Drawing(tuple(Arrow((row, 3), (1, 0), 2.0) for row in range(count))) for count in range(5)
+    ],
+    ("drawing", 1): [Drawing((Arrow((row, 8), (0, 2), 1.0),)) for row in range(5)],
+    ("materials", "Tissue"): [(Material(1, "gel", float(e)),) for e in range(5)],
+    ("rules", "Boundary"): [(BoundaryRule(1, "move", vector=(0.0, v)),) for v in range(5)],
+}
+SLOTS = list(VALUES)
+FIRST = MappingProxyType({slot: values[0] for slot, values in VALUES.items()})
+
+slots = st.sampled_from(SLOTS)
+sequences = st.lists(
+    st.tuples(
+        st.sampled_from(["do", "do", "do", "drag", "give up", "undo", "undo", "redo", "redo"]),
+        slots,
+        st.lists(st.integers(0, 4), min_size=1, max_size=4),
+    ),
+    max_size=40,
+)
+
+
+def opened():
+    edits = Edits()
+    for slot, value in FIRST.items():
+        edits.open(slot, value)
+    return edits
+
+
+def state(edits):
+    return {slot: edits.get(slot) for slot in edits.slots}
+
+
+def play(edits, what, slot, choices):
+    """Do one edit of a sequence; whether it was a step."""
+    before, values = edits.get(slot), [VALUES[slot][choice] for choice in choices]
+    if what == "do":
+        edits.do(slot, values[-1], f"did {choices[-1]}")
+    else:
+        edits.begin(slot, "dragged")
+        for value in values:
+            edits.update(value)
+        if what == "give up":
+            edits.cancel()
+            return False
+        edits.end()
+    return values[-1] != before
+
+
+@settings(max_examples=300, deadline=None)
+@given(sequences)
+def test_undo_returns_the_exact_earlier_state_of_everything_and_redo_the_later(sequence):
+    """Against plain lists of whole states, as a person would keep them."""
+    edits, past, future = opened(), [], []
+    mirror = dict(FIRST)
+    edits.changed.connect(lambda slot, value: mirror.update({slot: value}))
+    for what, slot, choices in sequence:
+        before = state(edits)
+        if what == "undo":
+            assert (edits.undo() is not None) == bool(past)
+            if past:
+                future.append(before)
+                assert state(edits) == past.pop()
+        elif what == "redo":
+            assert (edits.redo() is not None) == bool(future)
+            if future:
+                past.append(before)
+                assert state(edits) == future.pop()
+        elif play(edits, what, slot, choices):
+            past.append(before)
+            future.clear()
+        else:
+            assert state(edits) == before
+        assert mirror == state(edits), "who listens knows the state"
+        assert (edits.next_undo is not None, edits.next_redo is not None) == (
+            bool(past),
+            bool(future),
+        )
+    while past:
+        future.append(state(edits))
+        assert edits.undo() is not None
+        assert state(edits) == past.pop()
+    while future:
+        assert edits.redo() is not None
+        assert state(edits) == future.pop()
+
+
+@settings(max_examples=200, deadline=None)
+@given(sequences, slots)
+def test_without_a_slot_the_others_go_back_as_if_it_had_never_been(sequence, gone):
+    """A layer that was removed takes its steps along, and nobody else's."""
+    with_it, without = opened(), opened()
+    for what, slot, choices in sequence:
+        if what == "undo":
+            step = with_it.undo()
+            if step is not None and step.slot != gone:
+                without.undo()
+        elif what == "redo":
+            step = with_it.redo()
+            if step is not None and step.slot != gone:
+                without.redo()
+        elif slot != gone:
+            play(with_it, what, slot, choices)
+            play(without, what, slot, choices)
+        elif play(with_it, what, slot, choices):
+            # Whatever is done ends what could be done again, of all.
+            without._future.clear()
+    for edits in (with_it, without):
+        edits.drop(lambda slot: slot == gone)
+    assert gone not in with_it
+    while (step := without.undo()) is not None:
+        assert with_it.undo() == step
+        assert state(with_it) == state(without)
+    assert with_it.undo() is None
+
+
+def test_a_step_says_what_it_was_and_of_what():
+    edits = opened()
+    edits.do(SLOTS[2], VALUES[SLOTS[2]][1], "stiffened gel")
+    edits.begin(SLOTS[0], "drew an arrow")
+    edits.update(VALUES[SLOTS[0]][1])
+    assert edits.in_progress == SLOTS[0]
+    assert edits.next_undo == (SLOTS[0], VALUES[SLOTS[0]][0], "drew an arrow")
+    step = edits.undo()
+    assert (step.slot, step.word) == (SLOTS[0], "drew an arrow")
+    assert edits.next_redo == (SLOTS[0], VALUES[SLOTS[0]][1], "drew an arrow")
+    assert edits.next_undo.word == "stiffened gel"
+
+
+def test_an_edit_of_one_thing_ends_that_of_another():
+    edits = opened()
+    edits.begin(SLOTS[0], "dragged")
+    edits.update(VALUES[SLOTS[0]][3])
+    edits.do(SLOTS[3], VALUES[SLOTS[3]][2], "moved the wall")
+    assert [edits.undo().word, edits.undo().word] == ["moved the wall", "dragged"]
+    assert state(edits) == FIRST
+
+
+def test_what_came_from_elsewhere_is_no_step():
+    edits = opened()
+    slot = SLOTS[2]
+    edits.do(slot, VALUES[slot][1], "stiffened gel")
+    edits.amend(slot, VALUES[slot][4])
+    assert edits.get(slot) == VALUES[slot][4]
+    edits.undo()
+    assert edits.get(slot) == VALUES[slot][0]
+    edits.redo()
+    assert edits.get(slot) == VALUES[slot][4]
+
+
+def test_two_drawings_share_one_order_of_steps():
+    edits = Edits()
+    one, other = (History(edits=edits, slot=("drawing", index)) for index in (0, 1))
+    said = []
+    other.changed.connect(said.append)
+    arrow = Drawing((Arrow((1, 1), (1, 0), 1.0),))
+    one.do(arrow, "drew an arrow")
+    assert other.drawing == Drawing()
+    assert not said
+    other.begin("drew another")
+    other.update(arrow)
+    assert (one.in_progress, other.in_progress) == (False, True)
+    one.end()
+    assert other.in_progress, "nobody ends another's drag"
+    with pytest.raises(RuntimeError, match="begin"):
+        one.update(Drawing())
+    assert one.undo() == "drew another"
+    assert (one.drawing, other.drawing) == (arrow, Drawing())
+    assert one.undo() == "drew an arrow"
+    assert said == [arrow, Drawing()]
+
+
+def test_a_drawing_whose_image_is_gone_holds_nothing_and_may_begin_again():
+    edits = Edits()
+    history = History(edits=edits, slot="gone")
+    history.begin("drew")
+    history.update(Drawing((Arrow((1, 1), (1, 0), 1.0),)))
+    edits.drop(lambda slot: slot == "gone")
+    assert (history.drawing, history.in_progress, history.undo()) == (Drawing(), False, "")
+    history.cancel()
+    history.do(Drawing((Arrow((2, 1), (1, 0), 1.0),)), "drew again")
+    assert history.undo() == "drew again"
+
+
+def test_an_edit_of_what_nobody_opened_is_an_error():
+    with pytest.raises(KeyError):
+        Edits().do("nothing", 1, "did")
