@@ -418,3 +418,23 @@ def test_a_sample_brings_its_tissue_and_hides_the_paint(open_window, settle):
     field = seen[-1].solution.displacement
     assert field[60, 100] == pytest.approx((2, 0), abs=0.02)
     assert np.linalg.norm(field[painted], axis=-1).min() > 1, "the boundary moves, too"
+
+
+def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling, settle):
+    person, widget = pulling
+    form, badge = widget.form, person.viewer.canvas.overlays.text
+    assert (widget.tool, badge.text, badge.visible) == ("pull", "Grab and pull", True)
+    form.tools["pin"].native.click()
+    assert (widget.tool, badge.text) == ("pin", "Pin")
+    assert form.tools["pin"].native.isChecked()
+    assert not form.grab.native.isChecked()
+    person.key(Qt.Key.Key_L)
+    assert (widget.tool, badge.text) == ("landmark", "Landmark")
+    person.key(Qt.Key.Key_M)
+    assert form.fields.by_row.native.isVisible()
+    assert not form.fields.amount.native.isVisible()
+    form.tools["move"].native.click()
+    assert not widget.active, "its button puts it down"
+    assert not badge.visible
+    with pytest.raises(ValueError, match="no tool 'saw'"):
+        widget.tool = "saw"

@@ -12,7 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.annotation import BoundaryRule, boundary_images
-from napari_hmrf.drawing.marks import Arrow, Components, Landmark, Mark, Point, Stroke
+from napari_hmrf.drawing.marks import (
+    Action,
+    Arrow,
+    Components,
+    Landmark,
+    Mark,
+    Point,
+    Stroke,
+)
 from napari_hmrf.errors import ProblemError
 
 FloatArray = npt.NDArray[np.float32]
@@ -24,6 +32,10 @@ _COMPONENTS: dict[Components, slice] = {
     "row": slice(0, 1),
     "col": slice(1, 2),
 }
+
+
+#: Numbers of what strokes do, in `Canvas.kinds`; what becomes tissue is seen in the labels.
+KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +52,8 @@ class Canvas:
         Which tissue, for strokes that paint tissue.
     spacing : (float, float)
         Size of a pixel in (row, col) direction.
+    kinds : ndarray of uint8, shape (H, W), optional
+        What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
 
     Raises
     ------
@@ -51,6 +65,7 @@ class Canvas:
     c: FloatArray
     labels: npt.NDArray[Any] | None = None
     spacing: tuple[float, float] = (1.0, 1.0)
+    kinds: npt.NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         for field, image in (("y", self.y), ("c", self.c)):
@@ -91,7 +106,8 @@ class Canvas:
     def copy(self) -> Canvas:
         """The same images, to be drawn on."""
         labels = None if self.labels is None else self.labels.copy()
-        return Canvas(self.y.copy(), self.c.copy(), labels, self.spacing)
+        kinds = None if self.kinds is None else self.kinds.copy()
+        return Canvas(self.y.copy(), self.c.copy(), labels, self.spacing, kinds)
 
 
 def box_of(mark: Mark, canvas: Canvas) -> Box:
@@ -163,6 +179,27 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
                 "m", "has no labels to paint tissue in. Choose a Labels layer as tissue."
             )
         canvas.labels[at][where] = mark.label
+        return
+    if canvas.kinds is not None:
+        kinds = canvas.kinds[at]
+        if isinstance(mark, Arrow):
+            kinds[where] = 0
+        elif mark.action == "confidence":
+            # What is pinned, moved or freed stays so; the rest shows that it was gone over.
+            kinds[where & (kinds == 0) & (c > 0).any(axis=-1)] = KINDS["confidence"]
+        else:
+            kinds[where] = KINDS[mark.action]
+
+
+def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]) -> None:
+    """Refuse a stroke that is to expand and has no outside.
+
+    Raises
+    ------
+    ProblemError
+        If it is an open line.
+    """
+    _expanded_whole(stroke, spacing, shape)
 
 
 def distance_to(

@@ -13,6 +13,7 @@ from napari_hmrf.drawing.marks import (
     Landmark,
     Mark,
     Point,
+    Stroke,
     mark_as_dict,
     mark_from_dict,
 )
@@ -95,6 +96,22 @@ class Drawing:
             return None
         _, order, number = min(found)
         return Hit(-number, "base" if order else "head")
+
+    def painted_at(self, point: Point, spacing: Sequence[float] = (1.0, 1.0)) -> int | None:
+        """Find the stroke that lies uppermost at a place; None if none does.
+
+        Parameters
+        ----------
+        point : (float, float)
+            (row, col) in pixels.
+        spacing : sequence of float, shape (2,)
+            Size of a pixel in (row, col) direction.
+        """
+        for number in reversed(range(len(self.marks))):
+            mark = self.marks[number]
+            if isinstance(mark, Stroke) and mark.distance(point, spacing) <= mark.radius:
+                return number
+        return None
 
     def render(self, base: Canvas) -> Canvas:
         """Draw all marks on top of images, which stay as they are.

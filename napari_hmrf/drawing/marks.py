@@ -12,6 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from napari_hmrf.errors import ProblemError
 
 Point = tuple[float, float]
@@ -155,6 +157,24 @@ class Stroke:
         """The stroke, with the brush moved on to another place."""
         *before, line = self.lines
         return _with_lines(self, (*before, (*line, _point(point))))
+
+    def again(self, point: Point) -> Stroke:
+        """The stroke, with the brush put down once more, at another place."""
+        return _with_lines(self, (*self.lines, (_point(point),)))
+
+    def distance(self, point: Point, spacing: Iterable[float]) -> float:
+        """How far a place is from the way of the brush, in the unit of the pixel spacing."""
+        size = np.array(tuple(spacing))
+        to, nearest = np.array(point) * size, math.inf
+        for line in self.lines:
+            points = np.array(line) * size
+            starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
+            steps = ends - starts
+            squares = np.maximum((steps**2).sum(axis=1), 1e-300)
+            along = np.clip(((to - starts) * steps).sum(axis=1) / squares, 0, 1)
+            away = np.linalg.norm(starts + along[:, None] * steps - to, axis=1)
+            nearest = min(nearest, float(away.min()))
+        return nearest
 
     def added_to(self, earlier: Stroke) -> Stroke | None:
         """What the brush did since it was `earlier`; None if this is not a continuation of it."""

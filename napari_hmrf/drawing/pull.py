@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from napari_hmrf.drawing.drawing import Drawing, Hit
-from napari_hmrf.drawing.history import History
-from napari_hmrf.drawing.marks import Arrow, Components, Landmark, Point
+from napari_hmrf.drawing.hand import Hand, Origin, unmoved
+from napari_hmrf.drawing.marks import Arrow, Components, Landmark, Mark, Point
 
 DREW, MOVED, HELD = "drew an arrow", "moved an arrow", "held a place"
-REMOVED, CHANGED = "removed an arrow", "changed an arrow"
 
 
 @dataclass(frozen=True)
@@ -24,99 +22,52 @@ class Grip:
     components: Components = "both"
 
 
-class Pull:
-    """Takes hold of tissue and pulls it, or takes hold of an arrow's end again.
+class Pull(Hand):
+    """Takes hold of tissue and pulls it, or takes hold of the end of an arrow or landmark again."""
 
-    Parameters
-    ----------
-    history : History
-        What is drawn on.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
-
-    Attributes
-    ----------
-    selected : int or None
-        The number of the arrow taken hold of last.
-    """
-
-    def __init__(self, history: History, spacing: Sequence[float] = (1.0, 1.0)) -> None:
-        self._history = history
-        self._spacing = tuple(spacing)
+    def __init__(self, history: Any, spacing: Any = (1.0, 1.0)) -> None:
+        super().__init__(history, spacing)
         self._held: Hit | None = None
         self._offset: Point = (0.0, 0.0)
         self._begun: Point = (0.0, 0.0)
         self._new = self._moved = False
-        self._selected: int | None = None
-        self._ours = Drawing()
-
-    @property
-    def holding(self) -> bool:
-        """Whether something is held."""
-        return self._held is not None and self._history.in_progress
-
-    @property
-    def selected(self) -> int | None:
-        """The number of the arrow taken hold of last; None once something else was done."""
-        if self._history.drawing is not self._ours:
-            self._selected = None
-        return self._selected
 
     @property
     def arrow(self) -> Arrow | Landmark | None:
         """The mark that is selected."""
-        if self.selected is None:
-            return None
-        mark = self._history.drawing.marks[self.selected]
+        mark = self.mark
         return mark if isinstance(mark, Arrow | Landmark) else None
 
-    def press(
-        self,
-        point: Point,
-        reach: float,
-        grip: Grip,
-        came_from: Callable[[Point], Point | None] = lambda point: point,
-    ) -> bool:
-        """Take hold of the end of an arrow, or of tissue.
+    @property
+    def how(self) -> Grip | None:
+        """How the selected mark holds."""
+        mark = self.arrow
+        if mark is None:
+            return None
+        components = mark.components if isinstance(mark, Arrow) else "both"
+        return Grip(mark.radius, mark.confidence, components)
 
-        Parameters
-        ----------
-        point : (float, float)
-            Of the picture as it is seen, (row, col) in pixels.
-        reach : float
-            How near an arrow's end is near enough, in the unit of the spacing.
-        grip : Grip
-            How a new arrow takes hold.
-        came_from : callable
-            Where the tissue seen at a point is when nothing moves; None if there is none. A new
-            arrow begins there, and at first leaves the tissue where it is seen.
+    def press(self, point: Point, reach: float, how: Grip, came_from: Origin = unmoved) -> bool:
+        """Take hold of the end of an arrow, or of tissue; as in `Hand`.
 
-        Returns
-        -------
-        bool
-            Whether there was anything to take hold of.
+        A new arrow begins where the tissue seen there is when nothing moves, and at first leaves
+        it where it is seen.
         """
         self.release()
         drawing = self._history.drawing
         hit = drawing.at(point, reach, self._spacing)
-        self._new = hit is None
-        if hit is None:
-            at = came_from(point)
-            if at is None:
-                self.select(None)
-                return False
-            arrow = Arrow(
-                at, self._between(at, point, grip.components), grip.radius, grip.confidence,
-                grip.components,
-            )  # fmt: skip
-            self._history.begin(DREW)
-            hit, drawing = Hit(len(drawing.marks), "head"), drawing.with_mark(arrow)
-        else:
-            self._history.begin(MOVED)
-        self._held, self._moved, self._begun = hit, False, point
-        end = self._end(drawing.marks[hit.number], hit.part)
-        self._offset = (point[0] - end[0], point[1] - end[1])
-        self._show(drawing, hit.number)
+        if hit is not None:
+            self._hold(drawing, hit, point)
+            return True
+        at = came_from(point)
+        if at is None:
+            self.select(None)
+            return False
+        arrow = Arrow(
+            at, self._between(at, point, how.components), how.radius, how.confidence,
+            how.components,
+        )  # fmt: skip
+        self._hold_new(arrow, point, DREW)
         return True
 
     def move(self, point: Point) -> None:
@@ -136,71 +87,50 @@ class Pull:
 
     def release(self) -> str:
         """Let go; what was done, as one step that can be undone, or nothing."""
-        if not self.holding:
-            self._held = None
+        if not self.holding or self._held is None:
+            self._holds = False
             return ""
-        self._held = None
-        word = (DREW if self._moved else HELD) if self._new else MOVED
+        word = self._word(self._history.drawing.marks[self._held.number])
+        self._holds = False
         self._history.end(word)
         return word if self._new or self._moved else ""
 
-    def cancel(self) -> bool:
-        """Let go, and have everything as it was before; whether anything was held."""
-        if not self.holding:
-            return False
-        number = None if self._new or self._held is None else self._held.number
-        self._held = None
-        self._history.cancel()
-        self.select(number)
-        return True
+    def _word(self, mark: Mark) -> str:
+        """What was done to what is held."""
+        if not self._new:
+            return MOVED if isinstance(mark, Arrow) else "moved a landmark"
+        return DREW if self._moved else HELD
 
-    def select(self, number: int | None) -> None:
-        """Have an arrow be the one that is changed or removed next."""
-        self._ours, self._selected = self._history.drawing, number
+    def _hold(self, drawing: Drawing, hit: Hit, point: Point) -> None:
+        """Take hold of what is there."""
+        self._new = False
+        self._history.begin(MOVED)
+        self._take(drawing, hit, point)
 
-    def remove(self) -> bool:
-        """Remove the arrow that is selected; whether there was one."""
-        self.release()
-        number = self.selected
-        if number is None:
-            return False
-        self._history.do(self._history.drawing.without(number), REMOVED)
-        return True
+    def _hold_new(self, mark: Arrow | Landmark, point: Point, word: str) -> None:
+        """Take hold of the head of what was not there before."""
+        self._new = True
+        self._history.begin(word)
+        drawing = self._history.drawing
+        self._take(drawing.with_mark(mark), Hit(len(drawing.marks), "head"), point)
 
-    def change(self, **values: Any) -> bool:
-        """Give the arrow that is selected another radius, confidence or components.
+    def _take(self, drawing: Drawing, hit: Hit, point: Point) -> None:
+        self._held, self._moved, self._begun, self._holds = hit, False, point, True
+        end = self._end(drawing.marks[hit.number], hit.part)
+        self._offset = (point[0] - end[0], point[1] - end[1])
+        self._show(drawing, hit.number)
 
-        Returns
-        -------
-        bool
-            Whether that made a difference.
-
-        Raises
-        ------
-        ProblemError
-            If a value is out of range.
-        """
-        mark, number = self.arrow, self.selected
-        if mark is None or number is None or self.holding:
-            return False
+    def _changed(self, mark: Mark, values: dict[str, Any]) -> Mark:
         if isinstance(mark, Landmark):
             values.pop("components", None)
-        changed = replace(mark, **values)
+        changed = super()._changed(mark, values)
         if isinstance(changed, Arrow):
             by = self._between(changed.at, changed.head(self._spacing), changed.components)
             changed = replace(changed, by=by)
-        if changed == mark:
-            return False
-        drawing = self._history.drawing.replaced(number, changed)
-        self._ours = drawing  # before those who listen ask what is selected
-        self._history.do(drawing, CHANGED)
-        return True
+        return changed
 
-    def _show(self, drawing: Drawing, number: int) -> None:
-        self._ours, self._selected = drawing, number
-        self._history.update(drawing)
-        # The same drawing stays the one it was.
-        self._ours = self._history.drawing
+    def _selected_before(self) -> int | None:
+        return None if self._new or self._held is None else self._held.number
 
     def _end(self, mark: Any, part: str) -> Point:
         if isinstance(mark, Landmark):

@@ -64,6 +64,8 @@ class Rendering:
         canvas.y[at], canvas.c[at] = base.y[at], base.c[at]
         if base.labels is not None and canvas.labels is not None:
             canvas.labels[at] = base.labels[at]
+        if base.kinds is not None and canvas.kinds is not None:
+            canvas.kinds[at] = base.kinds[at]
         for mark in drawing.marks:
             paint(mark, canvas, window)
 

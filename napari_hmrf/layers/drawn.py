@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.drawing import Arrow, Drawing, Landmark
+from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.colours import DRAWN, SELECTED
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
@@ -31,7 +32,11 @@ _PALEST = 0.35
 
 
 def arrow_lines(
-    drawing: Drawing, spacing: tuple[float, float], selected: int | None = None
+    drawing: Drawing,
+    spacing: tuple[float, float],
+    selected: int | None = None,
+    pending: Point | None = None,
+    radius: float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Lines that show a drawing's arrows and landmarks.
 
@@ -42,6 +47,10 @@ def arrow_lines(
         Size of a pixel in (row, col) direction.
     selected : int, optional
         The number of the mark that is highlighted.
+    pending : (float, float), optional
+        A place that was clicked, and waits for where it should be; highlighted, too.
+    radius : float
+        Of what is to be there.
 
     Returns
     -------
@@ -52,7 +61,11 @@ def arrow_lines(
     """
     lines: list[npt.NDArray[np.float64]] = []
     colours: list[npt.NDArray[np.float64]] = []
-    for number, mark in enumerate(drawing.marks):
+    marks = list(enumerate(drawing.marks))
+    if pending is not None:
+        marks.append((-1, Arrow(pending, (0.0, 0.0), radius)))
+        selected = -1
+    for number, mark in marks:
         if isinstance(mark, Landmark):
             mark = mark.arrow(spacing)
         if not isinstance(mark, Arrow):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from napari.layers import Layer
@@ -14,43 +14,12 @@ from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.widgets.grab.keys import Listener, bind_keys
 from napari_hmrf.widgets.results import same_selection
 
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
 _NEAR = 8.0
-HELP = "drag tissue to pull it, click to hold it, Delete removes, Esc cancels, Ctrl+Z undoes"
-
-
-class Hand(Protocol):
-    """Who is told what the mouse and the keys do on the canvas."""
-
-    def press(self, point: Point, reach: float) -> bool:
-        """The button is pressed at a pixel; whether a drag begins."""
-        ...
-
-    def move(self, point: Point) -> None:
-        """The mouse moves on in a drag."""
-        ...
-
-    def release(self) -> None:
-        """The drag ends."""
-        ...
-
-    def cancel(self) -> None:
-        """Escape."""
-        ...
-
-    def remove(self) -> None:
-        """Delete."""
-        ...
-
-    def undo(self) -> None:
-        """Ctrl+Z."""
-        ...
-
-    def redo(self) -> None:
-        """Ctrl+Shift+Z."""
-        ...
+HELP = "Shift+click picks up what is drawn, Delete removes, Esc cancels, Ctrl+Z undoes"
 
 
 class ArrowsLayer:
@@ -59,17 +28,18 @@ class ArrowsLayer:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    hand : Hand
+    told : Listener
         Who is told.
     """
 
-    def __init__(self, viewer: Any, hand: Hand) -> None:
+    def __init__(self, viewer: Any, told: Listener) -> None:
         self._viewer = viewer
-        self._hand = hand
+        self._told = told
         self._layer: Any = None
         self._frame: Frame | None = None
         self._panning = False
         self._radius = 1.0
+        self._does = HELP
         #: Counts drags: one that was ended from elsewhere does not go on.
         self._drag = 0
         self._bound: list[str] = []
@@ -124,12 +94,12 @@ class ArrowsLayer:
                 setattr(layer, name, value)
         self._frame = frame
 
-    def show(self, drawing: Drawing, selected: int | None) -> None:
-        """Draw the arrows."""
+    def show(self, drawing: Drawing, selected: int | None, pending: Point | None = None) -> None:
+        """Draw the arrows, and where the first click of a pair was."""
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
-        lines, colours = arrow_lines(drawing, frame.spacing, selected)
+        lines, colours = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
         layer.data = frame.put_vectors(lines)
         # Of a drag only the first move changes colours; to set them takes as long as the lines.
         if len(lines) and not np.array_equal(layer.edge_color, colours):
@@ -155,6 +125,12 @@ class ArrowsLayer:
         layer.cursor_size = 2 * radius * step / spacing
         layer.cursor = "circle"
 
+    def show_tool(self, does: str) -> None:
+        """Say below the canvas what the tool does."""
+        self._does = f"{does} {HELP}"
+        if self.layer is not None:
+            self._equip(self._layer)
+
     def end_drag(self) -> None:
         """Whatever drag goes on is over."""
         self._drag += 1
@@ -167,11 +143,11 @@ class ArrowsLayer:
 
     def bind_viewer(self) -> None:
         """Undo and redo from wherever no layer has keys of its own for it, as Labels have."""
-        hand = self._hand
+        told = self._told
         self.unbind_viewer()
         for key, answer in (
-            ("Control-Z", lambda _: hand.undo()),
-            ("Control-Shift-Z", lambda _: hand.redo()),
+            ("Control-Z", lambda _: told.undo()),
+            ("Control-Shift-Z", lambda _: told.redo()),
         ):
             try:
                 self._viewer.bind_key(key, answer)
@@ -202,25 +178,17 @@ class ArrowsLayer:
         # Drawing the thumbnail of every line would take longer than all the rest.
         layer._max_vectors_thumbnail = 8
         layer.mouse_drag_callbacks.append(self._on_drag)
-        hand = self._hand
-        for key, answer in (
-            ("Delete", lambda _: hand.remove()),
-            ("Backspace", lambda _: hand.remove()),
-            ("Escape", lambda _: hand.cancel()),
-            ("Control-Z", lambda _: hand.undo()),
-            ("Control-Shift-Z", lambda _: hand.redo()),
-            ("Space", self._on_space),
-        ):
-            layer.bind_key(key, answer)
+        bind_keys(layer, self._told)
+        layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
         self._frame = frame
         return layer
 
     def _equip(self, layer: Any) -> None:
         """Have napari's own mode look like ours; it sets all this when a layer is added, too."""
-        layer.help = HELP
+        layer.help = self._does
         if self.active:
-            self._viewer.help = HELP
+            self._viewer.help = self._does
         layer.mouse_pan = False
         self.show_radius(self._radius)
 
@@ -243,7 +211,10 @@ class ArrowsLayer:
         ):
             return
         point = self._pixel(layer, event)
-        if point is None or not self._hand.press(point, self._reach(layer, event)):
+        if point is not None and "Shift" in event.modifiers:
+            self._told.pick(point, self._reach(layer, event))
+            return
+        if point is None or not self._told.press(point, self._reach(layer, event)):
             return
         self._drag += 1
         mine = self._drag
@@ -252,12 +223,12 @@ class ArrowsLayer:
         while True:
             point = self._pixel(layer, event)
             if mine == self._drag and point is not None:
-                self._hand.move(point)
+                self._told.move(point)
             if event.type != "mouse_move":
                 break
             yield
         if mine == self._drag:
-            self._hand.release()
+            self._told.release()
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
         """Where the mouse is, in pixels of the slice; None in three dimensions."""

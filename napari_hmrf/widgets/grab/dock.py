@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 from magicgui.widgets import Container
@@ -14,15 +13,12 @@ from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.grab.form import GrabForm
-from napari_hmrf.widgets.grab.puller import OFF, ON, Puller
+from napari_hmrf.widgets.grab.puller import Puller
+from napari_hmrf.widgets.grab.toolbox import Toolbox
 from napari_hmrf.widgets.grab.watch import GrabWatch, timer
+from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.words import WELCOME
-
-START = "Press 'Grab and pull', then drag tissue in the image."
-FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
-ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
-IMAGE_GONE = "There is no image to pull: choose one, or open one (File > Open)."
 
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
 _REST = 300
@@ -56,8 +52,9 @@ class GrabAndPull(Container):
         self._life = Life(self.native, self._on_closed)
         self._docked = self._started = self._sized = False
         self._status = ""
-        self._puller = Puller(self._viewer, lambda: self.form.grip)
+        self._puller = Puller(self._viewer, lambda: self.form.fields.how)
         self._resting = timer(self.native, _REST, self._on_rest)
+        self._toolbox = Toolbox(self, self.form, self._puller, self._viewer, self.say)
         self._connect()
         self._watch = GrabWatch(self, self._viewer)
         self.native_parent_changed.connect(self._on_parent)
@@ -128,6 +125,15 @@ class GrabAndPull(Container):
         """The sentence below the buttons."""
         return self._status
 
+    @property
+    def tool(self) -> str:
+        """What the mouse does: "pull", "landmark", or what it paints, an action of a `Stroke`."""
+        return self._puller.tool.name
+
+    @tool.setter
+    def tool(self, name: str) -> None:
+        self._toolbox.take(name)
+
     # What can be done
 
     def start(self) -> bool:
@@ -175,7 +181,7 @@ class GrabAndPull(Container):
         before = self._puller.ground
         if before is None or not before.same_as(ground):
             self._puller.stand_on(ground, self.image)
-            self.form.radius.label = f"radius ({unit_symbol(ground.frame.unit)})"
+            self.form.fields.show_unit(unit_symbol(ground.frame.unit))
         return True
 
     def undo(self) -> None:
@@ -187,12 +193,12 @@ class GrabAndPull(Container):
         self._puller.redo()
 
     def remove(self) -> None:
-        """Remove the arrow that is selected."""
+        """Remove what is selected."""
         self._puller.remove()
 
     def clear(self) -> None:
-        """Remove all arrows."""
-        self._puller.set_drawing(Drawing(), "removed all arrows")
+        """Remove all that is drawn."""
+        self._puller.set_drawing(Drawing(), "removed all")
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
@@ -218,15 +224,15 @@ class GrabAndPull(Container):
             return
         if not self.active:
             self._puller.release()
-            if self._status == ON:
+            if self._status == self._puller.tool.how:
                 self.say(OFF)
         elif self._status == OFF:
-            self.say(ON)
+            self.say(self._puller.tool.how)
         self.show_toggle()
 
     def show_toggle(self) -> None:
-        """Show whether the mouse pulls."""
-        self.form.show_toggle(self.active)
+        """Show which tool the mouse has."""
+        self._toolbox.show()
 
     def layer_gone(self, layer: Any) -> None:
         """A layer was removed: nothing of it is pulled any more."""
@@ -242,7 +248,6 @@ class GrabAndPull(Container):
 
     def _connect(self) -> None:
         form, puller = self.form, self._puller
-        form.grab.native.clicked.connect(self._on_toggle)
         for button, answer in (
             (form.undo, self.undo),
             (form.redo, self.redo),
@@ -250,37 +255,23 @@ class GrabAndPull(Container):
             (form.clear, self.clear),
         ):
             button.changed.connect(answer)
-        for field in (form.radius, form.confidence, form.components):
-            field.changed.connect(self._on_grip)
         puller.said.connect(self.say)
         puller.changed.connect(self._on_changed)
         puller.seen.connect(self.seen.emit)
-        puller.taken.connect(form.show_grip)
 
     def _on_changed(self) -> None:
         if self.away:
             return
         self._resting.start()
-        self.form.show_steps(self.history, self._puller.pull.selected is not None)
+        self.form.show_steps(self.history, self._puller.hand.selected is not None)
 
     def _on_rest(self) -> None:
         if self.away:
             return
-        if self._puller.pull.holding or self._puller.follower.busy:
+        if self._puller.hand.holding or self._puller.follower.busy:
             self._resting.start()
         else:
             self._puller.complete()
-
-    def _on_toggle(self, *_: Any) -> None:
-        if self.active:
-            self.stop()
-        else:
-            self.start()
-
-    def _on_grip(self, *_: Any) -> None:
-        grip = self.form.grip
-        self._puller.arrows.show_radius(grip.radius)
-        self._puller.pull.change(**asdict(grip))
 
     def _on_parent(self, *_: Any) -> None:
         """Napari closes a dock by taking the widget out of it."""
@@ -292,9 +283,11 @@ class GrabAndPull(Container):
             self.reset_choices()
         elif self._docked:
             self._resting.stop()
+            self._toolbox.release()
             self._puller.leave()
 
     def _on_closed(self) -> None:
         """Listen to nothing any more: the dock or the viewer is gone."""
         self._watch.release()
+        self._toolbox.release()
         self._puller.end()

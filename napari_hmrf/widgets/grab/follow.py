@@ -66,6 +66,12 @@ class Seen:
             before = before or (None if self._tissue_at(point, solution.tissue) else point)
         return before if before is not None and self._tissue_at(before, self.ground.m) else None
 
+    def is_inside(self, point: Point) -> bool:
+        """Whether a point is one of the image."""
+        return all(
+            -0.5 <= at <= size - 0.5 for at, size in zip(point, self.ground.shape, strict=True)
+        )
+
     def _tissue_at(self, point: Point, image: npt.NDArray[Any]) -> bool:
         row, col = (round(along) for along in point)
         rows, cols = self.ground.shape

@@ -7,33 +7,29 @@ from typing import Any
 
 from magicgui.widgets import (
     CheckBox,
-    ComboBox,
     Container,
-    FloatSlider,
-    FloatSpinBox,
     PushButton,
 )
 from napari.layers import Image, Labels
 
 from napari_hmrf.drawing import History
-from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.widgets.forms import Prose
+from napari_hmrf.widgets.grab.fields import ToolFields
+from napari_hmrf.widgets.grab.tools import TOOLS
 from napari_hmrf.widgets.layer_choice import LayerChoice
 
-COMPONENTS = [
-    ("both directions", "both"),
-    ("up and down only (rows)", "row"),
-    ("left and right only (columns)", "col"),
-]
 ABOUT = (
     "Tissue is elastic here: it follows best, as each picture is computed from the one before. "
     "Without a tissue layer all that is not dark background is tissue of one stiffness."
 )
 KEYS = (
     "Drag tissue: pull it. Click: hold it there. Drag an arrow's head or base: change it.\n"
-    "Delete: remove the selected arrow. Esc: cancel a drag. Ctrl+Z, Ctrl+Shift+Z: undo, redo. "
-    "Hold Space: move the view."
+    "Tools: "
+    + ", ".join(f"{tool.key} {tool.title.split()[0].lower()}" for tool in TOOLS)
+    + ". [ and ]: size.\n"
+    "Shift+click: select what was drawn. Delete: remove it. Esc: cancel. "
+    "Ctrl+Z, Ctrl+Shift+Z: undo, redo. Hold Space: move the view."
 )
 
 
@@ -86,35 +82,18 @@ class GrabForm(Container):
             tooltip="Makes the layer 'Arrows' the active one: while it is, the mouse pulls tissue",
         )
         self.grab.native.setCheckable(True)
-        self.radius = FloatSpinBox(
-            value=10.0,
-            min=0.001,
-            max=1e6,
-            step=1.0,
-            label="radius",
-            tooltip="Of the patch that is taken hold of, in the unit of the image",
-        )
-        self.confidence = FloatSlider(
-            value=1.0,
-            min=0.05,
-            max=1.0,
-            step=0.05,
-            tracking=False,
-            label="confidence",
-            tooltip="How sure the arrow is. 1: tissue is held exactly. Below, it slips where "
-            "holding it would strain it by more than about that",
-        )
-        self.components = ComboBox(
-            choices=COMPONENTS,
-            value="both",
-            label="moves",
-            tooltip="In which directions an arrow says where tissue goes; in the other it is free",
-        )
+        self.tools = {"pull": self.grab}
+        for tool in TOOLS[1:]:
+            button = PushButton(text=tool.title, tooltip=f"{tool.what} ({tool.key})")
+            button.native.setCheckable(True)
+            self.tools[tool.name] = button
+        self.fields = ToolFields()
+        self.radius = self.fields.radius
+        self.confidence = self.fields.confidence
+        self.components = self.fields.components
         self.undo = PushButton(text="Undo", enabled=False)
         self.redo = PushButton(text="Redo", enabled=False)
-        self.remove = PushButton(
-            text="Remove", enabled=False, tooltip="The selected arrow (Delete)"
-        )
+        self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
         self.clear = PushButton(text="Remove all", enabled=False)
         self.status = Prose(value="")
         about, keys = Prose(value=ABOUT), Prose(value=KEYS)
@@ -124,12 +103,18 @@ class GrabForm(Container):
         ]
         self._steps = ("", "")
         first = Container(widgets=[self.image, self.tissue, self.boundary])
-        fields = Container(widgets=[self.radius, self.confidence, self.components])
+        others = list(self.tools.values())[1:]
+        rows = [
+            Container(widgets=row, layout="horizontal", labels=False)
+            for row in (others[:4], others[4:])
+        ]
         super().__init__(
-            widgets=[first, self.edge, self.grab, fields, *buttons, self.status, keys, about],
+            widgets=[
+                first, self.edge, self.grab, *rows, self.fields, *buttons, self.status, keys, about,
+            ],
             labels=False,
-        )
-        for container in (first, fields, *buttons):
+        )  # fmt: skip
+        for container in (first, *rows, *buttons):
             container.margins = (0, 0, 0, 0)
         for words in (about, keys):
             words.say(str(words.value))
@@ -139,22 +124,6 @@ class GrabForm(Container):
     def choices(self) -> tuple[LayerChoice, ...]:
         """The menus of layers."""
         return self.image, self.tissue, self.boundary
-
-    @property
-    def grip(self) -> Grip:
-        """How a new arrow takes hold."""
-        return Grip(self.radius.value, self.confidence.value, self.components.value)
-
-    def show_grip(self, grip: Grip) -> None:
-        """Show how the selected arrow holds, without changing it."""
-        for field, value in (
-            (self.radius, grip.radius),
-            (self.confidence, max(grip.confidence, 0.05)),
-            (self.components, grip.components),
-        ):
-            if field.value != value:
-                with field.changed.blocked():
-                    field.value = value
 
     def show_steps(self, history: History, selected: bool) -> None:
         """Show what can be taken back, done again and removed."""
@@ -167,7 +136,8 @@ class GrabForm(Container):
         self.undo.tooltip = f"Take back: {undo} (Ctrl+Z)" if undo else "Ctrl+Z"
         self.redo.tooltip = f"Do again: {redo} (Ctrl+Shift+Z)" if redo else "Ctrl+Shift+Z"
 
-    def show_toggle(self, on: bool) -> None:
-        """Show whether the mouse pulls."""
-        self.grab.native.setChecked(on)
-        self.grab.text = "Grab and pull: on" if on else "Grab and pull"
+    def show_toggle(self, on: str) -> None:
+        """Show which tool the mouse has; "" if none."""
+        for name, button in self.tools.items():
+            button.native.setChecked(name == on)
+        self.grab.text = "Grab and pull: on" if on == "pull" else "Grab and pull"

@@ -1,0 +1,36 @@
+"""Which tool is in the hand, said on the canvas."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Badge:
+    """The text in a corner of the canvas, while it is not somebody else's.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        canvas = getattr(viewer, "canvas", None)
+        # Before napari 0.9 it was the viewer's own.
+        self._text = canvas.overlays.text if canvas is not None else viewer.text_overlay
+        self._said = ""
+
+    @property
+    def words(self) -> str:
+        """What is said; "" if nothing is."""
+        return self._said
+
+    def say(self, words: str) -> None:
+        """Say something, or nothing; what somebody else wrote there stays."""
+        text = self._text
+        if text.visible and text.text != self._said:
+            return
+        if words == self._said and text.visible == bool(words):
+            return
+        self._said = words
+        text.text = words
+        text.visible = bool(words)

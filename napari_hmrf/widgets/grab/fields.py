@@ -1,0 +1,177 @@
+"""The fields of the tools: of each only those that it needs are seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, cast
+
+from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox
+
+from napari_hmrf.annotation import Material
+from napari_hmrf.drawing.brush import Paint
+from napari_hmrf.drawing.marks import Action
+from napari_hmrf.drawing.pull import Grip
+from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
+
+COMPONENTS = [
+    ("both directions", "both"),
+    ("up and down only (rows)", "row"),
+    ("left and right only (columns)", "col"),
+]
+#: The lowest confidence of what moves; below, it says nothing. The brush goes down to nothing.
+_LEAST = 0.05
+_SURE = (
+    "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
+    "it by more than about that"
+)
+#: Fields that hold a length.
+_LENGTHS = ("radius", "by_row", "by_col", "amount")
+
+
+class ToolFields(Container):
+    """How the tools draw."""
+
+    def __init__(self) -> None:
+        self.radius = FloatSpinBox(
+            value=10.0,
+            min=0.001,
+            max=1e6,
+            step=1.0,
+            label="radius",
+            tooltip="Of the patch that is taken hold of, or of the brush, in the unit of the image "
+            "([ and ] make it smaller and larger)",
+        )
+        self.by_row = _length("down", "How far, along the rows; below 0 it moves up")
+        self.by_col = _length("to the right", "How far, along the columns; below 0 to the left")
+        self.amount = _length(
+            "outward", "How far the outline moves along its normal; below 0 inward: it shrinks"
+        )
+        self.confidence = FloatSlider(
+            value=1.0,
+            min=_LEAST,
+            max=1.0,
+            step=0.05,
+            tracking=False,
+            label="confidence",
+            tooltip=_SURE,
+        )
+        self.softness = FloatSlider(
+            value=0.5,
+            min=0.0,
+            max=1.0,
+            step=0.05,
+            tracking=False,
+            label="softness",
+            tooltip="Across which part of its radius the brush fades out. 0: hard edge, "
+            "1: from its middle on",
+        )
+        self.components = ComboBox(
+            choices=COMPONENTS,
+            value="both",
+            label="moves",
+            tooltip="In which directions this says where tissue goes; in the other it is free",
+        )
+        self.material = ComboBox(
+            choices=[], label="becomes", tooltip="Of the tissue's own table, or of the presets"
+        )
+        fields = (
+            self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.softness,
+            self.components, self.material,
+        )  # fmt: skip
+        for field, name in zip(fields, _NAMES, strict=True):
+            field.name = name
+        super().__init__(widgets=fields)
+        self.margins = (0, 0, 0, 0)
+        self._tool = BY_NAME["pull"]
+        self._labels = {name: str(getattr(self, name).label) for name in _LENGTHS}
+        self.show_for(self._tool)
+
+    @property
+    def how(self) -> Grip | Paint:
+        """How the tool that is shown draws."""
+        tool = self._tool
+        if not tool.is_brush:
+            components: Any = self.components.value if "components" in tool.fields else "both"
+            return Grip(self.radius.value, self.confidence.value, components)
+        values: dict[str, Any] = {}
+        if "by_row" in tool.fields:
+            values["by"] = (self.by_row.value, self.by_col.value)
+        if "material" in tool.fields:
+            values["label"] = int(self.material.value or 0)
+        for name in ("amount", "confidence", "softness", "components"):
+            if name in tool.fields:
+                values[name] = getattr(self, name).value
+        return Paint(cast(Action, tool.name), self.radius.value, **values)
+
+    def show_for(self, tool: Tool) -> None:
+        """Show the fields of a tool, and no others."""
+        self._tool = tool
+        least = 0.0 if tool.name == "confidence" else _LEAST
+        with self.confidence.changed.blocked():
+            if self.confidence.min != least:
+                self.confidence.value = max(self.confidence.value, _LEAST)
+                self.confidence.min = least
+        for name in _NAMES:
+            getattr(self, name).visible = name in tool.fields
+
+    def show_how(self, how: Grip | Paint) -> None:
+        """Show how the selected mark was made, without changing it."""
+        values: dict[str, Any] = {
+            "confidence": how.confidence if self._tool.name == "confidence"
+            else max(how.confidence, _LEAST),
+            "components": how.components,
+        }  # fmt: skip
+        if isinstance(how, Paint):
+            values["by_row"], values["by_col"] = how.by
+            values["amount"], values["softness"] = how.amount, how.softness
+            values["material"] = how.label
+        # The size of the brush is nothing of the stroke's that is changed with it.
+        else:
+            values["radius"] = how.radius
+        for name in self._tool.fields:
+            field = getattr(self, name, None)
+            if name not in values or field is None or field.value == values[name]:
+                continue
+            if name == "material" and values[name] not in field.choices:
+                continue
+            with field.changed.blocked():
+                field.value = values[name]
+
+    def show_unit(self, unit: str) -> None:
+        """Say in which unit lengths are."""
+        for name, words in self._labels.items():
+            getattr(self, name).label = f"{words} ({unit})"
+
+    def offer(self, materials: Iterable[Material], unit: str = "") -> None:
+        """Have these tissues to be painted; the one chosen stays, if it is among them."""
+        choices = [
+            (f"{row.label}: {row.name} ({_stiffness(row, unit)})", row.label) for row in materials
+        ]
+        before = self.material.value
+        with self.material.changed.blocked():
+            self.material.choices = choices
+            labels = [label for _, label in choices]
+            if before in labels:
+                self.material.value = before
+            elif labels:
+                self.material.value = labels[-1]
+
+
+_NAMES = (
+    "radius", "by_row", "by_col", "amount", "confidence", "softness", "components", "material",
+)  # fmt: skip
+
+
+def _stiffness(row: Material, unit: str) -> str:
+    return f"{row.stiffness:g} {unit}".strip() if row.stiffness > 0 else "no tissue"
+
+
+def _length(label: str, tooltip: str) -> FloatSpinBox:
+    return FloatSpinBox(
+        value=0.0,
+        min=-1e6,
+        max=1e6,
+        step=0.5,
+        label=label,
+        tooltip=f"{tooltip}; in the unit of the image",
+    )

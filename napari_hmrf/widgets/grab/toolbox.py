@@ -1,0 +1,101 @@
+"""The tool in the hand, with its button, its keys, its fields and its name on the canvas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.widgets.grab.badge import Badge
+from napari_hmrf.widgets.grab.form import GrabForm
+from napari_hmrf.widgets.grab.puller import Puller
+from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
+from napari_hmrf.widgets.words import refusal
+
+if TYPE_CHECKING:
+    from napari_hmrf.widgets.grab.dock import GrabAndPull
+
+
+class Toolbox:
+    """Has buttons, keys and fields choose the tool and how it draws.
+
+    Parameters
+    ----------
+    dock : GrabAndPull
+    form : GrabForm
+    puller : Puller
+    viewer : napari.Viewer or ViewerModel
+    say : callable
+        Called with what there is to say.
+    """
+
+    def __init__(
+        self,
+        dock: GrabAndPull,
+        form: GrabForm,
+        puller: Puller,
+        viewer: Any,
+        say: Callable[[str], None],
+    ) -> None:
+        self._dock, self._form, self._puller, self._say = dock, form, puller, say
+        self._badge = Badge(viewer)
+        for name, button in form.tools.items():
+            button.native.clicked.connect(partial(self._on_button, name))
+        for field in form.fields:
+            field.changed.connect(self._on_field)
+        puller.taken.connect(form.fields.show_how)
+        puller.taken_up.connect(self._on_tool)
+        puller.asked_for.connect(self.take)
+        puller.asked_for_size.connect(self._on_size)
+
+    def take(self, name: str) -> None:
+        """Have a tool in the hand.
+
+        Raises
+        ------
+        ValueError
+            If there is none of that name.
+        """
+        if name not in BY_NAME:
+            raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
+        self._puller.take_up(BY_NAME[name])
+
+    def show(self) -> None:
+        """Show which tool the mouse has, if any."""
+        tool, active = self._puller.tool, self._puller.active
+        self._form.show_toggle(tool.name if active else "")
+        self._badge.say(tool.title if active else "")
+
+    def release(self) -> None:
+        """Say nothing on the canvas any more."""
+        self._badge.say("")
+
+    def _on_button(self, name: str, *_: Any) -> None:
+        """The button of a tool takes it, and puts it down again."""
+        if self._puller.active and self._puller.tool.name == name:
+            self._dock.stop()
+            return
+        self.take(name)
+        if self._puller.active:
+            self.show()
+        else:
+            self._dock.start()
+
+    def _on_size(self, factor: float) -> None:
+        radius = self._form.radius
+        radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
+
+    def _on_tool(self, tool: Tool) -> None:
+        self._form.fields.show_for(tool)
+        self._puller.arrows.show_tool(tool.how)
+        self.show()
+
+    def _on_field(self, *_: Any) -> None:
+        how = self._form.fields.how
+        self._puller.arrows.show_radius(how.radius)
+        try:
+            self._puller.hand.change(**asdict(how))
+        except HmrfError as error:
+            self._say(refusal(error))

@@ -1,0 +1,19 @@
+"""What *Grab and pull* says."""
+
+from __future__ import annotations
+
+from napari_hmrf.widgets.grab.tools import BY_NAME
+
+START = "Press 'Grab and pull', then drag tissue in the image."
+ON = BY_NAME["pull"].how
+OFF = "Paused: press 'Grab and pull', or choose the layer 'Arrows', to go on."
+FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
+ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
+IMAGE_GONE = "There is no image to pull: choose one, or open one (File > Open)."
+NOTHING = "There is no tissue to take hold of there."
+OUTSIDE = "That is outside the image."
+HALF = "Now click where it should be. Esc: not after all."
+PICKED = "Selected: the fields change it, Delete removes it."
+NOTHING_DRAWN = "Nothing is drawn there: nothing is selected."
+NOTHING_SELECTED = "Nothing is selected: Shift+click what was drawn."
+CANCELLED = "Cancelled; everything is as before."

@@ -1,0 +1,232 @@
+"""Painting and placing landmarks with a pointer, without a window."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ProblemError
+from napari_hmrf.drawing import Arrow, Canvas, Drawing, History, Landmark, Rendering, Stroke
+from napari_hmrf.drawing.brush import Brush, Paint
+from napari_hmrf.drawing.pairs import Pairs
+from napari_hmrf.drawing.pull import Grip
+
+SPACING = (1.0, 2.0)
+SHAPE = (60, 50)
+
+
+@pytest.fixture
+def history():
+    return History()
+
+
+@pytest.fixture
+def brush(history):
+    return Brush(history, SPACING, SHAPE)
+
+
+@pytest.fixture
+def pairs(history):
+    return Pairs(history, SPACING)
+
+
+def drag(hand, how, *points, reach=1.0, **options):
+    assert hand.press(points[0], reach, how, **options)
+    for point in points[1:]:
+        hand.move(point)
+    return hand.release()
+
+
+def click(hand, point, how):
+    return drag(hand, how, point)
+
+
+def rendered(history):
+    labels = np.ones(SHAPE, np.int32)
+    return history.drawing.render(Canvas.blank(SHAPE, SPACING, labels))
+
+
+def ring(middle=(30, 25), radius=14.0, count=40):
+    turn = np.linspace(0, 2 * np.pi, count)
+    rows = middle[0] + radius * np.sin(turn) / SPACING[0]
+    cols = middle[1] + radius * np.cos(turn) / SPACING[1]
+    return list(zip(rows.tolist(), cols.tolist(), strict=True))
+
+
+def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, history):
+    assert drag(brush, Paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "pinned tissue"
+    assert history.drawing.marks == (Stroke("pin", (((10, 10), (20, 10), (30, 10)),), 4.0),)
+    assert history.undo() == "pinned tissue"
+    assert not history.drawing.marks
+
+
+@pytest.mark.parametrize(
+    ("paint", "y", "c"),
+    [
+        (Paint("pin", 4.0, confidence=0.5), (0, 0), (0.5, 0.5)),
+        (Paint("free", 4.0), (0, 0), (0, 0)),
+        (Paint("move", 4.0, by=(3, -1)), (3, -1), (1, 1)),
+        (Paint("move", 4.0, by=(3, -1), components="row"), (3, 8), (1, 0.8)),
+        (Paint("confidence", 4.0, confidence=0.25), (7, 8), (0.25, 0.25)),
+    ],
+)
+def test_each_brush_says_its_own_of_what_it_covers(brush, history, paint, y, c):
+    history.do(Drawing((Arrow((20, 20), (7, 8), 15.0, 0.8),)), "pulled")
+    drag(brush, paint, (18, 20), (22, 20))
+    canvas = rendered(history)
+    assert canvas.y[20, 20] == pytest.approx(y)
+    assert canvas.c[20, 20] == pytest.approx(c)
+    assert canvas.y[32, 20] == pytest.approx((7, 8)), "beside the brush nothing has changed"
+
+
+def test_tissue_becomes_what_is_painted(brush, history):
+    drag(brush, Paint("tissue", 4.0, label=3), (20, 20), (30, 20))
+    labels = rendered(history).labels
+    assert (labels[25, 20], labels[25, 30]) == (3, 1)
+    assert not rendered(history).c.any(), "and nothing is held by that"
+
+
+def test_a_soft_brush_fades_confidence_out(brush, history):
+    history.do(Drawing((Arrow((30, 25), (0, 0), 40.0),)), "held")
+    drag(brush, Paint("confidence", 10.0, confidence=0.0, softness=1.0), (30, 25))
+    down = rendered(history).c[30:42, 25, 0]
+    assert down[0] == pytest.approx(0, abs=0.01)
+    assert (np.diff(down[:11]) > 0).all()
+    assert down[11] == 1
+
+
+def test_a_ring_expands_outward_and_shrinks_inward(brush, history):
+    drag(brush, Paint("expand", 3.0, amount=2.0), *ring())
+    y = rendered(history).y
+    assert y[16, 25] == pytest.approx((-2, 0), abs=0.15)
+    assert y[30, 32] == pytest.approx((0, 2), abs=0.15)
+    assert brush.change(amount=-2.0)
+    assert rendered(history).y[16, 25] == pytest.approx((2, 0), abs=0.15)
+
+
+def test_an_open_line_cannot_expand_and_leaves_nothing(brush, history):
+    brush.press((5, 5), 1.0, Paint("expand", 1.0, amount=2.0))
+    for row in range(6, 50):
+        brush.move((row, 5))
+    with pytest.raises(ProblemError, match="no outside"):
+        brush.release()
+    assert (history.drawing, history.undo_word) == (Drawing(), "")
+    assert not brush.holding
+
+
+def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, history):
+    paint = Paint("expand", 4.0, amount=1.0)
+    drag(brush, paint, (20, 20), (30, 20))
+    drag(brush, paint, (28, 21), (28, 28))
+    assert len(history.drawing.marks) == 1
+    assert len(history.drawing.marks[0].lines) == 2
+    drag(brush, paint, (50, 40))
+    assert len(history.drawing.marks) == 2, "elsewhere another one begins"
+    history.undo()
+    history.undo()
+    assert len(history.drawing.marks[0].lines) == 1
+
+
+def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, history):
+    drag(brush, Paint("move", 4.0, by=(1, 0)), (20, 20))
+    assert brush.change(by=(3, 0), confidence=0.5)
+    assert not brush.change(radius=9.0)
+    assert history.drawing.marks == (
+        Stroke("move", (((20, 20),),), 4.0, by=(3, 0), confidence=0.5),
+    )
+    assert history.undo_word == "changed a stroke"
+    assert brush.remove()
+    assert history.undo() == "removed a stroke"
+    assert brush.selected is None
+
+
+def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, history):
+    paint = Paint("pin", 4.0)
+    drag(brush, paint, (20, 20))
+    before = history.drawing
+    brush.press((21, 20), 1.0, paint)
+    brush.move((40, 20))
+    assert brush.cancel()
+    brush.move((45, 20))
+    brush.release()
+    assert history.drawing == before
+    assert brush.selected == 0
+
+
+def test_moved_tissue_is_painted_where_it_came_from(brush, history):
+    def came_from(point):
+        return None if point[1] > 30 else (point[0] - 5, point[1])
+
+    drag(brush, Paint("pin", 4.0), (20, 20), (20, 40), came_from=came_from)
+    assert history.drawing.marks[0].lines == (((15, 20), (20, 40)),), "beyond it, the place itself"
+
+
+def test_the_uppermost_stroke_is_found_under_a_place():
+    drawing = Drawing(
+        (
+            Stroke("pin", (((10, 10), (30, 10)),), 4.0),
+            Stroke("free", (((20, 10),),), 2.0),
+            Arrow((10, 10), (1, 1), 3.0),
+        )
+    )
+    assert drawing.painted_at((20, 10.5), SPACING) == 1
+    assert drawing.painted_at((20, 11.9), SPACING) == 0
+    assert drawing.painted_at((20, 12.1), SPACING) is None
+    assert drawing.painted_at((10, 10), SPACING) == 0, "an arrow is nothing painted"
+
+
+def test_what_was_painted_last_is_known_of_each_pixel():
+    base = Canvas.blank(SHAPE, SPACING)
+    base = Canvas(base.y, base.c, None, SPACING, np.zeros(SHAPE, np.uint8))
+    marks = (
+        Stroke("pin", (((20, 20),),), 8.0),
+        Stroke("free", (((20, 20),),), 3.0),
+        Stroke("confidence", (((20, 20), (20, 30)),), 3.0, confidence=0.5),
+        Arrow((20, 24), (0, 0), 2.0),
+    )
+    rendering = Rendering(base)
+    rendering.show(Drawing(marks))
+    kinds = rendering.canvas.kinds
+    assert [kinds[20, col] for col in (20, 22, 24, 30)] == [2, 1, 0, 0]
+    rendering.show(Drawing(marks[:1]))
+    assert [kinds[20, col] for col in (20, 22, 24, 30)] == [1, 1, 1, 0]
+
+
+def test_two_clicks_make_a_landmark(pairs, history):
+    grip = Grip(3.0, 0.5)
+    assert click(pairs, (10, 10), grip) == ""
+    assert pairs.pending == (10, 10)
+    assert not history.drawing.marks
+    assert click(pairs, (14, 12), grip) == "placed a landmark"
+    assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0, 0.5),)
+    assert pairs.pending is None
+    assert history.undo() == "placed a landmark"
+
+
+def test_one_drag_makes_a_landmark_too(pairs, history):
+    assert drag(pairs, Grip(3.0), (10, 10), (10.2, 10), (14, 12)) == "placed a landmark"
+    assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0),)
+
+
+def test_escape_gives_half_a_pair_up(pairs, history):
+    click(pairs, (10, 10), Grip(3.0))
+    assert pairs.cancel()
+    assert pairs.pending is None
+    assert not pairs.cancel()
+    assert (history.drawing, history.undo_word) == (Drawing(), "")
+
+
+def test_landmarks_are_taken_up_again_by_either_end(pairs, history):
+    history.do(Drawing((Landmark((10, 10), (20, 20), 3.0),)), "opened")
+    assert drag(pairs, Grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
+    drag(pairs, Grip(3.0), (10, 10), (9, 10))
+    assert history.drawing.marks == (Landmark((9, 10), (22, 20), 3.0),)
+    assert pairs.remove()
+    assert history.undo() == "removed a landmark"
+
+
+def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(pairs, history):
+    assert pairs.press((10, 10), 1.0, Grip(3.0), lambda _: (8.0, 9.0))
+    pairs.release()
+    click(pairs, (14, 14), Grip(3.0))
+    assert history.drawing.marks == (Landmark((8, 9), (14, 14), 3.0),)
+    assert not pairs.press((40, 40), 1.0, Grip(3.0), lambda _: None)
+    assert pairs.pending is None
