@@ -1,8 +1,8 @@
 """How drawn arrows look: as lines, of which a Vectors layer can hold any number.
 
 An arrow is a line from where tissue was to where it goes, with two barbs; around its head lies the
-outline of the patch that it holds. What is not certain is paler, what is selected has another
-colour.
+outline of the patch that it holds. A landmark has a cross at its base, too. What is not certain is
+paler, what is selected has another colour.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 
 FloatArray = npt.NDArray[np.float32]
+
+#: (start, step) of each line, and its colour.
+Lines = tuple[FloatArray, FloatArray]
 
 NAME = "Arrows"
 #: Sides of the outline of a patch.
@@ -66,11 +69,13 @@ def arrow_lines(
         marks.append((-1, Arrow(pending, (0.0, 0.0), radius)))
         selected = -1
     for number, mark in marks:
+        base = np.zeros((0, 2, 2))
         if isinstance(mark, Landmark):
             mark = mark.arrow(spacing)
+            base = _cross(np.array(mark.at), 0.5 * _BARB * mark.radius / np.array(spacing))
         if not isinstance(mark, Arrow):
             continue
-        drawn = _lines_of(mark, spacing)
+        drawn = np.concatenate([_lines_of(mark, spacing), base])
         colour = np.array(SELECTED if number == selected else DRAWN)
         colour[3] = _PALEST + (1 - _PALEST) * mark.confidence
         lines.append(drawn)
@@ -96,6 +101,12 @@ def arrow_layer(frame: Frame, shape: tuple[int, int]) -> LayerData:
     }
     # napari cannot tell how many axes no arrows have.
     return LayerData(np.zeros((0, 2, frame.ndim)), {**attributes, "ndim": frame.ndim}, "vectors")
+
+
+def _cross(at: npt.NDArray[np.float64], arms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(start, step) of two lines in pixels; a landmark's base has one, as it is a place."""
+    ends = np.diag(arms)
+    return np.stack([at - ends, 2 * ends], axis=1)
 
 
 def _lines_of(arrow: Arrow, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:

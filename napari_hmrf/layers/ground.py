@@ -19,12 +19,14 @@ from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.background import background_of
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, rows_of
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
 from napari_hmrf.layers.naming import LayerError, naming
 from napari_hmrf.layers.outputs import Pictures
+from napari_hmrf.layers.palette import OTHER, Palette
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.snapshot import look_of
 from napari_hmrf.layers.view import View
+from napari_hmrf.presets import Preset
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
 
@@ -58,6 +60,8 @@ class Ground:
         The slice of the image, to be deformed.
     pieces : ndarray of int, shape (H, W)
         Numbers of the connected pieces of tissue, from 1.
+    palette : Palette
+        The tissues that can be painted; the labels of `base` are theirs.
     """
 
     frame: Frame
@@ -66,6 +70,7 @@ class Ground:
     prior: Prior
     pictures: Pictures
     pieces: npt.NDArray[Any]
+    palette: Palette
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -91,32 +96,43 @@ class Ground:
         return (
             self.frame == other.frame
             and self.prior == other.prior
+            and self.palette == other.palette
             and np.array_equal(self.m, other.m)
             and np.array_equal(self.base.c, other.base.c)
             and np.array_equal(self.base.y, other.base.y)
             and np.array_equal(picture, its, equal_nan=picture.dtype.kind == "f")
         )
 
-    def problem(self, canvas: Canvas) -> tuple[Problem, Prior]:
+    def problem(self, canvas: Canvas, tissue_painted: bool = False) -> tuple[Problem, Prior]:
         """The problem of a drawing, and its energy.
 
         Tissue that nobody holds anywhere stays out of it, and where it is. Where something is not
         certain, all of it may slip.
+
+        Parameters
+        ----------
+        canvas : Canvas
+            The drawing on top of `base`.
+        tissue_painted : bool
+            Whether its labels may be others.
 
         Raises
         ------
         ProblemError
             If nothing is held.
         """
-        m, prior = self.m, self.prior
-        count = self._pieces_there
+        m, prior, pieces, count = self.m, self.prior, self.pieces, self._pieces_there
+        if tissue_painted and canvas.labels is not None and self.base.labels is not None:
+            m, prior = self.palette.painted(canvas.labels, self.base.labels, m, prior)
+            if ((m > 0) != (self.m > 0)).any():
+                pieces, count = _pieces_of(m > 0)
         if count > 1:
             held = (canvas.c > 0).any(axis=-1)
             touched = np.zeros(count + 1, dtype=bool)
-            touched[self.pieces[held]] = True
+            touched[pieces[held]] = True
             touched[0] = False
             if touched.any() and not touched[1:].all():
-                m = np.where(touched[self.pieces], m, np.float32(0))
+                m = np.where(touched[pieces], m, np.float32(0))
         exact = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
         if exact and ((canvas.c > 0) & (canvas.c < 1)).any():
             prior = replace(prior, penalty=_PENALTY)
@@ -130,6 +146,7 @@ def read_ground(
     view: View | None = None,
     hold_edge: bool = True,
     prior: Prior | None = None,
+    preset: Preset | None = None,
 ) -> Ground:
     """Copy the slice that is shown out of an image and a tissue layer.
 
@@ -150,6 +167,9 @@ def read_ground(
         surroundings, and at the edge of the image.
     prior : Prior, optional
         By default elastic tissue.
+    preset : Preset, optional
+        The tissues that can be painted where the layer has no table of its own; by default the
+        first of the presets.
 
     Returns
     -------
@@ -167,23 +187,28 @@ def read_ground(
     if tissue is None:
         around = _surroundings(picture)
         m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
+        palette = Palette.of_preset(preset)
+        labels = np.where(around, OTHER, palette.usual)
     else:
         around = np.zeros(shape, dtype=bool)
         labels = take_slice(tissue, Frame.of(tissue, view), image, frame, shape)
-        m, prior = _stiffness(tissue, labels, prior)
+        m, prior, palette = _stiffness(tissue, labels, prior, preset)
+        if not palette.own:
+            labels = np.full(shape, OTHER)
     there = m > 0
     if not there.any():
         raise LayerError(
             tissue, "has no tissue in this slice: give what is tissue a stiffness above 0."
         )
-    base = Canvas.blank(shape, frame.spacing)
+    base = Canvas.blank(shape, frame.spacing, labels.astype(np.int32))
+    base = replace(base, kinds=np.zeros(shape, dtype=np.uint8))
     if hold_edge:
         for part in (there, there & ~around):
             base.c[part & ~ndimage.binary_erosion(part)] = 1
     if boundary is not None:
         labels = take_slice(boundary, Frame.of(boundary, view), image, frame, shape)
         _paint_boundary(boundary, labels, base)
-    pieces, _ = ndimage.label(there, structure=np.ones((3, 3)))
+    pieces, _ = _pieces_of(there)
     return Ground(
         frame=frame,
         base=base,
@@ -191,7 +216,14 @@ def read_ground(
         prior=prior,
         pictures=Pictures(image=picture, name=str(image.name), look=look_of(image)),
         pieces=pieces,
+        palette=palette,
     )
+
+
+def _pieces_of(there: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[Any], int]:
+    """Numbers of the connected pieces of tissue, from 1, and how many there are."""
+    pieces, count = ndimage.label(there, structure=np.ones((3, 3)))
+    return pieces, int(count)
 
 
 def _surroundings(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
@@ -201,7 +233,9 @@ def _surroundings(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     return dark if edge.mean() >= _AROUND else np.zeros_like(dark)
 
 
-def _stiffness(tissue: Any, labels: npt.NDArray[Any], prior: Prior) -> tuple[FloatArray, Prior]:
+def _stiffness(
+    tissue: Any, labels: npt.NDArray[Any], prior: Prior, preset: Preset | None
+) -> tuple[FloatArray, Prior, Palette]:
     with naming(m=tissue, poisson=tissue):
         if not isinstance(tissue, Labels):
             if labels.ndim != 2:
@@ -213,11 +247,12 @@ def _stiffness(tissue: Any, labels: npt.NDArray[Any], prior: Prior) -> tuple[Flo
                 raise LayerError(
                     tissue, "holds values that are no stiffness. Give numbers of 0 or more."
                 )
-            return values, prior
+            return values, prior, Palette.of_preset(preset, relative=False)
         materials = _completed(rows_of(tissue, TISSUE) or (), labels)
         if isinstance(prior, ElasticPrior):
             prior = replace(prior, poisson=poisson_image(labels, materials))
-        return stiffness_image(labels, materials), prior
+        unit = str(known_of(tissue).get("unit", ""))
+        return stiffness_image(labels, materials), prior, Palette(materials, unit, own=True)
 
 
 def _paint_boundary(boundary: Any, labels: npt.NDArray[Any], base: Canvas) -> None:

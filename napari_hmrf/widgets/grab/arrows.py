@@ -11,7 +11,7 @@ from napari.layers import Layer
 
 from napari_hmrf.drawing import Drawing
 from napari_hmrf.drawing.marks import Point
-from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
+from napari_hmrf.layers.drawn import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.widgets.grab.keys import Listener, bind_keys
@@ -94,12 +94,21 @@ class ArrowsLayer:
                 setattr(layer, name, value)
         self._frame = frame
 
-    def show(self, drawing: Drawing, selected: int | None, pending: Point | None = None) -> None:
-        """Draw the arrows, and where the first click of a pair was."""
+    def show(
+        self,
+        drawing: Drawing,
+        selected: int | None,
+        pending: Point | None = None,
+        more: Lines | None = None,
+    ) -> None:
+        """Draw the arrows, where the first click of a pair was, and more lines below them."""
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
         lines, colours = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
+        if more is not None:
+            lines = np.concatenate([more[0], lines])
+            colours = np.concatenate([more[1], colours])
         layer.data = frame.put_vectors(lines)
         # Of a drag only the first move changes colours; to set them takes as long as the lines.
         if len(lines) and not np.array_equal(layer.edge_color, colours):

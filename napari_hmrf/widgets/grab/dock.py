@@ -11,6 +11,7 @@ from napari_hmrf.drawing import Drawing, History
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.layers.painted import tissue_colours
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
@@ -180,21 +181,23 @@ class GrabAndPull(Container):
             return False
         before = self._puller.ground
         if before is None or not before.same_as(ground):
-            self._puller.stand_on(ground, self.image)
+            tissues = tissue_colours(ground.palette, self.tissue)
+            self._puller.stand_on(ground, self.image, tissues)
+            self.form.fields.offer(ground.palette)
             self.form.fields.show_unit(unit_symbol(ground.frame.unit))
         return True
 
     def undo(self) -> None:
         """Take back what was done last."""
-        self._puller.undo()
+        self._puller.answers.undo()
 
     def redo(self) -> None:
         """Do again what was taken back."""
-        self._puller.redo()
+        self._puller.answers.redo()
 
     def remove(self) -> None:
         """Remove what is selected."""
-        self._puller.remove()
+        self._puller.answers.remove()
 
     def clear(self) -> None:
         """Remove all that is drawn."""
@@ -214,7 +217,7 @@ class GrabAndPull(Container):
 
     def let_go(self) -> None:
         """End a drag where it is."""
-        self._puller.release()
+        self._puller.answers.release()
 
     # What happens elsewhere
 
@@ -223,7 +226,7 @@ class GrabAndPull(Container):
         if self._puller.quiet:
             return
         if not self.active:
-            self._puller.release()
+            self._puller.answers.release()
             if self._status == self._puller.tool.how:
                 self.say(OFF)
         elif self._status == OFF:
@@ -238,8 +241,8 @@ class GrabAndPull(Container):
         """A layer was removed: nothing of it is pulled any more."""
         if self._puller.quiet or not self._started:
             return
-        if layer is self._puller.arrows.former:
-            self._puller.release()
+        if layer is self._puller.display.arrows.former:
+            self._puller.answers.release()
             self.say(ARROWS_GONE)
         if self._puller.ground is not None and self.image is None:
             self._puller.stand_on(None)
@@ -279,7 +282,7 @@ class GrabAndPull(Container):
             return
         if self.native.parent() is not None:
             self._docked = True
-            self._puller.arrows.bind_viewer()
+            self._puller.display.arrows.bind_viewer()
             self.reset_choices()
         elif self._docked:
             self._resting.stop()
@@ -289,5 +292,4 @@ class GrabAndPull(Container):
     def _on_closed(self) -> None:
         """Listen to nothing any more: the dock or the viewer is gone."""
         self._watch.release()
-        self._toolbox.release()
         self._puller.end()

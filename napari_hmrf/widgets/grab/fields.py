@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox
@@ -11,6 +10,7 @@ from napari_hmrf.annotation import Material
 from napari_hmrf.drawing.brush import Paint
 from napari_hmrf.drawing.marks import Action
 from napari_hmrf.drawing.pull import Grip
+from napari_hmrf.layers.palette import Palette
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 
 COMPONENTS = [
@@ -18,7 +18,7 @@ COMPONENTS = [
     ("up and down only (rows)", "row"),
     ("left and right only (columns)", "col"),
 ]
-#: The lowest confidence of what moves; below, it says nothing. The brush goes down to nothing.
+#: The lowest confidence of what is drawn anew; below, it says nothing.
 _LEAST = 0.05
 _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
@@ -55,6 +55,16 @@ class ToolFields(Container):
             label="confidence",
             tooltip=_SURE,
         )
+        self.sure = FloatSlider(
+            value=0.5,
+            min=0.0,
+            max=1.0,
+            step=0.05,
+            tracking=False,
+            label="becomes",
+            tooltip="How sure it is what is held or moved under the brush. 1: exactly so, "
+            "0: that says nothing any more",
+        )
         self.softness = FloatSlider(
             value=0.5,
             min=0.0,
@@ -75,8 +85,8 @@ class ToolFields(Container):
             choices=[], label="becomes", tooltip="Of the tissue's own table, or of the presets"
         )
         fields = (
-            self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.softness,
-            self.components, self.material,
+            self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
+            self.softness, self.components, self.material,
         )  # fmt: skip
         for field, name in zip(fields, _NAMES, strict=True):
             field.name = name
@@ -98,29 +108,42 @@ class ToolFields(Container):
             values["by"] = (self.by_row.value, self.by_col.value)
         if "material" in tool.fields:
             values["label"] = int(self.material.value or 0)
+        if "sure" in tool.fields:
+            values["confidence"] = self.sure.value
         for name in ("amount", "confidence", "softness", "components"):
             if name in tool.fields:
                 values[name] = getattr(self, name).value
         return Paint(cast(Action, tool.name), self.radius.value, **values)
 
+    @property
+    def words(self) -> str:
+        """What the tool that is shown does, in a few words."""
+        title = self._tool.title
+        match self._tool.name:
+            case "move":
+                return f"{title} by ({self.by_row.value:g}, {self.by_col.value:g})"
+            case "expand":
+                amount = self.amount.value
+                return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
+            case "confidence":
+                return f"{title} {self.sure.value:g}"
+            case "tissue":
+                return f"{title}: {self.material.current_choice}"
+        return title
+
     def show_for(self, tool: Tool) -> None:
         """Show the fields of a tool, and no others."""
         self._tool = tool
-        least = 0.0 if tool.name == "confidence" else _LEAST
-        with self.confidence.changed.blocked():
-            if self.confidence.min != least:
-                self.confidence.value = max(self.confidence.value, _LEAST)
-                self.confidence.min = least
         for name in _NAMES:
             getattr(self, name).visible = name in tool.fields
 
     def show_how(self, how: Grip | Paint) -> None:
         """Show how the selected mark was made, without changing it."""
         values: dict[str, Any] = {
-            "confidence": how.confidence if self._tool.name == "confidence"
-            else max(how.confidence, _LEAST),
+            "confidence": max(how.confidence, _LEAST),
+            "sure": how.confidence,
             "components": how.components,
-        }  # fmt: skip
+        }
         if isinstance(how, Paint):
             values["by_row"], values["by_col"] = how.by
             values["amount"], values["softness"] = how.amount, how.softness
@@ -142,23 +165,23 @@ class ToolFields(Container):
         for name, words in self._labels.items():
             getattr(self, name).label = f"{words} ({unit})"
 
-    def offer(self, materials: Iterable[Material], unit: str = "") -> None:
+    def offer(self, palette: Palette) -> None:
         """Have these tissues to be painted; the one chosen stays, if it is among them."""
+        unit = palette.unit
         choices = [
-            (f"{row.label}: {row.name} ({_stiffness(row, unit)})", row.label) for row in materials
+            (f"{row.name or row.label} ({_stiffness(row, unit)})", row.label)
+            for row in palette.materials
         ]
+        labels = [label for _, label in choices]
         before = self.material.value
         with self.material.changed.blocked():
             self.material.choices = choices
-            labels = [label for _, label in choices]
-            if before in labels:
-                self.material.value = before
-            elif labels:
-                self.material.value = labels[-1]
+            self.material.value = before if before in labels else labels[-1]
 
 
 _NAMES = (
-    "radius", "by_row", "by_col", "amount", "confidence", "softness", "components", "material",
+    "radius", "by_row", "by_col", "amount", "confidence", "sure", "softness", "components",
+    "material",
 )  # fmt: skip
 
 

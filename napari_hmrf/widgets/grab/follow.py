@@ -5,15 +5,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.drawing import Drawing, Rendering
+from napari_hmrf.drawing import Drawing, Rendering, Stroke
 from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.outputs import RESTORED, Outputs, emptiness, result_layers
+from napari_hmrf.layers.painted import painted_marks, show_painted
 from napari_hmrf.live import LiveSolver, Update
 from napari_hmrf.origin import origin
 from napari_hmrf.priors import Prior
@@ -23,6 +26,22 @@ from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.grab.newest import Newest
 
 _log = logging.getLogger("napari_hmrf")
+
+
+class Painted(NamedTuple):
+    """What brushes have painted, and how it looks.
+
+    Attributes
+    ----------
+    picture : ndarray of uint8, shape (H, W)
+        Moved with the tissue.
+    lines, colours : ndarray
+        As `painted_marks` returns them.
+    """
+
+    picture: npt.NDArray[np.uint8]
+    lines: npt.NDArray[np.float32]
+    colours: npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +59,8 @@ class Seen:
         Why there is no solution; the picture is then the one before.
     outputs : Outputs, optional
         The arrows of the displacement, and the folds; only once a drawing has come to rest.
+    painted : Painted, optional
+        What brushes have painted; None if nothing.
     """
 
     ground: Ground
@@ -48,6 +69,7 @@ class Seen:
     solution: Solution | None = None
     error: Exception | None = None
     outputs: Outputs | None = None
+    painted: Painted | None = None
 
     @classmethod
     def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:
@@ -65,6 +87,19 @@ class Seen:
             # What nobody held anywhere stayed out of it, and where it was.
             before = before or (None if self._tissue_at(point, solution.tissue) else point)
         return before if before is not None and self._tissue_at(before, self.ground.m) else None
+
+    def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Where tissue that was at points, (N, 2) in pixels, is seen."""
+        if self.solution is None or not len(points):
+            return points
+        field, size = self.solution.displacement, self.ground.frame.spacing
+        steps = [
+            ndimage.map_coordinates(field[..., axis], points.T, order=1, mode="nearest")
+            / size[axis]
+            for axis in (0, 1)
+        ]
+        seen: npt.NDArray[np.float64] = points + np.stack(steps, axis=-1)
+        return seen
 
     def is_inside(self, point: Point) -> bool:
         """Whether a point is one of the image."""
@@ -143,27 +178,50 @@ class _Scene:
         self._rendering: Rendering | None = None
         self._warper: Warper | None = None
         self._seen = Seen.still(ground)
+        # What was painted where, at rest; moved with the picture, once there is anything.
+        self._painted: npt.NDArray[np.uint8] | None = None
 
     def problem(self, drawing: Drawing) -> tuple[Problem, Prior]:
         if self._rendering is None:
             self._rendering = Rendering(self.ground.base)
-        self._rendering.show(drawing)
-        return self.ground.problem(self._rendering.canvas)
+        canvas = self._rendering.canvas
+        window = self._rendering.show(drawing)
+        strokes = [mark for mark in drawing.marks if isinstance(mark, Stroke)]
+        if strokes and self._painted is None:
+            self._painted, self._warper = np.zeros(canvas.shape, np.uint8), None
+            window = canvas.whole
+        if self._painted is not None and window is not None:
+            show_painted(canvas, self.ground.base, window, self._painted)
+        return self.ground.problem(canvas, any(stroke.action == "tissue" for stroke in strokes))
 
     def _deliver(self, update: Update) -> None:
         seen = self._seen
         drawing = seen.drawing if self._rendering is None else self._rendering.drawing
         if update.solution is None:
-            self._newest.put(replace(seen, error=update.error, outputs=None))
+            painted = self._moved(seen.solution)[1]
+            self._newest.put(replace(seen, error=update.error, outputs=None, painted=painted))
             return
-        solution, picture = update.solution, self.ground.pictures.image
-        assert picture is not None
-        if self._warper is None:
-            shown = Picture(picture, fill=emptiness(picture))
-            self._warper = Warper(shown, solution.spacing)
-        (moved,) = self._warper(solution.displacement, solution.tissue)
-        self._seen = Seen(self.ground, drawing, moved, solution)
+        moved, painted = self._moved(update.solution)
+        assert moved is not None
+        self._seen = Seen(self.ground, drawing, moved, update.solution, painted=painted)
         self._newest.put(self._seen)
+
+    def _moved(self, solution: Solution | None) -> tuple[npt.NDArray[Any] | None, Painted | None]:
+        """The picture, and what is painted, where a solution takes them."""
+        picture = self.ground.pictures.image
+        assert picture is not None
+        shown, paint = [Picture(picture, fill=emptiness(picture))], self._painted
+        if paint is not None:
+            shown.append(Picture(paint, order=0))
+        if solution is None:
+            moved = [picture, *([] if paint is None else [paint.copy()])]
+        else:
+            if self._warper is None:
+                self._warper = Warper(shown, solution.spacing)
+            moved = self._warper(solution.displacement, solution.tissue)
+        if paint is None or self._rendering is None or not paint.any():
+            return moved[0], None
+        return moved[0], Painted(moved[1], *painted_marks(self._rendering.canvas))
 
     def complete(self) -> None:
         seen = self._seen

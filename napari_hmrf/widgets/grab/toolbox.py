@@ -66,7 +66,7 @@ class Toolbox:
         """Show which tool the mouse has, if any."""
         tool, active = self._puller.tool, self._puller.active
         self._form.show_toggle(tool.name if active else "")
-        self._badge.say(tool.title if active else "")
+        self._badge.say(self._form.fields.words if active else "")
 
     def release(self) -> None:
         """Say nothing on the canvas any more."""
@@ -89,12 +89,13 @@ class Toolbox:
 
     def _on_tool(self, tool: Tool) -> None:
         self._form.fields.show_for(tool)
-        self._puller.arrows.show_tool(tool.how)
+        self._puller.display.arrows.show_tool(tool.how)
         self.show()
 
     def _on_field(self, *_: Any) -> None:
         how = self._form.fields.how
-        self._puller.arrows.show_radius(how.radius)
+        self._puller.display.arrows.show_radius(how.radius)
+        self.show()
         try:
             self._puller.hand.change(**asdict(how))
         except HmrfError as error:

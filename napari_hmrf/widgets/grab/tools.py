@@ -92,7 +92,7 @@ TOOLS: tuple[Tool, ...] = (
         "confidence",
         "Confidence",
         "C",
-        ("radius", "confidence", "softness"),
+        ("radius", "sure", "softness"),
         "Paint how sure it is what is held or moved",
         "Paint over what is held or moved how sure that is.",
     ),

@@ -17,3 +17,8 @@ PICKED = "Selected: the fields change it, Delete removes it."
 NOTHING_DRAWN = "Nothing is drawn there: nothing is selected."
 NOTHING_SELECTED = "Nothing is selected: Shift+click what was drawn."
 CANCELLED = "Cancelled; everything is as before."
+OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
+NO_OUTSIDE = (
+    "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
+    "patch, or take 'Move'."
+)

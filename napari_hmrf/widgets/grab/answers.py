@@ -1,0 +1,141 @@
+"""What the mouse and the keys do while the layer *Arrows* is the active one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from napari_hmrf.drawing.marks import Point
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.widgets.grab.words import (
+    CANCELLED,
+    HALF,
+    NO_OUTSIDE,
+    NOTHING,
+    NOTHING_DRAWN,
+    NOTHING_SELECTED,
+    OUTSIDE,
+    PICKED,
+)
+
+if TYPE_CHECKING:
+    from napari_hmrf.widgets.grab.puller import Puller
+
+
+class Answers:
+    """The `Listener` of *Grab and pull*: gives what happens on the canvas to the hand.
+
+    Parameters
+    ----------
+    puller : Puller
+    """
+
+    def __init__(self, puller: Puller) -> None:
+        self._puller = puller
+
+    def press(self, point: Point, reach: float) -> bool:
+        """Take hold of tissue, or of an arrow, or put the brush down."""
+        puller, seen = self._puller, self._puller.display.seen
+        if seen is None:
+            return False
+        if puller.tool.is_brush and not seen.is_inside(point):
+            puller.said.emit(OUTSIDE)
+            return False
+        hand = puller.hand
+        taken = hand.press(point, reach, puller.how(), seen.came_from)
+        self._show_how()
+        if not taken:
+            puller.said.emit(NOTHING)
+        elif hand.pending is not None:
+            puller.said.emit(HALF)
+        if puller.tool.is_brush:
+            puller.display.touch(hand, point, first=True)
+        puller.draw()
+        return taken
+
+    def pick(self, point: Point, reach: float) -> None:
+        """Select what is drawn at a place, and take the tool it was made with."""
+        puller, seen = self._puller, self._puller.display.seen
+        if seen is None:
+            return
+        drawing, spacing = puller.history.drawing, seen.ground.frame.spacing
+        hit = drawing.at(point, reach, spacing)
+        if hit is not None:
+            number: int | None = hit.number
+        else:
+            number = drawing.painted_at(seen.came_from(point) or point, spacing)
+        if number is not None:
+            puller.take_up(puller.tool_for(number))
+        puller.hand.select(number)
+        self._show_how()
+        puller.said.emit(PICKED if number is not None else NOTHING_DRAWN)
+        puller.draw()
+
+    def _show_how(self) -> None:
+        how = self._puller.hand.how
+        if how is not None:
+            self._puller.taken.emit(how)
+
+    def move(self, point: Point) -> None:
+        """Go on pulling or painting."""
+        puller = self._puller
+        puller.hand.move(point)
+        if puller.tool.is_brush and puller.hand.holding:
+            puller.display.touch(puller.hand, point, first=False)
+
+    def release(self) -> None:
+        """Let go."""
+        self._puller.display.arrows.end_drag()
+        try:
+            done = self._puller.hand.release()
+        except HmrfError:
+            self._puller.forgive()
+            self._puller.said.emit(NO_OUTSIDE)
+            self._puller.draw()
+            return
+        if done:
+            self._puller.draw()
+
+    def cancel(self) -> None:
+        """Give up the drag or the pair that goes on; without one, select nothing."""
+        self._puller.display.arrows.end_drag()
+        if self._puller.hand.cancel():
+            self._puller.said.emit(CANCELLED)
+        else:
+            self._puller.hand.select(None)
+        self._puller.draw()
+
+    def remove(self) -> None:
+        """Remove what is selected."""
+        self._puller.display.arrows.end_drag()
+        if not self._puller.hand.remove():
+            self._puller.said.emit(NOTHING_SELECTED)
+
+    def ask_for(self, tool: str) -> None:
+        """The key of a tool."""
+        self._puller.asked_for.emit(tool)
+
+    def ask_for_size(self, factor: float) -> None:
+        """The keys of the brush's size."""
+        self._puller.asked_for_size.emit(factor)
+
+    def undo(self) -> None:
+        """Take back what was done last."""
+        if self._give_up_half():
+            return
+        word = self._puller.history.undo()
+        self._puller.said.emit(f"Took back: {word}." if word else "There is nothing to take back.")
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        if self._give_up_half():
+            return
+        word = self._puller.history.redo()
+        self._puller.said.emit(f"Did again: {word}." if word else "There is nothing to do again.")
+
+    def _give_up_half(self) -> bool:
+        """A pair of which only one place was clicked is what was done last."""
+        self._puller.display.arrows.end_drag()
+        if self._puller.hand.pending is None:
+            return False
+        self.cancel()
+        return True

@@ -1,0 +1,121 @@
+"""What of *Grab and pull* is seen in the viewer: arrows, paint, and the tissue itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.drawing import Drawing, Stroke
+from napari_hmrf.drawing.hand import Hand
+from napari_hmrf.drawing.marks import Point
+from napari_hmrf.layers.drawn import Lines
+from napari_hmrf.layers.ground import Ground
+from napari_hmrf.layers.painted import outline_of
+from napari_hmrf.widgets.grab.arrows import ArrowsLayer
+from napari_hmrf.widgets.grab.follow import Seen
+from napari_hmrf.widgets.grab.keys import Listener
+from napari_hmrf.widgets.grab.live_layers import LiveLayers
+from napari_hmrf.widgets.grab.paint import PaintedLayer
+
+
+class Display:
+    """The layers that show a drawing and what comes of it.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    told : Listener
+        Who is told what the mouse and the keys do.
+
+    Attributes
+    ----------
+    arrows : ArrowsLayer
+    painted : PaintedLayer
+    seen : Seen or None
+        The tissue as it is seen.
+    tissues : dict of int to colour
+        Of the tissues that can be painted.
+    """
+
+    def __init__(self, viewer: Any, told: Listener) -> None:
+        self.arrows = ArrowsLayer(viewer, told)
+        self.painted = PaintedLayer(viewer)
+        self.seen: Seen | None = None
+        self.tissues: dict[int, Any] = {}
+        self._live = LiveLayers(viewer)
+        self._image: Any = None
+        self._busy = False
+        self._last: Point = (0.0, 0.0)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether layers come and go by our own doing."""
+        return self._busy
+
+    def stand_on(self, ground: Ground | None, image: Any, tissues: dict[int, Any]) -> None:
+        """Go over to another slice, or to none."""
+        self._image, self.tissues = image, tissues
+        self.seen = None if ground is None else Seen.still(ground)
+        with self.own_doing():
+            self.painted.forget()
+            if ground is not None:
+                self.arrows.place(ground.frame, ground.shape)
+
+    def show(self, seen: Seen, hand: Hand) -> None:
+        """Show another state of the tissue."""
+        self.seen = seen
+        with self.own_doing():
+            if seen.solution is not None or self._live.picture is not None:
+                self._live.show(seen, self._image)
+            self.show_painted(seen, hand)
+
+    def show_painted(self, seen: Seen, hand: Hand) -> None:
+        """Show what is painted; what is being painted stays where it is, until it is known."""
+        stroke = hand.mark if hand.holding else None
+        if not isinstance(stroke, Stroke):
+            stroke = None
+        picture = None if seen.painted is None else seen.painted.picture
+        with self.own_doing():
+            self.painted.show(seen.ground, picture, seen.drawing, stroke, self.tissues)
+
+    def touch(self, hand: Hand, point: Point, first: bool) -> None:
+        """Show at once where the brush is."""
+        stroke = hand.mark
+        if self.seen is None or not isinstance(stroke, Stroke):
+            return
+        begin, self._last = point if first else self._last, point
+        with self.own_doing():
+            self.painted.touch(self.seen.ground, stroke, begin, point, self.tissues)
+
+    def draw(self, drawing: Drawing, hand: Hand) -> None:
+        """Show arrows, landmarks, and the marks of what is painted."""
+        parts: list[Lines] = []
+        seen, stroke = self.seen, hand.mark
+        if seen is not None and seen.painted is not None:
+            parts.append((seen.painted.lines, seen.painted.colours))
+        if seen is not None and isinstance(stroke, Stroke) and not hand.holding:
+            parts.append(outline_of(stroke, seen.ground.base, seen.goes_to))
+        more = None
+        if parts:
+            lines, colours = zip(*parts, strict=True)
+            more = np.concatenate(lines), np.concatenate(colours)
+        self.arrows.show(drawing, hand.selected, hand.pending, more)
+
+    def leave(self) -> None:
+        """Take away what nobody answers any more."""
+        self.arrows.unbind_viewer()
+        with self.own_doing():
+            self.arrows.remove()
+            self.painted.remove()
+
+    @contextmanager
+    def own_doing(self) -> Iterator[None]:
+        """Layers that come and go meanwhile do so by our own doing."""
+        before, self._busy = self._busy, True
+        try:
+            yield
+        finally:
+            self._busy = before
