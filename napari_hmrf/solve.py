@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from napari_hmrf.backends import Backend, open_backend
+from napari_hmrf.backends import Backend, host, open_backend
 from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError, Cancelled
@@ -157,15 +157,13 @@ def run_here(
     finally:
         device.close()
     done = time.perf_counter()
-    if not (np.isfinite(outcome.displacement).all() and np.isfinite(outcome.energy).all()):
+    displacement = outcome.displacement
+    finite = host.settle(displacement, problem.tissue, problem.unit)
+    if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
             'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
         )
-    displacement = outcome.displacement
-    if problem.unit != 1:
-        displacement *= np.float32(problem.unit)
-    displacement *= problem.tissue[..., None]
     return Solution(
         displacement=displacement,
         energy=outcome.energy,
@@ -205,20 +203,24 @@ def _beginning(start: Start, problem: Problem) -> FloatArray:
                 f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
                 f"{ours[0]} pixels of size {ours[1]}. Leave it out"
             )
+    return _combined([each.displacement for each in (first, *others)], problem)
+
+
+def _combined(displacements: Sequence[FloatArray], problem: Problem) -> FloatArray:
+    """The combination that comes closest to what is observed, in pixels."""
+    first, *others = displacements
     weights = [1.0]
     if others:
-        observed = (problem.c > 0) & problem.tissue[..., None]
-        at = np.flatnonzero(observed)
-        known = first.displacement.ravel()[at]
-        changes = [each.displacement.ravel()[at] - known for each in others]
+        at = host.observed(problem)
+        known = first.ravel()[at]
+        changes = [each.ravel()[at] - known for each in others]
         shares = np.linalg.lstsq(
             np.stack(changes, axis=1).astype(np.float64), problem.y.ravel()[at] - known, rcond=1e-5
         )[0]
         weights = [1.0 - float(shares.sum()), *shares]
-    begin = np.float32(weights[0] / problem.unit) * first.displacement
-    part = np.empty_like(begin) if others else begin
+    begin = np.float32(weights[0] / problem.unit) * first
     for weight, each in zip(weights[1:], others, strict=True):
-        begin += np.multiply(each.displacement, np.float32(weight / problem.unit), out=part)
+        host.blend(begin, each, weight / problem.unit)
     return begin
 
 
@@ -250,7 +252,11 @@ def _prepare(
     c[0] = c[-1] = 1
     y[-1] = 1
     small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))
-    rehearsal.run(small, prior.rehearsal(small.shape), device, lambda _: None)
+    tissue = prior.rehearsal(small.shape)
+    found = rehearsal.run(small, tissue, device, lambda _: None).displacement
+    host.settle(found, small.tissue, small.unit)
+    if isinstance(rehearsal, Multigrid):
+        rehearsal.run(small, tissue, device, lambda _: None, _combined([found, found], small))
     _prepared.add(key)
 
 

@@ -297,10 +297,10 @@ def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
 def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where, prior):
     backend = f"opengl:{stage}"
     before = solve(torn(20.0), prior, Multigrid(), backend=backend)
-    looks = _batches(stage, prior)
-    assert looks >= before.iterations  # one in every cycle at least
+    assert _batches(stage, prior) >= before.iterations  # one in every cycle at least
+    # How many there are beyond that depends on how busy the machine is.
     with pytest.raises(Cancelled):
-        _batches(stage, prior, stop_at=int(where * looks))
+        _batches(stage, prior, stop_at=int(where * before.iterations))
     assert left(made) == 0
     after = solve(torn(20.0), prior, Multigrid(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)

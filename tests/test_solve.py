@@ -197,7 +197,9 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
             lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing)
         ).result()
         before = made()
-        solve(problem, prior, optimizer, backend="cpu")
+        found = solve(problem, prior, optimizer, backend="cpu")
+        if isinstance(optimizer, Multigrid):
+            solve(problem, prior, optimizer, backend="cpu", start=[found, found])
         after = made()
         new = {name: after[name] for name in after if after[name] != before.get(name)}
         assert not new, (prior, spacing, new)

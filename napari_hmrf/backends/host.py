@@ -8,20 +8,48 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.linear import HeldPlanes, Planes
 
 if TYPE_CHECKING:
     from napari_hmrf.problem import Problem
 
 
-def prescribed(problem: Problem) -> tuple[Planes, HeldPlanes]:
-    """Return the displacement that is observed on tissue, in pixels, and where that is."""
+def prescribed(problem: Problem, start: FloatArray | None = None) -> tuple[Planes, HeldPlanes]:
+    """Return the displacement that is observed on tissue, in pixels, and where that is.
+
+    Elsewhere it is that of `start`, (H, W, 2) in pixels, or zero.
+    """
     from napari_hmrf.backends.cpu import exact
 
     shape = (2, *(size + 4 for size in problem.shape))
     d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
-    exact.prescribe(problem.y, problem.c, problem.m, problem.unit, d, held)
+    exact.prescribe(problem.y, problem.c, problem.m, start, 1 / problem.unit, d, held)
     return d, held
+
+
+def observed(problem: Problem) -> npt.NDArray[np.int64]:
+    """Return where tissue is observed: numbers of components, in the order of memory."""
+    from napari_hmrf.backends.cpu import exact
+
+    at = np.empty(problem.c.size, dtype=np.int64)
+    return at[: exact.observed(problem.c, problem.m, at)]
+
+
+def blend(out: FloatArray, values: FloatArray, weight: float) -> None:
+    """Add weight * values to `out`, in place; both (H, W, 2)."""
+    from napari_hmrf.backends.cpu import exact
+
+    exact.blend(values, np.float32(weight), out)
+
+
+def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
+    """Bring pixels (H, W, 2) to lengths, and void to rest, in place; whether all were numbers."""
+    from napari_hmrf.backends.cpu import exact
+
+    finite = np.zeros(len(displacement), dtype=np.bool_)
+    exact.settle(displacement, tissue, np.float32(unit), finite)
+    return bool(finite.all())
 
 
 def planes(values: npt.NDArray[Any]) -> Planes:
@@ -40,15 +68,6 @@ def measure(rest: Planes) -> tuple[float, float]:
     return float(most.max()), math.sqrt(squares.sum())
 
 
-def shrunk(rest: Planes, scale: float) -> npt.NDArray[np.float32]:
-    """Return rest / scale in single precision."""
-    from napari_hmrf.backends.cpu import exact
-
-    made = np.empty(rest.shape, dtype=np.float32)
-    exact.shrink(rest, scale, made)
-    return made
-
-
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     """Add scale * correction to a displacement, in place."""
     from napari_hmrf.backends.cpu import exact
@@ -56,7 +75,7 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     exact.add(d, correction, scale)
 
 
-def gathered(d: Planes) -> npt.NDArray[np.float32]:
+def gathered(d: Planes) -> FloatArray:
     """Return a displacement as an array (H, W, 2) in single precision."""
     from napari_hmrf.backends.cpu import exact
 

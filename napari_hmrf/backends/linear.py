@@ -12,7 +12,7 @@ zeros two sites wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,24 @@ HeldPlanes = npt.NDArray[np.bool_]
 Steps = tuple[tuple[float, float], ...]
 
 
+class Balance(NamedTuple):
+    """What a displacement leaves of a load, load - A d: computed in double precision, 0 where held.
+
+    Attributes
+    ----------
+    rest : ndarray of float32, planes
+        In units of `unit`. For whoever asked to change, until the next one is asked for.
+    unit : float
+    most, norm : float
+        The largest absolute value, and the norm; in the model's units.
+    """
+
+    rest: npt.NDArray[np.float32]
+    unit: float
+    most: float
+    norm: float
+
+
 class LinearLevel(Protocol):
     """One level of the model."""
 
@@ -32,10 +50,11 @@ class LinearLevel(Protocol):
     #: What `descend` and `ascend` change.
     correction: Any
 
-    def descend(self, steps: Steps, coarse: Any | None) -> None:
+    def descend(self, steps: Steps, coarse: Any | None, again: bool = False) -> None:
         """Smooth from a correction of zero, and make what is left of the load `coarse`'s load.
 
-        Each step of smoothing is step = scale D^-1 (load - A d) + momentum step, d += step.
+        If `again`, smooth on from the correction there is. Each step of smoothing is
+        step = scale D^-1 (load - A d) + momentum step, d += step.
         """
         ...
 
@@ -51,11 +70,11 @@ class LinearLevel(Protocol):
         ...
 
     def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:
-        """Return a new vector: zero, or what is in these planes."""
+        """Return a new vector: zero, or of what is in these planes, which it may change."""
         ...
 
     def free(self, *vectors: Any) -> None:
-        """Take vectors back that nobody needs any more."""
+        """Take vectors back that nobody changes or asks for any more."""
         ...
 
     def planes(self, vector: Any) -> npt.NDArray[np.float32]:
@@ -128,14 +147,17 @@ class LinearModel(Protocol):
         """Say which components do not move, on the finest level and therefore on all."""
         ...
 
-    def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held; valid until the next call."""
+    def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
+        """Find what a displacement leaves of a load.
+
+        `unit` is a guess of what will be left, good to a few powers of ten.
+        """
         ...
 
     def pull(self, d: Planes) -> Planes:
         """What the tissue pulls with everywhere, held or not: - A d, in double precision.
 
-        Valid until the next call of this or `work`.
+        Valid until the next call.
         """
         ...
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend, FloatArray
-from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.active import PATIENCE, States
 from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report, part_done
@@ -132,7 +132,8 @@ class _Refinement:
     """
 
     def __init__(self, settings: Multigrid, model: Any, report: Report) -> None:
-        self._settings, self._model, self._report = settings, model, report
+        self._settings, self._report = settings, report
+        self._model: LinearModel = model
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
         self.cycles = 0
@@ -151,9 +152,8 @@ class _Refinement:
             return scale * reach * step.rest <= tolerance
 
         self._solve(d, load, tolerance / reach if reach > 0 else math.inf, enough)
-        rest = self._model.residual(d, load)
-        most, self.residual = host.measure(rest)
-        self.estimate = reach * most
+        balance = self._model.balance(d, load)
+        self.residual, self.estimate = balance.norm, reach * balance.most
 
     def _reach(self, shape: tuple[int, ...]) -> float:
         """How far a site can be from the solution per unit of the largest residual."""
@@ -165,27 +165,25 @@ class _Refinement:
             return scale * step.rest <= _BARRIER_AIM
 
         barrier, ones = self._barrier, np.ones(shape)
-        moves = self._model.residual(np.zeros(shape), ones) > 0
+        moves = self._model.balance(np.zeros(shape), ones).rest > 0
         barrier[~moves] = 0
         off = self._solve(barrier, ones, _BARRIER, enough)
         return float(barrier.max()) / (1 - off)
 
     def _solve(self, d: Planes, load: Planes | None, most: float, enough: Any) -> float:
         """Move `d` to where no residual exceeds `most`; returns the largest."""
-        rest = self._model.residual(d, load)
-        scale, _ = host.measure(rest)
+        balance = self._model.balance(d, load)
         least, in_vain = math.inf, 0
-        while scale > most:
-            here = scale
-            correction = self._iteration.run(host.shrunk(rest, here), lambda s: enough(s, here))  # noqa: B023
-            host.add(d, correction, here)
-            rest = self._model.residual(d, load)
-            scale, _ = host.measure(rest)
-            in_vain = 0 if scale < 0.9 * least else in_vain + 1
-            least = min(least, scale)
+        while balance.most > most:
+            unit = balance.unit
+            correction = self._iteration.run(balance.rest, lambda s: enough(s, unit))  # noqa: B023
+            host.add(d, correction, unit)
+            balance = self._model.balance(d, load, balance.most)
+            in_vain = 0 if balance.most < 0.9 * least else in_vain + 1
+            least = min(least, balance.most)
             if in_vain > _VAIN_RUNS:
                 self._give_up()
-        return scale
+        return balance.most
 
     def _say(self, message: str, estimate: float) -> None:
         """Report, count, and give up in time."""

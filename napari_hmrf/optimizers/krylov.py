@@ -74,6 +74,8 @@ class ConjugateGradients:
     def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
         """Return a correction for a residual (planes), in single precision.
 
+        Changes the residual; the correction is valid until the next run.
+
         Raises
         ------
         ConvergenceError
@@ -113,7 +115,7 @@ class ConjugateGradients:
             before, square = slope, after
             if enough(step) or after <= _INNER**2 * first:
                 break
-        level.free(rest, direction, image)
+        level.free(found, direction, image)
         return np.asarray(level.planes(found))
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:

@@ -83,9 +83,8 @@ class Multigrid:
         """Solve; lengths are in pixels from here on."""
         if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
             return centred.converge(self, problem, prior, backend, report, start)
-        d, observed = host.prescribed(problem)
-        begin = None if start is None else host.planes(start)
         limit = prior.limit(problem)
+        d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             model, smoothing = backend.elastic_model(prior.material(problem)), STRETCHING
         else:
@@ -94,8 +93,6 @@ class Multigrid:
         refinement = _Refinement(self, model, smoothing, report)
         try:
             if limit is None:
-                if begin is not None:
-                    np.copyto(d, begin, where=~observed)
                 model.hold(observed)
                 refinement.run(d, None, self.tolerance)
                 energy, forces = model.work(d)
@@ -103,8 +100,8 @@ class Multigrid:
             else:
                 y, d = d, d.copy()
                 moves = model.steepness > 0
-                if begin is not None:
-                    np.copyto(d, begin, where=moves)
+                if start is not None:
+                    np.copyto(d, host.planes(start), where=moves)
                 states = ActiveSet(observed & moves, y, host.planes(limit), d)
                 find = free_motion if isinstance(prior, ElasticPrior) else free_bend
                 forces = self._slip(problem, model, states, refinement, d, find)
@@ -203,28 +200,27 @@ class _Refinement:
 
     def run(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Move `d` in place to where tissue and load balance, but for `tolerance` pixels."""
-        rest = self._model.residual(d, load)
-        scale, self.residual = host.measure(rest)
+        balance = self._model.balance(d, load)
+        self.residual = balance.norm
         before = math.inf
         while True:
-            if scale == 0:
+            if balance.most == 0:
                 self.estimate = 0.0
                 return
             step: Step | None = None
 
-            def enough(latest: Step, scale: float = scale) -> bool:
+            def enough(latest: Step, unit: float = balance.unit) -> bool:
                 nonlocal step
                 step = latest
-                self._gains.append(scale**2 * latest.gain)
-                self._say(scale * latest.error, tolerance)
-                return scale * latest.error <= tolerance
+                self._gains.append(unit**2 * latest.gain)
+                self._say(unit * latest.error, tolerance)
+                return unit * latest.error <= tolerance
 
-            # What float32 holds of a residual must not depend on how small it is.
-            correction = self._iteration.run(host.shrunk(rest, scale), enough)
+            correction = self._iteration.run(balance.rest, enough)
             if step is not None:
-                host.add(d, correction, scale)
-                rest = self._model.residual(d, load)
-                scale, self.residual = host.measure(rest)
+                host.add(d, correction, balance.unit)
+                balance = self._model.balance(d, load, balance.most)
+                self.residual = balance.norm
                 self.estimate = step.reach * self.residual
                 if self.estimate <= tolerance:
                     return

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numba
 from numba import float32, prange
 
-from napari_hmrf.backends.cpu.vectors import row_product
+from napari_hmrf.backends.cpu.vectors import row_largest, row_product
 
 _ARITHMETIC = {"contract", "nsz"}
 _inline = numba.njit(inline="always", error_model="numpy")
@@ -38,8 +38,9 @@ def _pulls(d, lame, shape, i, j):
     rc = left + right
     xc = right - left
     cc = (d[1, i, j + 1] - d[1, i, j]) + (d[1, i + 1, j + 1] - d[1, i + 1, j])
-    first = lame[0, i, j]
-    shear = lame[1, i, j]
+    # In double precision throughout, if the displacement is.
+    first = d.dtype.type(lame[0, i, j])
+    shear = d.dtype.type(lame[1, i, j])
     both = first + shear + shear
     own = twist_volume * first + shear + shear
     return (
@@ -66,7 +67,7 @@ def _force(d, lame, shape, i, j):
 
 
 @_inline
-def _rest(d, load, lame, weight, shape, i, j):
+def rest(d, load, lame, weight, shape, i, j):
     """Load - (A + W) d at site (i, j); `weight`, W's diagonal, and load may be None, zero."""
     row, col = _force(d, lame, shape, i, j)
     if weight is not None:
@@ -84,9 +85,46 @@ def residual(d, load, lame, inverse, weight, shape, spans, out):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k + 2
-            row, col = _rest(d, load, lame, weight, shape, i + 2, j)
+            row, col = rest(d, load, lame, weight, shape, i + 2, j)
             out[0, i + 2, j] = row if inverse[0, i + 2, j] > float32(0) else row - row
             out[1, i + 2, j] = col if inverse[1, i + 2, j] > float32(0) else col - col
+
+
+@_parallel
+def balance(d, load, lame, inverse, shape, spans, share, out, row_most, row_squares):
+    """Out = share (load - A d) in single precision, and 0 at sites that do not move.
+
+    Its largest absolute value and its square are returned row by row.
+    """
+    for i in prange(d.shape[1] - 4):
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k + 2
+            row, col = rest(d, load, lame, None, shape, i + 2, j)
+            row, col = float32(share * row), float32(share * col)
+            out[0, i + 2, j] = row if inverse[0, i + 2, j] > float32(0) else row - row
+            out[1, i + 2, j] = col if inverse[1, i + 2, j] > float32(0) else col - col
+        row_most[i] = row_largest(out, i + 2)
+        row_squares[i] = row_product(out, out, i + 2)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _row_work(d, lame, shape, i):
+    """A row's product of displacement and forces, and the square of these."""
+    product, square = 0.0, 0.0
+    for k in range(d.shape[2] - 4):
+        j = k + 2
+        row, col = _force(d, lame, shape, i, j)
+        product += d[0, i, j] * row + d[1, i, j] * col
+        square += row * row + col * col
+    return product, square
+
+
+@_parallel
+def work(d, lame, shape, row_products, row_squares):
+    """The product of a displacement and A times it, and the square of that, by rows."""
+    for i in prange(d.shape[1] - 4):
+        row_products[i], row_squares[i] = _row_work(d, lame, shape, i + 2)
 
 
 @_parallel
@@ -123,7 +161,7 @@ def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k + 2
-            row, col = _rest(d, load, lame, weight, shape, i + 2, j)
+            row, col = rest(d, load, lame, weight, shape, i + 2, j)
             row = scale * inverse[0, i + 2, j] * row + ahead * d[0, i + 2, j]
             col = scale * inverse[1, i + 2, j] * col + ahead * d[1, i + 2, j]
             row -= back * out[0, i + 2, j]

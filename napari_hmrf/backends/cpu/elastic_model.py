@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.cpu import assembly, elastic, exact, small, vectors
+from napari_hmrf.backends.cpu import assembly, elastic, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
@@ -156,18 +156,14 @@ class _SmallLevels:
     def __init__(self, grids: list[tuple[int, ...]], shape: Vector) -> None:
         sizes = [2 * (height + 4) * (width + 4) for height, width in grids]
         starts = np.cumsum([0, *(small.ARRAYS * size for size in sizes)])
-        rows = np.cumsum([0, *(height for height, _ in grids)])
         self._values = np.zeros(starts[-1], dtype=np.float32)
-        self._spans = np.zeros((rows[-1], 2), dtype=np.int64)
-        self._table = np.array(
-            [(*grid, start, row) for grid, start, row in zip(grids, starts, rows, strict=False)]
-        )
+        self._table = np.array([(*grid, start) for grid, start in zip(grids, starts, strict=False)])
         self._shape = shape
         self.levels = []
-        for grid, start, row, size in zip(grids, starts, rows, sizes, strict=False):
+        for grid, start, size in zip(grids, starts, sizes, strict=False):
             arrays = self._values[start : start + small.ARRAYS * size]
             memory = iter(arrays.reshape(small.ARRAYS, 2, grid[0] + 4, grid[1] + 4))
-            spans = self._spans[row : row + grid[0]]
+            spans = np.zeros((grid[0], 2), dtype=np.int64)
             self.levels.append(CpuElasticLevel(grid, shape, False, spans, memory))
         first = self.levels[0]
         self._pair = first.correction, first.spare_correction
@@ -177,7 +173,6 @@ class _SmallLevels:
         """Return the first level's correction for its load."""
         small.cycle(
             self._values,
-            self._spans,
             self._table,
             self._shape,
             _paces(steps, from_zero=True),
@@ -207,9 +202,8 @@ class CpuElasticModel(CpuModel):
         ]
         if little:
             self.levels += _SmallLevels(little, self._shape).levels
-        self._exact_lame, self._exact_rest, self._exact_pull = (
-            np.zeros(self.levels[0].lame.shape) for _ in range(3)
-        )
+        self._rest = self.levels[0].vector()
+        self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
         self.assemble(material)
 
     def assemble(self, material: ElasticMaterial) -> None:
@@ -230,40 +224,44 @@ class CpuElasticModel(CpuModel):
         )
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             assembly.coarsen(fine.lame, coarse.lame)
-        # Exactly what the kernels in single precision see.
-        np.copyto(self._exact_lame, self.levels[0].lame)
 
-    def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held; valid until the next call."""
-        finest, out = self.levels[0], self._exact_rest
-        elastic.residual(
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        finest, (most, squares) = self.levels[0], self._rows
+        elastic.balance(
             d,
             load,
-            self._exact_lame,
+            finest.lame,
             finest.inverse,
-            None,
             self._exact_shape,
             finest.spans,
-            out,
+            1 / unit,
+            self._rest,
+            most,
+            squares,
         )
-        return out
+        return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes) -> Planes:
-        """- A d everywhere, in double precision; valid until the next call of this or `work`."""
-        elastic.pull(d, self._exact_lame, self._exact_shape, self._exact_pull)
-        return self._exact_pull
+        """- A d everywhere, in double precision; valid until the next call."""
+        elastic.pull(d, self.levels[0].lame, self._exact_shape, self._pull)
+        return self._pull
+
+    @cached_property
+    def _pull(self) -> Planes:
+        """Only tissue that may slip needs it."""
+        return np.zeros(self._rest.shape)
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
-        products, squares = np.zeros((2, d.shape[1] - 4))
-        exact.work(d, self.pull(d), products, squares)
-        return -float(products.sum()) / 2, math.sqrt(squares.sum())
+        products, squares = self._rows
+        elastic.work(d, self.levels[0].lame, self._exact_shape, products, squares)
+        return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
     def steepness(self) -> Planes:
         """The diagonal of the stiffness matrix."""
-        out = np.zeros(self._exact_lame.shape)
-        assembly.diagonal(self._exact_lame, self._exact_shape, out)
+        out = np.zeros(self._rest.shape)
+        assembly.diagonal(self.levels[0].lame, self._exact_shape, out)
         return out
 
     def forget(self) -> None:

@@ -66,9 +66,9 @@ class CpuLevel:
         """Image = A direction; their scalar product."""
         raise NotImplementedError
 
-    def descend(self, steps: Steps, coarse: Self | None) -> None:
-        """Relax from zero, and hand what is left of the load down."""
-        self.relax(steps, from_zero=True)
+    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
+        """Relax from zero, or on, and hand what is left of the load down."""
+        self.relax(steps, from_zero=not again)
         if coarse is not None:
             self._leave()
             vectors.restrict(self._rest, coarse.load)

@@ -7,7 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.cpu.level import Vector
+from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes
+
+# Squares of values between these are far from the ends of single precision.
+_SMALL, _GREAT = 1e-6, 1e6
 
 
 class CpuModel:
@@ -21,18 +25,30 @@ class CpuModel:
 
     levels: Sequence[Any]
     _held: HeldPlanes | None
-    #: What `residual` returns: 0 where held.
-    _exact_rest: Planes
+    #: What is left of a load: 0 where held.
+    _rest: Vector
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
         if self._held is not None and np.array_equal(held, self._held):
             return
         self._held = held.copy()
-        self._exact_rest.fill(0)
+        self._rest.fill(0)
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
+
+    def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
+        """What a displacement leaves of a load."""
+        most, norm = self._balance(d, load, unit)
+        if most > 0 and not _SMALL < most < _GREAT:
+            unit *= most
+            most, norm = self._balance(d, load, unit)
+        return Balance(self._rest, unit, unit * most, unit * norm)
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        """Write (load - A d) / unit to `_rest`; its largest absolute value, and its norm."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""

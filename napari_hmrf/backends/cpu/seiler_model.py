@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends import host
-from napari_hmrf.backends.cpu import kernels, seiler, vectors
+from napari_hmrf.backends.cpu import exact, kernels, seiler, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
 from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
@@ -85,13 +85,13 @@ class CpuSeilerLevel(CpuLevel):
         )
         self._forget()
 
-    def descend(self, steps: Steps, coarse: Self | None) -> None:
-        """Relax from zero, and hand what is left of the load down.
+    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
+        """Relax from zero, or on, and hand what is left of the load down.
 
         Centred, a load is a mean over sites: at the border of tissue, over those that exist.
         """
         numba.set_num_threads(self.threads)
-        super().descend(steps, coarse)
+        super().descend(steps, coarse, again)
         if coarse is not None and not self.blanket:
             seiler.even_out(coarse.load, coarse.even)
 
@@ -179,6 +179,7 @@ class CpuSeilerModel(CpuModel):
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
         self._exact_rest, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
+        self._rest = np.zeros(self._stiffness.shape, dtype=np.float32)
         finest.settle()
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
@@ -189,10 +190,10 @@ class CpuSeilerModel(CpuModel):
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
+        self._exact_rest.fill(0)
         super().hold(held)
 
-    def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held; valid until the next call."""
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, out = self.levels[0], self._exact_rest
         seiler.residual(
             d,
@@ -205,10 +206,12 @@ class CpuSeilerModel(CpuModel):
             finest.spans,
             out,
         )
-        return out
+        exact.shrink(out, unit, self._rest)
+        most, norm = host.measure(out)
+        return most / unit, norm / unit
 
     def pull(self, d: Planes) -> Planes:
-        """- A d everywhere, in double precision; valid until the next call of this or `work`."""
+        """- A d everywhere, in double precision; valid until the next call."""
         seiler.pull(d, self._stiffness, self._lines, self._blanket, self._pull)
         return self._pull
 

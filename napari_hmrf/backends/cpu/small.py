@@ -1,13 +1,16 @@
 """The small levels of the V-cycle, all in one go and by one thread.
 
-Waking the other threads, and calling kernels one by one, costs more than such levels do. The loops
-are those of `elastic` and `vectors`, compiled once more without threads.
+Waking the other threads, and calling kernels one by one, costs more than such levels do. So does
+the end of each row, where a loop has too few sites left for a vector of them: here a level is one
+long row, from its first site to its last and over the ring of void between its rows, where nothing
+pulls and nothing moves.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
 import numba
+from numba import float32
 
 from napari_hmrf.backends.cpu import elastic, vectors
 
@@ -17,11 +20,50 @@ _alone = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})
 INVERSE, LOAD, CORRECTION, OTHER, REST, LAME, PINS, WEIGHT = range(8)
 ARRAYS = 8
 
-_start = _alone(vectors.start.py_func)
+# Where the first site lies, and the only row there is.
+_FIRST = 2
+
 _restrict = _alone(vectors.restrict.py_func)
 _interpolate = _alone(vectors.interpolate.py_func)
-_smooth = _alone(elastic.smooth.py_func)
-_residual = _alone(elastic.residual.py_func)
+
+
+@_alone
+def _length(d):
+    """From the first site of a level to its last."""
+    return (d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4
+
+
+@_alone
+def _start(load, inverse, d, scale):
+    """As `vectors.start`."""
+    for k in range(_length(d)):
+        j = _FIRST + k
+        d[0, _FIRST, j] = scale * inverse[0, _FIRST, j] * load[0, _FIRST, j]
+        d[1, _FIRST, j] = scale * inverse[1, _FIRST, j] * load[1, _FIRST, j]
+
+
+@_alone
+def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
+    """As `elastic.smooth`."""
+    for k in range(_length(d)):
+        j = _FIRST + k
+        row, col = elastic.rest(d, load, lame, weight, shape, _FIRST, j)
+        row = scale * inverse[0, _FIRST, j] * row + ahead * d[0, _FIRST, j]
+        col = scale * inverse[1, _FIRST, j] * col + ahead * d[1, _FIRST, j]
+        row -= back * out[0, _FIRST, j]
+        col -= back * out[1, _FIRST, j]
+        out[0, _FIRST, j] = d[0, _FIRST, j] + row
+        out[1, _FIRST, j] = d[1, _FIRST, j] + col
+
+
+@_alone
+def _residual(d, load, lame, inverse, weight, shape, out):
+    """As `elastic.residual`."""
+    for k in range(_length(d)):
+        j = _FIRST + k
+        row, col = elastic.rest(d, load, lame, weight, shape, _FIRST, j)
+        out[0, _FIRST, j] = row if inverse[0, _FIRST, j] > float32(0) else row - row
+        out[1, _FIRST, j] = col if inverse[1, _FIRST, j] > float32(0) else col - col
 
 
 @_alone
@@ -33,7 +75,7 @@ def _plane(values, table, k, number):
 
 
 @_alone
-def _relax(values, spans, table, shape, k, steps, begun, turned):
+def _relax(values, table, shape, k, steps, begun, turned):
     """Steps of smoothing on level k; whether the correction is in the other array after them."""
     inverse, load, lame, weight = (
         _plane(values, table, k, INVERSE),
@@ -41,32 +83,30 @@ def _relax(values, spans, table, shape, k, steps, begun, turned):
         _plane(values, table, k, LAME),
         _plane(values, table, k, WEIGHT),
     )
-    here = spans[table[k, 3] : table[k, 3] + table[k, 0]]
     for number in range(begun, len(steps)):
         d = _plane(values, table, k, OTHER if turned else CORRECTION)
         out = _plane(values, table, k, CORRECTION if turned else OTHER)
         scale, ahead, back = steps[number, 0], steps[number, 1], steps[number, 2]
-        _smooth(d, load, lame, inverse, weight, shape, here, out, scale, ahead, back)
+        _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back)
         turned = not turned
     return turned
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def cycle(values, spans, table, shape, down, up, coarsest):
+def cycle(values, table, shape, down, up, coarsest):
     """A V-cycle over levels, finest first, for the load of the first.
 
     `values` has the arrays of one level after the other, each level's in the order of the numbers
-    above; a row of `table` has a level's height and width, where its arrays begin, and where its
-    rows begin in `spans`. A row of steps has a step's scale, and how far ahead and back it goes.
-    The correction of a level is in `CORRECTION` after an odd number of steps down and up, else in
-    `OTHER`.
+    above; a row of `table` has a level's height and width, and where its arrays begin. A row of
+    steps has a step's scale, and how far ahead and back it goes. The correction of a level is in
+    `CORRECTION` after an odd number of steps down and up, else in `OTHER`.
     """
     last = len(table) - 1
     for k in range(last + 1):
         steps = coarsest if k == last else down
         load, inverse = _plane(values, table, k, LOAD), _plane(values, table, k, INVERSE)
         _start(load, inverse, _plane(values, table, k, CORRECTION), steps[0, 0])
-        turned = _relax(values, spans, table, shape, k, steps, 1, False)
+        turned = _relax(values, table, shape, k, steps, 1, False)
         if k < last:
             rest = _plane(values, table, k, REST)
             _residual(
@@ -76,7 +116,6 @@ def cycle(values, spans, table, shape, down, up, coarsest):
                 inverse,
                 _plane(values, table, k, WEIGHT),
                 shape,
-                spans[table[k, 3] : table[k, 3] + table[k, 0]],
                 rest,
             )
             _restrict(rest, _plane(values, table, k + 1, LOAD))
@@ -87,4 +126,4 @@ def cycle(values, spans, table, shape, down, up, coarsest):
         turned = len(down) % 2 == 0
         d = _plane(values, table, k, OTHER if turned else CORRECTION)
         _interpolate(coarse, d, _plane(values, table, k, INVERSE))
-        _relax(values, spans, table, shape, k, up, 0, turned)
+        _relax(values, table, shape, k, up, 0, turned)

@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numba
-from numba import float32, int64, prange
+import numpy as np
+from numba import float32, int32, int64, prange
 
 _ARITHMETIC = {"contract", "nsz"}
 _parallel = numba.njit(
@@ -147,26 +148,31 @@ def product(a, b, row_totals):
         row_totals[i] = row_product(a, b, i + 2)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
-def _row_largest(a: Any, row: int) -> float:
-    most = float32(0)
+@numba.njit(cache=True, nogil=True)
+def row_largest(a: Any, row: int) -> Any:
+    """The largest absolute value of one row, or no number if there is any.
+
+    Without their sign, numbers are in the order of their bits, of which several are compared at
+    once.
+    """
+    most = int32(0)
     for component in range(2):
-        for j in range(a.shape[2]):
-            value = abs(a[component, row, j])
-            most = value if value > most else most
-    return most
+        bits = a[component, row].view(np.int32)
+        for j in range(len(bits)):
+            most = max(most, bits[j] & int32(0x7FFFFFFF))
+    return np.int32(most).view(np.float32)
 
 
 @_parallel
 def largest(a, row_most):
-    """The largest absolute value of each row; what is not a number does not count."""
+    """The largest absolute value of each row."""
     for i in prange(a.shape[1] - 4):
-        row_most[i] = _row_largest(a, i + 2)
+        row_most[i] = row_largest(a, i + 2)
 
 
 @_parallel
 def weigh(a, b, row_most, row_totals):
     """Both of these, in one go."""
     for i in prange(a.shape[1] - 4):
-        row_most[i] = _row_largest(a, i + 2)
+        row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.backends.linear import Balance, HeldPlanes, LinearModel, Planes
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import RelaxingLevel
 
@@ -32,9 +32,9 @@ class GLModel:
         for level in self.levels:
             level.hold()
 
-    def residual(self, d: Planes, load: Planes | None) -> Planes:
-        """Load - A d in double precision, 0 where held."""
-        return self._host.residual(d, load)
+    def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
+        """What a displacement leaves of a load."""
+        return self._host.balance(d, load, unit)
 
     def pull(self, d: Planes) -> Planes:
         """- A d everywhere, in double precision."""

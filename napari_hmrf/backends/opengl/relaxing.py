@@ -99,10 +99,13 @@ class RelaxingLevel(GLLevel):
         """Relax from zero as the coarsest level."""
         self.descend(coarsest, None)
 
-    def descend(self, steps: Steps, coarse: Self | None) -> None:
-        """Relax from zero, and hand what is left of the load down."""
+    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
+        """Relax from zero, or on, and hand what is left of the load down."""
         (first, _), (scale, momentum), *others = (*steps, _NO_STEP)[: max(2, len(steps))]
-        if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
+        if again:
+            for step in steps:
+                self._smooth(AS_IS, *step)
+        elif len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
             self._relax_at_once(steps)
         else:
             self._smooth(FROM_ZERO, scale, momentum, first=first)
