@@ -38,7 +38,7 @@ class ConvergenceError(HmrfError, ArithmeticError):
 
 
 class FileFormatError(HmrfError, ValueError):
-    """A file is not a valid saved solution."""
+    """A file is not what it should be: a saved solution, or a table of materials."""
 
 
 class Cancelled(HmrfError):

@@ -57,4 +57,55 @@ PRESETS: tuple[Preset, ...] = (
             Material(2, "cerebrospinal fluid", 1.0, 0.45),
         ),
     ),
+    Preset(
+        "Brain: grey matter 1.4, white matter 1.9",
+        "kPa",
+        "Budday, Nay, de Rooij, Steinmann, Wyrobek, Ovaert and Kuhl, Mechanical properties of gray "
+        "and white matter brain tissue by indentation, Journal of the Mechanical Behavior of "
+        "Biomedical Materials 46 (2015): means of indentations of bovine brains; no Poisson's "
+        "ratio, so that is 0.45, common for soft tissue",
+        (
+            Material(1, "grey matter", 1.389),
+            Material(2, "white matter", 1.895),
+        ),
+    ),
+    Preset(
+        "Muscle 3, fat 2.3",
+        "kPa",
+        "Strain-dependent shear properties of human adipose tissue in vivo, Journal of the "
+        "Mechanical Behavior of Biomedical Materials (2023): buttocks of volunteers by magnetic "
+        "resonance elastography at 50 Hz, not compressed; Young's modulus taken as three times the "
+        "shear modulus, of 1.0 and 0.752 kPa; Poisson's ratio 0.49, for tissue that hardly changes "
+        "its volume",
+        (
+            Material(1, "muscle", 3.0, 0.49),
+            Material(2, "fat", 2.256, 0.49),
+        ),
+    ),
+    Preset(
+        "Liver 5.4, carcinoma 70",
+        "kPa",
+        "table 1, from the literature, of an article in Physics in Medicine and Biology 64 (2019) "
+        "225001, doi 10.1088/1361-6560/ab5010; Young's modulus taken as three times the shear "
+        "modulus, of 1.8 and 23.4 kPa; Poisson's ratio 0.49, for tissue that hardly changes its "
+        "volume",
+        (
+            Material(1, "liver", 5.4, 0.49),
+            Material(2, "hepatocellular carcinoma", 70.2, 0.49),
+        ),
+    ),
+    Preset(
+        "Breast: fat and gland 3.2, carcinoma 10 to 43",
+        "kPa",
+        "Samani, Zubovits and Plewes, Elastic moduli of normal and pathological human breast "
+        "tissues, Physics in Medicine and Biology 52 (2007) 1565, doi 10.1088/0031-9155/52/6/002: "
+        "means of samples outside the body; no Poisson's ratio, so that is 0.45, common for soft "
+        "tissue",
+        (
+            Material(1, "fibroglandular tissue", 3.24),
+            Material(2, "fat", 3.25),
+            Material(3, "invasive ductal carcinoma, low grade", 10.4),
+            Material(4, "invasive ductal carcinoma, high grade", 42.52),
+        ),
+    ),
 )

@@ -1,0 +1,274 @@
+"""Stiffness from the intensity of an image, by a curve that a person draws.
+
+Where tissues differ in brightness, nobody has to paint them: a curve through a few points says how
+stiff what is so bright is, and below a threshold there is no tissue. A curve is a value that does
+not change, so that it can be kept, compared and come back to. Nothing here needs napari.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+
+FloatArray = npt.NDArray[np.float32]
+Between = Literal["straight", "smooth"]
+Point = tuple[float, float]
+
+#: Where a first curve bends, in percent of the pixels, and the stiffness there: the paper's soft
+#: tissue, normal tissue and tumour.
+PERCENTILES = (5.0, 50.0, 95.0)
+STIFFNESSES = (10.0, 20.0, 40.0)
+#: Nodes between two points, by which a smooth curve is followed: to about 1e-5 of its height.
+_NODES = 64
+#: Integers of no more values than this are looked up, each value computed once.
+_TABLE = 2**16
+#: Stiffnesses are computed in single precision.
+_LARGEST = float(np.finfo(np.float32).max)
+#: Of red, green and blue: how bright they look (ITU-R BT.709).
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class StiffnessCurve:
+    """How stiff tissue of an intensity is; called with intensities, it gives stiffnesses.
+
+    Between its points the curve is straight or smooth; smooth, it is a monotone cubic (PCHIP), so
+    that it never leaves the range of two neighbouring points. Beyond the outer points it goes on
+    level. What is no number is no tissue.
+
+    Attributes
+    ----------
+    points : tuple of (float, float)
+        Intensity, in the image's own unit, and stiffness (Young's modulus), above 0; intensities
+        in rising order, two points or more.
+    void_below : float, optional
+        What is darker than this is no tissue: stiffness 0.
+    between : {"straight", "smooth"}
+    logarithmic : bool
+        Whether the logarithm of the stiffness is what is straight or smooth between the points;
+        stiffnesses of tissues differ by factors, not by amounts.
+    unit : str
+        Of stiffness; shown only, for ratios are what matters.
+
+    Raises
+    ------
+    ProblemError
+        If there are fewer than two points, intensities do not rise, or a number makes no sense.
+    """
+
+    points: tuple[Point, ...]
+    void_below: float | None = None
+    between: Between = "straight"
+    logarithmic: bool = True
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        try:
+            points = tuple((float(intensity), float(stiff)) for intensity, stiff in self.points)
+            void_below = None if self.void_below is None else float(self.void_below)
+        except (TypeError, ValueError) as error:
+            raise _bad("has points that are not pairs of numbers: intensity, stiffness") from error
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "void_below", void_below)
+        if len(points) < 2:
+            raise _bad(f"has {len(points)} points. Give two or more")
+        intensities, stiffnesses = zip(*points, strict=True)
+        if not all(math.isfinite(value) for value in intensities):
+            raise _bad(f"has an intensity that is no finite number, in {intensities}")
+        for before, after in pairwise(intensities):
+            if not before < after:
+                raise _bad(
+                    f"has intensity {after:g} after {before:g}. Give the points in rising order, "
+                    "one for each intensity"
+                )
+        for stiffness in stiffnesses:
+            if not (math.isfinite(stiffness) and 0 < stiffness <= _LARGEST):
+                raise _bad(
+                    f"has a stiffness of {stiffness:g}. Give numbers above 0; what is no tissue is "
+                    "said by void_below"
+                )
+        if void_below is not None and not math.isfinite(void_below):
+            raise _bad(f"has no tissue below {void_below}. Give a number, or None")
+        if self.between not in get_args(Between):
+            raise _bad(f'is {self.between!r} between its points. Take "straight" or "smooth"')
+        if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
+            raise _bad("needs true or false for 'logarithmic' and a word for 'unit'")
+
+    def __call__(self, intensities: npt.ArrayLike) -> FloatArray:
+        """Give every pixel the stiffness of its intensity.
+
+        Parameters
+        ----------
+        intensities : array_like of numbers, any shape
+            Of an image; of colours take the `luminance`. Masked pixels are no tissue.
+
+        Returns
+        -------
+        ndarray of the same shape, float32
+            `m` of a `Problem`; 0 where there is no tissue.
+
+        Raises
+        ------
+        ProblemError
+            If these are no real numbers.
+        """
+        image = (
+            np.ma.asanyarray(intensities) if np.ma.isMA(intensities) else np.asarray(intensities)
+        )
+        if image.dtype.kind not in "biuf":
+            raise ProblemError(
+                "m", f"cannot come from intensities of type {image.dtype}. Give real numbers."
+            )
+        mask, image = np.ma.getmaskarray(image), np.ma.getdata(image)
+        if image.dtype.kind == "b":
+            image = image.view(np.uint8)
+        values = self._looked_up(image) if image.dtype.kind in "iu" else self._at(image)
+        if mask.any():
+            values[mask] = 0
+        return values
+
+    @cached_property
+    def _nodes(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Intensities, and what is straight between them: stiffness, or its logarithm."""
+        intensities, stiffnesses = np.array(self.points).T
+        heights = np.log(stiffnesses) if self.logarithmic else stiffnesses
+        if self.between == "straight":
+            return intensities, heights
+        from scipy.interpolate import PchipInterpolator
+
+        steps = np.arange(_NODES) / _NODES
+        spans = np.diff(intensities)[:, None]
+        fine = np.append((intensities[:-1, None] + steps * spans).ravel(), intensities[-1])
+        return fine, PchipInterpolator(intensities, heights)(fine)
+
+    def _at(self, image: npt.NDArray[Any]) -> FloatArray:
+        heights = np.interp(image.astype(np.float64, copy=False), *self._nodes)
+        values = np.asarray(np.exp(heights) if self.logarithmic else heights, dtype=np.float32)
+        void = np.isnan(image) if image.dtype.kind == "f" else np.zeros(image.shape, dtype=bool)
+        if self.void_below is not None:
+            void |= image < self.void_below
+        return np.where(void, np.float32(0), values)
+
+    def _looked_up(self, image: npt.NDArray[Any]) -> FloatArray:
+        """As `_at`, each whole number computed once where there are few."""
+        if not image.size:
+            return np.zeros(image.shape, dtype=np.float32)
+        lowest, highest = int(image.min()), int(image.max())
+        if highest - lowest >= min(_TABLE, image.size):
+            return self._at(image)
+        kind = image.dtype.type
+        table = self._at(np.arange(highest - lowest + 1).astype(kind) + kind(lowest))
+        # Differences wrap around in the image's own type; without a sign they are right again.
+        offsets = np.asarray(image - kind(lowest)).view(f"u{image.dtype.itemsize}")
+        taken: FloatArray = table[offsets]
+        return taken
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The smallest and the largest stiffness of its points."""
+        stiffnesses = [stiffness for _, stiffness in self.points]
+        return min(stiffnesses), max(stiffnesses)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON types, for a layer's metadata."""
+        return {
+            "points": [list(point) for point in self.points],
+            "void_below": self.void_below,
+            "between": self.between,
+            "logarithmic": self.logarithmic,
+            "unit": self.unit,
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> StiffnessCurve:
+        """The inverse of `as_dict`.
+
+        Raises
+        ------
+        ProblemError
+            If it is not what `as_dict` made.
+        """
+        known = ("points", "void_below", "between", "logarithmic", "unit")
+        if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
+            raise _bad(f"is not stored as a curve. Give a mapping of {', '.join(known)}")
+        return cls(**dict(values))
+
+    @classmethod
+    def from_percentiles(
+        cls,
+        intensities: npt.ArrayLike,
+        stiffnesses: Sequence[float] = STIFFNESSES,
+        percentiles: Sequence[float] = PERCENTILES,
+        void_below: float | None = None,
+        unit: str = "MPa",
+    ) -> StiffnessCurve:
+        """Make a first curve for an image, to be changed: the brighter, the stiffer.
+
+        Parameters
+        ----------
+        intensities : array_like of numbers, any shape
+        stiffnesses, percentiles : sequence of float
+            One stiffness for each percentile of what is tissue.
+        void_below : float, optional
+            What is darker is no tissue, and does not count.
+        unit : str
+            Of stiffness.
+
+        Raises
+        ------
+        ProblemError
+            If there are not two different intensities.
+        """
+        values = np.ma.masked_invalid(np.ma.asanyarray(intensities)).compressed().astype(float)
+        if void_below is not None:
+            values = values[values >= void_below]
+        if not values.size or values.min() == values.max():
+            raise _bad("cannot be made: the image has not two different intensities there")
+        found = [float(f"{value:.5g}") for value in np.percentile(values, percentiles)]
+        points = dict(zip(found, stiffnesses, strict=True))
+        if len(points) < 2:  # most of the image is of one value
+            ends = (float(values.min()), float(values.max()))
+            points = dict(zip(ends, (stiffnesses[0], stiffnesses[-1]), strict=True))
+        return cls(tuple(sorted(points.items())), void_below, unit=unit)
+
+
+def luminance(colours: npt.NDArray[Any]) -> FloatArray:
+    """How bright colours are, from 0 to the largest value of their type.
+
+    Parameters
+    ----------
+    colours : ndarray, shape (..., 3 or 4)
+        Red, green and blue; how opaque they are does not count.
+
+    Returns
+    -------
+    ndarray, shape (...), float32
+    """
+    bright: FloatArray = colours[..., :3].astype(np.float32) @ _LUMINANCE
+    return bright
+
+
+def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> StiffnessCurve:
+    """Have a curve with one point added (`at` is None), moved, or removed (`point` is None).
+
+    Raises
+    ------
+    ProblemError
+        If that leaves no curve.
+    """
+    others = [each for number, each in enumerate(curve.points) if number != at]
+    added = [] if point is None else [point]
+    return replace(curve, points=tuple(sorted([*others, *added])))
+
+
+def _bad(message: str) -> ProblemError:
+    return ProblemError("stiffness curve", f"{message}.")

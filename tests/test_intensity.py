@@ -1,0 +1,181 @@
+"""Claims about stiffness from the intensity of an image."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.intensity import StiffnessCurve, luminance, with_point
+
+RAMP = StiffnessCurve(((0, 1), (100, 100)))
+
+
+def test_between_two_points_stiffness_rises_by_factors_or_by_amounts():
+    assert RAMP(50) == pytest.approx(10)
+    assert StiffnessCurve(RAMP.points, logarithmic=False)(50) == pytest.approx(50.5)
+
+
+def test_beyond_its_ends_a_curve_goes_on_level():
+    np.testing.assert_allclose(RAMP([-1e30, -np.inf, 1e30, np.inf]), [1, 1, 100, 100])
+
+
+def test_what_is_dark_or_no_number_is_no_tissue():
+    curve = StiffnessCurve(RAMP.points, void_below=20)
+    np.testing.assert_array_equal(curve([0, 19.9, np.nan]), [0, 0, 0])
+    assert curve(20.0) == pytest.approx(RAMP(20.0))
+    masked = np.ma.array([50.0, 60.0], mask=[True, False])
+    assert curve(masked)[0] == 0
+    assert not np.ma.isMA(curve(masked))
+
+
+@pytest.mark.parametrize("kind", "?bBhHiIlLefdg")
+@pytest.mark.parametrize("shape", [(), (0,), (7,), (3, 4), (2, 3, 4, 5)])
+def test_every_type_and_shape_of_image_gets_stiffnesses_of_its_shape(kind, shape):
+    image = np.arange(np.prod(shape, dtype=int)).reshape(shape).astype(np.dtype(kind))
+    for curve in (RAMP, StiffnessCurve(((-3, 2), (1, 5), (300, 1)), 1, "smooth", False)):
+        stiffness = curve(image)
+        assert stiffness.dtype == np.float32
+        assert stiffness.shape == shape
+        np.testing.assert_allclose(stiffness, curve(image.astype(float)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int64, np.uint64])
+def test_whole_numbers_at_the_ends_of_their_type_are_not_mixed_up(kind):
+    ends = np.iinfo(kind)
+    many = np.full(1000, ends.max, kind)
+    many[0] = ends.max - 1
+    np.testing.assert_allclose(RAMP(many), 100)
+    np.testing.assert_allclose(RAMP(np.full(1000, ends.min, kind)), 1)
+    assert RAMP(np.array([ends.min, ends.max])).tolist() == [1, 100]
+
+
+def test_a_slice_that_is_no_view_in_order_is_read_right():
+    image = np.arange(24, dtype=np.uint8).reshape(4, 6)
+    np.testing.assert_array_equal(RAMP(image.T[::-2]), RAMP(image).T[::-2])
+
+
+@pytest.mark.parametrize("image", [np.array([1j]), np.array(["a"]), np.array([None])])
+def test_what_is_no_real_number_is_refused(image):
+    with pytest.raises(ProblemError, match="Give real numbers"):
+        RAMP(image)
+
+
+curves = st.builds(
+    lambda points, between, logarithmic: StiffnessCurve(
+        tuple(sorted(points.items())), None, between, logarithmic
+    ),
+    st.dictionaries(st.integers(-1000, 1000), st.floats(1e-3, 1e4), min_size=2, max_size=8),
+    st.sampled_from(["straight", "smooth"]),
+    st.booleans(),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(curves)
+def test_a_curve_goes_through_its_points_and_overshoots_nowhere(curve):
+    intensities, stiffnesses = np.array(curve.points).T
+    np.testing.assert_allclose(curve(intensities), stiffnesses, rtol=1e-5)
+    for (left, one), (right, other) in zip(curve.points, curve.points[1:], strict=False):
+        between = curve(np.linspace(left, right, 50))
+        assert between.min() >= min(one, other) * (1 - 1e-5)
+        assert between.max() <= max(one, other) * (1 + 1e-5)
+        assert (np.diff(between) * (other - one) >= -1e-4 * max(one, other) ** 2).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(curves)
+def test_a_curve_is_kept_in_plain_words_and_comes_back_equal(curve):
+    stored = json.loads(json.dumps(curve.as_dict()))
+    again = StiffnessCurve.from_dict(stored)
+    assert again == curve
+    assert hash(again) == hash(curve)
+
+
+def test_a_smooth_curve_is_the_monotone_cubic():
+    from scipy.interpolate import PchipInterpolator
+
+    points = ((0, 1), (10, 5), (30, 6), (31, 40))
+    curve = StiffnessCurve(points, between="smooth", logarithmic=False)
+    at = np.linspace(0, 31, 1001)
+    np.testing.assert_allclose(curve(at), PchipInterpolator(*np.array(points).T)(at), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"points": ()}, "0 points"),
+        ({"points": ((0, 1),)}, "1 points"),
+        ({"points": ((0, 1), (0, 2))}, "0 after 0"),
+        ({"points": ((5, 1), (0, 2))}, "0 after 5"),
+        ({"points": ((0, 1), (1, 0))}, "stiffness of 0"),
+        ({"points": ((0, 1), (1, -3))}, "stiffness of -3"),
+        ({"points": ((0, 1), (1, float("nan")))}, "stiffness of nan"),
+        ({"points": ((0, 1), (float("inf"), 2))}, "no finite number"),
+        ({"points": ((0, 1), (1, 1e300))}, "1e+300"),
+        ({"points": ((0, 1), (1,))}, "pairs of numbers"),
+        ({"points": 5}, "pairs of numbers"),
+        ({"points": (("a", 1), (1, 1))}, "pairs of numbers"),
+        ({"void_below": float("nan")}, "no tissue below nan"),
+        ({"void_below": "dark"}, "pairs of numbers"),
+        ({"between": "wavy"}, "'wavy'"),
+        ({"logarithmic": 1}, "true or false"),
+        ({"unit": None}, "a word"),
+    ],
+)
+def test_a_bad_curve_is_refused_in_one_sentence(values, said):
+    with pytest.raises(ProblemError, match=r"^stiffness curve: ") as error:
+        StiffnessCurve(**{"points": RAMP.points, **values})
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("values", [None, [], {}, {"points": [[0, 1], [1, 2]], "extra": 1}])
+def test_what_is_no_stored_curve_is_refused(values):
+    with pytest.raises(ProblemError, match="not stored as a curve"):
+        StiffnessCurve.from_dict(values)
+
+
+def test_a_first_curve_makes_what_is_brighter_stiffer():
+    image = np.random.default_rng(0).normal(100, 20, (64, 64))
+    curve = StiffnessCurve.from_percentiles(image)
+    assert [stiffness for _, stiffness in curve.points] == [10, 20, 40]
+    assert curve.points[1][0] == pytest.approx(100, abs=2)
+    assert (curve(image) < 20).mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_background_does_not_count_for_a_first_curve():
+    image = np.zeros((50, 50))
+    image[10:40, 10:40] = np.linspace(50, 150, 900).reshape(30, 30)
+    curve = StiffnessCurve.from_percentiles(image, void_below=10)
+    assert curve.points[1][0] == pytest.approx(100, abs=1)
+    assert (curve(image) == 0).sum() == 50 * 50 - 900
+
+
+def test_two_intensities_are_enough_for_a_first_curve_and_one_is_not():
+    image = np.zeros((40, 40), bool)
+    image[0, 0] = True
+    assert StiffnessCurve.from_percentiles(image).points == ((0, 10), (1, 40))
+    for flat in (np.full((4, 4), 3), np.full((4, 4), np.nan), np.zeros((0, 4))):
+        with pytest.raises(ProblemError, match="two different intensities"):
+            StiffnessCurve.from_percentiles(flat)
+
+
+def test_colours_count_by_how_bright_they_look():
+    red, green, white = np.eye(4, 3)[0] * 255, np.eye(4, 3)[1] * 255, np.full(3, 255)
+    bright = luminance(np.array([[red, green, white]], dtype=np.uint8))
+    assert bright.shape == (1, 3)
+    assert bright[0, 0] < bright[0, 1] < bright[0, 2]
+    assert bright[0, 2] == pytest.approx(255)
+    np.testing.assert_array_equal(luminance(np.zeros((2, 2, 4), np.uint8) + 255), bright[0, 2])
+
+
+def test_points_are_added_moved_and_removed_as_new_curves():
+    three = with_point(RAMP, None, (50, 3))
+    assert three.points == ((0, 1), (50, 3), (100, 100))
+    assert with_point(three, 1, (60, 4)).points == ((0, 1), (60, 4), (100, 100))
+    assert with_point(three, 1, None) == RAMP
+    with pytest.raises(ProblemError, match="1 points"):
+        with_point(RAMP, 0, None)
+    assert RAMP.points == ((0, 1), (100, 100))

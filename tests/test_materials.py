@@ -1,0 +1,129 @@
+"""Claims about materials in files, and about a library of one's own."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from napari_hmrf.annotation import Material
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.material_files import MaterialLibrary, load_materials, save_materials
+from napari_hmrf.presets import PRESETS, Preset
+
+LIVER = Preset(
+    "Liver",
+    "kPa",
+    "measured by us",
+    (Material(0, "air", 0.0), Material(1, "liver, größer", 5.4, 0.49), Material(7, "fat", 2.0)),
+)
+
+
+@pytest.mark.parametrize("preset", [*PRESETS, LIVER], ids=lambda preset: preset.name)
+def test_what_is_saved_comes_back_as_it_was(tmp_path, preset):
+    assert load_materials(save_materials(tmp_path / "table.json", preset)) == preset
+
+
+def test_a_file_is_for_people_to_read(tmp_path):
+    path = save_materials(tmp_path / "mine", LIVER)
+    assert path.name == "mine.json"
+    text = path.read_text(encoding="utf-8")
+    assert '"name": "liver, größer"' in text
+    assert json.loads(text)["version"] == 1
+
+
+def test_what_a_person_leaves_out_is_filled_in(tmp_path):
+    path = tmp_path / "by hand.json"
+    rows = [{"label": 1, "stiffness": 3}]
+    path.write_text(
+        json.dumps({"format": "napari-hmrf materials", "version": 1, "materials": rows})
+    )
+    assert load_materials(path) == Preset("by hand", "", "", (Material(1, "", 3.0, 0.45),))
+
+
+def spoilt(**changes):
+    values = {"format": "napari-hmrf materials", "version": 1, "name": "a", "unit": "kPa"}
+    row = {"label": 1, "name": "gel", "stiffness": 2.0, "poisson": 0.4}
+    of_row = {key: value for key, value in changes.items() if key in row and key != "name"}
+    rows = [{**row, **of_row}]
+    return {**values, "materials": rows, **{k: v for k, v in changes.items() if k not in of_row}}
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([], "no file of materials"),
+        ({"format": "something else"}, "no file of materials"),
+        (spoilt(version=2), "newer napari-hmrf"),
+        (spoilt(version="1"), "no version"),
+        (spoilt(version=True), "no version"),
+        (spoilt(unit=3), "unit that is no word"),
+        (spoilt(materials=[]), "lists no"),
+        (spoilt(materials=[5]), "number 1, without"),
+        (spoilt(materials=[{"label": 1}]), "number 1, without"),
+        (spoilt(label=-1), "label -1"),
+        (spoilt(label=1.5), "label 1.5"),
+        (spoilt(label=True), "label True"),
+        (spoilt(stiffness="stiff"), "stiffness 'stiff'"),
+        (spoilt(stiffness=-2), "stiffness -2"),
+        (spoilt(stiffness=float("nan")), "stiffness nan"),
+        (spoilt(stiffness=10**400), "stiffness 1000"),
+        (spoilt(stiffness=0), "above 0"),
+        (spoilt(poisson=0.5), "ratio 0.5. Write a number from 0 to 0.499"),
+        (spoilt(poisson=None), "ratio None"),
+        (spoilt(materials=[{"label": 1, "stiffness": 1}] * 2), "two materials for label 1"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_sentence_that_names_it(tmp_path, values, said):
+    path = tmp_path / "table.json"
+    path.write_text(json.dumps(values))
+    with pytest.raises(FileFormatError, match=r"^table\.json ") as error:
+        load_materials(path)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 200_000, b" " * 2**21])
+def test_what_is_no_json_is_refused(tmp_path, content):
+    path = tmp_path / "table.json"
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"table\.json"):
+        load_materials(path)
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path):
+    bad = replace(LIVER, materials=(Material(1, "gel", float("inf")),))
+    with pytest.raises(FileFormatError, match="stiffness inf"):
+        save_materials(tmp_path / "table.json", bad)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_materials_of_one_s_own_are_there_in_the_next_session(tmp_path):
+    said = []
+    library = MaterialLibrary(tmp_path / "not yet" / "there")
+    assert library.presets == ()
+    library.changed.connect(lambda: said.append(1))
+    library.remember(LIVER)
+    library.remember(replace(LIVER, name="A/B: c?"))
+    library.remember(replace(LIVER, name="A_B_ c_"))
+    again = MaterialLibrary(library.folder)
+    assert [preset.name for preset in again.presets] == ["A/B: c?", "A_B_ c_", "Liver"]
+    softer = replace(LIVER, materials=LIVER.materials[1:])
+    again.remember(softer)
+    assert softer in library.presets
+    assert len(library.presets) == 3
+    assert library.forget("Liver")
+    assert not library.forget("Liver")
+    assert [preset.name for preset in again.presets] == ["A/B: c?", "A_B_ c_"]
+    assert len(said) == 4
+
+
+def test_a_broken_file_in_the_library_hides_none_of_the_others(tmp_path):
+    library = MaterialLibrary(tmp_path)
+    library.remember(LIVER)
+    (tmp_path / "broken.json").write_text("{")
+    assert library.presets == (LIVER,)
+    assert library.refused[0].startswith("broken.json is no JSON")
+
+
+def test_materials_are_remembered_by_a_name(tmp_path):
+    with pytest.raises(FileFormatError, match="name"):
+        MaterialLibrary(tmp_path).remember(replace(LIVER, name=" "))
