@@ -147,3 +147,42 @@ def made(monkeypatch):
     for kind in ("texture", "depth_texture", "framebuffer", "buffer"):
         monkeypatch.setattr(moderngl.Context, kind, noted(getattr(moderngl.Context, kind)))
     return objects
+
+
+@pytest.fixture
+def open_window(make_napari_viewer, qtbot):
+    """Open a window with *Grab and pull* beside an image."""
+    from person import Person
+
+    def opened(data=None, **place):
+        viewer = make_napari_viewer(show=True)
+        if data is None:
+            rows, cols = np.indices((64, 64))
+            data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
+        viewer.add_image(data, name="MR", **place)
+        _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+        qtbot.wait(50)
+        return Person(viewer, qtbot), widget
+
+    return opened
+
+
+@pytest.fixture
+def pulling(open_window, settle):
+    """Somebody who has pressed *Grab and pull*."""
+    person, widget = open_window()
+    widget.form.grab.native.click()
+    assert widget.active
+    settle(widget)
+    return person, widget
+
+
+@pytest.fixture
+def settle(qtbot):
+    """Wait until the tissue has followed, and its displacement is drawn."""
+
+    def wait(widget):
+        qtbot.waitUntil(lambda: not widget.busy, timeout=240_000)
+        qtbot.wait(60)
+
+    return wait

@@ -2,102 +2,13 @@
 
 import numpy as np
 import pytest
-from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
-from qtpy.QtGui import QMouseEvent
+from person import CTRL, SHIFT, by_name, only, settle_moves
+from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication
 
 from napari_hmrf.annotation import Material
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
-
-LEFT, NO_BUTTON = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
-PLAIN, CTRL = Qt.KeyboardModifier.NoModifier, Qt.KeyboardModifier.ControlModifier
-SHIFT = Qt.KeyboardModifier.ShiftModifier
-
-
-class Person:
-    """Somebody before a window: moves the mouse to pixels of the image, and presses keys."""
-
-    def __init__(self, viewer, qtbot):
-        self.viewer = viewer
-        self._qtbot = qtbot
-        self._canvas = viewer.window._qt_viewer.canvas
-
-    def where(self, row, col):
-        view = self._canvas.view
-        x, y = (view.transform * view.scene.transform).map([col, row])[:2]
-        return QPoint(round(x), round(y))
-
-    def press(self, row, col):
-        QTest.mousePress(self._canvas.native, LEFT, PLAIN, self.where(row, col))
-
-    def move(self, row, col, button=LEFT):
-        place = QPointF(self.where(row, col))
-        native = self._canvas.native
-        there = QPointF(native.mapToGlobal(place.toPoint()))
-        event = QMouseEvent(QEvent.Type.MouseMove, place, there, NO_BUTTON, button, PLAIN)
-        QApplication.sendEvent(native, event)
-
-    def release(self, row, col):
-        QTest.mouseRelease(self._canvas.native, LEFT, PLAIN, self.where(row, col))
-
-    def drag(self, *places):
-        self.press(*places[0])
-        for place in places[1:]:
-            self.move(*place)
-        self.release(*places[-1])
-
-    def key(self, key, modifiers=PLAIN):
-        self._canvas.native.setFocus()
-        QTest.keyClick(self._canvas.native, key, modifiers)
-
-
-@pytest.fixture
-def open_window(make_napari_viewer, qtbot):
-    """Open a window with *Grab and pull* beside an image."""
-
-    def opened(data=None, **place):
-        viewer = make_napari_viewer(show=True)
-        if data is None:
-            rows, cols = np.indices((64, 64))
-            data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
-        viewer.add_image(data, name="MR", **place)
-        _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
-        qtbot.wait(50)
-        return Person(viewer, qtbot), widget
-
-    return opened
-
-
-@pytest.fixture
-def pulling(open_window, settle):
-    """Somebody who has pressed *Grab and pull*."""
-    person, widget = open_window()
-    widget.form.grab.native.click()
-    assert widget.active
-    settle(widget)
-    return person, widget
-
-
-@pytest.fixture
-def settle(qtbot):
-    """Wait until the tissue has followed, and its displacement is drawn."""
-
-    def wait(widget):
-        qtbot.waitUntil(lambda: not widget.busy, timeout=240_000)
-        qtbot.wait(60)
-
-    return wait
-
-
-def only(widget):
-    (mark,) = widget.drawing.marks
-    return mark
-
-
-def by_name(viewer, name):
-    return viewer.layers[name]
 
 
 def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
@@ -293,10 +204,6 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
     assert "Deformed image" in person.viewer.layers, "it is made again"
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
-
-
-def settle_moves(person, widget):
-    person._qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
 
 
 def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):

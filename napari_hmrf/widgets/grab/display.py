@@ -48,7 +48,9 @@ class Display:
         self._live = LiveLayers(viewer)
         self._image: Any = None
         self._busy = False
+        # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
+        self._places = 0
 
     @property
     def quiet(self) -> bool:
@@ -86,6 +88,10 @@ class Display:
         stroke = hand.mark
         if self.seen is None or not isinstance(stroke, Stroke):
             return
+        places = sum(map(len, stroke.lines))
+        if places == self._places and not first:
+            return
+        self._places = places
         begin, self._last = point if first else self._last, point
         with self.own_doing():
             self.painted.touch(self.seen.ground, stroke, begin, point, self.tissues)

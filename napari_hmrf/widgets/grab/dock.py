@@ -114,7 +114,8 @@ class GrabAndPull(Container):
     @property
     def busy(self) -> bool:
         """Whether tissue is still on its way."""
-        return self._puller.follower.busy or self._resting.isActive()
+        waits = self._started and self._watch.waiting
+        return self._puller.follower.busy or self._resting.isActive() or waits
 
     @property
     def away(self) -> bool:
@@ -177,6 +178,7 @@ class GrabAndPull(Container):
             ground = read_ground(self.image, self.tissue, self.boundary, view, edge)
         except (HmrfError, ValueError) as error:
             self._puller.stand_on(None)
+            self.show_toggle()
             self.say(error.sentence if isinstance(error, LayerError) else str(error))
             return False
         before = self._puller.ground
@@ -185,6 +187,7 @@ class GrabAndPull(Container):
             self._puller.stand_on(ground, self.image, tissues)
             self.form.fields.offer(ground.palette)
             self.form.fields.show_unit(unit_symbol(ground.frame.unit))
+            self.show_toggle()
         return True
 
     def undo(self) -> None:
@@ -203,11 +206,18 @@ class GrabAndPull(Container):
         """Remove all that is drawn."""
         self._puller.set_drawing(Drawing(), "removed all")
 
+    def take_points(self, where: Any, should: Any) -> bool:
+        """Draw landmarks from the points of two layers, paired by their order; whether it could."""
+        self.form.where.choose(where)
+        self.form.should.choose(should)
+        return self._toolbox.take_points()
+
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
         if not self.away:
             for choice in self.form.choices:
                 choice.refresh()
+            self._toolbox.look()
 
     def say(self, sentence: str) -> None:
         """Say something below the buttons."""
@@ -250,14 +260,9 @@ class GrabAndPull(Container):
         self.show_toggle()
 
     def _connect(self) -> None:
-        form, puller = self.form, self._puller
-        for button, answer in (
-            (form.undo, self.undo),
-            (form.redo, self.redo),
-            (form.remove, self.remove),
-            (form.clear, self.clear),
-        ):
-            button.changed.connect(answer)
+        puller = self._puller
+        for name in ("undo", "redo", "remove", "clear"):
+            getattr(self.form, name).changed.connect(getattr(self, name))
         puller.said.connect(self.say)
         puller.changed.connect(self._on_changed)
         puller.seen.connect(self.seen.emit)

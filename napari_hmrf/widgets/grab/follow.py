@@ -61,6 +61,8 @@ class Seen:
         The arrows of the displacement, and the folds; only once a drawing has come to rest.
     painted : Painted, optional
         What brushes have painted; None if nothing.
+    number : int
+        Of the edit that this answers, as `Follower.number` counts them.
     """
 
     ground: Ground
@@ -70,6 +72,7 @@ class Seen:
     error: Exception | None = None
     outputs: Outputs | None = None
     painted: Painted | None = None
+    number: int = 0
 
     @classmethod
     def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:
@@ -125,6 +128,8 @@ class Follower:
     def __init__(self, show: Callable[[Seen], None]) -> None:
         self._newest = Newest(show)
         self._scene: _Scene | None = None
+        #: Of the last edit that was followed.
+        self.number = 0
 
     @property
     def ground(self) -> Ground | None:
@@ -146,7 +151,7 @@ class Follower:
         # Without a mark nothing moves, and still that is solved where it can be: what has to be
         # compiled then is when the first one is drawn.
         if drawing.marks or scene.ground.base.c.any():
-            scene.live.submit(lambda: scene.problem(drawing))
+            self.number = scene.live.submit(lambda: scene.problem(drawing))
         else:
             scene.live.forget()
             self._newest.put(Seen.still(scene.ground))
@@ -155,12 +160,14 @@ class Follower:
         """Have what takes longer made of the latest result, unless there is a newer one then."""
         scene = self._scene
         if scene is not None:
+            scene.asked += 1
             compute_thread.submit(scene.complete)
 
     @property
     def busy(self) -> bool:
         """Whether an answer is still to come."""
-        return self._scene is not None and self._scene.live.busy
+        scene = self._scene
+        return scene is not None and (scene.live.busy or scene.done < scene.asked)
 
     def release(self) -> None:
         """Follow nothing any more."""
@@ -174,6 +181,8 @@ class _Scene:
     def __init__(self, ground: Ground, newest: Newest) -> None:
         self.ground = ground
         self.live = LiveSolver(self._deliver, ground.prior)
+        #: Jobs of `complete`: those that the window's thread asked for, and those done here.
+        self.asked = self.done = 0
         self._newest = newest
         self._rendering: Rendering | None = None
         self._warper: Warper | None = None
@@ -199,11 +208,14 @@ class _Scene:
         drawing = seen.drawing if self._rendering is None else self._rendering.drawing
         if update.solution is None:
             painted = self._moved(seen.solution)[1]
-            self._newest.put(replace(seen, error=update.error, outputs=None, painted=painted))
+            refused = replace(seen, error=update.error, outputs=None, number=update.number)
+            self._newest.put(replace(refused, painted=painted))
             return
         moved, painted = self._moved(update.solution)
         assert moved is not None
-        self._seen = Seen(self.ground, drawing, moved, update.solution, painted=painted)
+        self._seen = Seen(
+            self.ground, drawing, moved, update.solution, None, None, painted, update.number
+        )
         self._newest.put(self._seen)
 
     def _moved(self, solution: Solution | None) -> tuple[npt.NDArray[Any] | None, Painted | None]:
@@ -225,9 +237,9 @@ class _Scene:
 
     def complete(self) -> None:
         seen = self._seen
-        if seen.solution is None or not seen.drawing.marks or self.live.busy:
-            return
         try:
+            if seen.solution is None or not seen.drawing.marks or self.live.busy:
+                return
             # A drawing is kept in the file of the solution it belongs to.
             solution = replace(seen.solution, frame={"drawing": seen.drawing.as_dict()})
             outputs = result_layers(solution, self.ground.frame, None, kinds=RESTORED)
@@ -235,3 +247,5 @@ class _Scene:
                 self._newest.put(replace(seen, outputs=outputs))
         except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
             _log.exception("the displacement could not be drawn")
+        finally:
+            self.done += 1

@@ -10,13 +10,13 @@ from magicgui.widgets import (
     Container,
     PushButton,
 )
-from napari.layers import Image, Labels
+from napari.layers import Image, Labels, Points
 
 from napari_hmrf.drawing import History
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.widgets.forms import Prose
 from napari_hmrf.widgets.grab.fields import ToolFields
-from napari_hmrf.widgets.grab.tools import TOOLS
+from napari_hmrf.widgets.grab.tools import BY_NAME, TOOLS, Tool
 from napari_hmrf.widgets.layer_choice import LayerChoice
 
 ABOUT = (
@@ -91,6 +91,15 @@ class GrabForm(Container):
         self.radius = self.fields.radius
         self.confidence = self.fields.confidence
         self.components = self.fields.components
+        self.where, self.should = (
+            LayerChoice(layers, lambda layer: isinstance(layer, Points), label=label, tooltip=tip)
+            for label, tip in (
+                ("is at", "A Points layer: where things are"),
+                ("should be at", "A Points layer: where the same things should be, in this order"),
+            )
+        )
+        self.take = PushButton(text="Take points as landmarks", enabled=False)
+        self.points = Container(widgets=[self.where, self.should])
         self.undo = PushButton(text="Undo", enabled=False)
         self.redo = PushButton(text="Redo", enabled=False)
         self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
@@ -110,20 +119,29 @@ class GrabForm(Container):
         ]
         super().__init__(
             widgets=[
-                first, self.edge, self.grab, *rows, self.fields, *buttons, self.status, keys, about,
+                first, self.edge, self.grab, *rows, self.fields, self.points, self.take,
+                *buttons, self.status, keys, about,
             ],
             labels=False,
         )  # fmt: skip
-        for container in (first, *rows, *buttons):
+        for container in (first, self.points, *rows, *buttons):
             container.margins = (0, 0, 0, 0)
         for words in (about, keys):
             words.say(str(words.value))
         self.native.layout().addStretch()
+        self.show_for(BY_NAME["pull"])
 
     @property
     def choices(self) -> tuple[LayerChoice, ...]:
         """The menus of layers."""
-        return self.image, self.tissue, self.boundary
+        return self.image, self.tissue, self.boundary, self.where, self.should
+
+    def show_for(self, tool: Tool) -> None:
+        """Show what a tool needs, and nothing else."""
+        self.fields.show_for(tool)
+        for part in (self.points, self.take):
+            part.visible = tool.name == "landmark" and len(self.where.offered) > 1
+        self.take.enabled = self.where.value is not None and self.should.value is not None
 
     def show_steps(self, history: History, selected: bool) -> None:
         """Show what can be taken back, done again and removed."""

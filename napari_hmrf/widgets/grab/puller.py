@@ -81,7 +81,7 @@ class Puller:
     @property
     def active(self) -> bool:
         """Whether the mouse pulls tissue."""
-        return self.display.arrows.active
+        return self.ground is not None and self.display.arrows.active
 
     @property
     def quiet(self) -> bool:
@@ -186,9 +186,11 @@ class Puller:
             self._on_error(seen)
             return
         first, self._working = not self._working, True
+        before = self.display.seen
         self.display.show(seen, self.hand)
-        if seen.painted is not None or self.hand.selected is not None:
-            self.draw()
+        painted = seen.painted or (None if before is None else before.painted)
+        if painted is not None:  # its marks are those of what is seen
+            self.display.draw(self.history.drawing, self.hand)
         if first or self._in_error:
             self._in_error = False
             self.said.emit(self.tool.how if self.active else OFF)
@@ -198,6 +200,8 @@ class Puller:
 
     def _on_error(self, seen: Seen) -> None:
         assert seen.error is not None
+        if seen.number != self.follower.number:  # it is put right by now, or said again
+            return
         self._in_error = True
         hand = self.hand
         if hand.holding and isinstance(hand.mark, Stroke):

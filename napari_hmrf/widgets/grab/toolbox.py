@@ -7,7 +7,10 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from napari_hmrf.drawing import Drawing
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.landmarks import landmarks_of
+from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.widgets.grab.badge import Badge
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
@@ -45,6 +48,9 @@ class Toolbox:
             button.native.clicked.connect(partial(self._on_button, name))
         for field in form.fields:
             field.changed.connect(self._on_field)
+        for choice in (form.where, form.should):
+            choice.changed.connect(self.look)
+        form.take.changed.connect(self.take_points)
         puller.taken.connect(form.fields.show_how)
         puller.taken_up.connect(self._on_tool)
         puller.asked_for.connect(self.take)
@@ -61,6 +67,27 @@ class Toolbox:
         if name not in BY_NAME:
             raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
         self._puller.take_up(BY_NAME[name])
+
+    def look(self, *_: Any) -> None:
+        """Look again at what the tool needs: layers have come or gone."""
+        self._form.show_for(self._puller.tool)
+
+    def take_points(self, *_: Any) -> bool:
+        """Draw landmarks from the points of the two layers chosen; whether it could."""
+        form, puller = self._form, self._puller
+        where, should, ground = form.where.value, form.should.value, puller.ground
+        if where is None or should is None or ground is None:
+            return False
+        radius, sure = form.radius.value, form.confidence.value
+        try:
+            found = landmarks_of(where, should, ground.frame, ground.shape, radius, sure)
+        except LayerError as error:
+            self._say(error.sentence)
+            return False
+        drawing = Drawing((*puller.history.drawing.marks, *found))
+        puller.set_drawing(drawing, f"took {len(found)} landmarks from points")
+        self._say(f"Took {len(found)} landmarks from '{where.name}' and '{should.name}'.")
+        return True
 
     def show(self) -> None:
         """Show which tool the mouse has, if any."""
@@ -88,7 +115,7 @@ class Toolbox:
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
 
     def _on_tool(self, tool: Tool) -> None:
-        self._form.fields.show_for(tool)
+        self._form.show_for(tool)
         self._puller.display.arrows.show_tool(tool.how)
         self.show()
 

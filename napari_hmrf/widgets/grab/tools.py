@@ -52,8 +52,9 @@ TOOLS: tuple[Tool, ...] = (
         "landmark",
         "Landmark",
         "L",
-        ("radius", "confidence", "points"),
-        "Click where something is, then where it should be",
+        ("radius", "confidence"),
+        "Click where something is, then where it should be. Or have two Points layers: the first "
+        "where things are, the second where they should be, in the same order",
         "Click where something is, then where it should be.",
     ),
     Tool(

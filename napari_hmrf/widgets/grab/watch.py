@@ -49,6 +49,11 @@ class GrabWatch:
         for event, answer in self._events:
             event.connect(answer)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether layers have changed that are not read yet."""
+        return bool(self._looking.isActive())
+
     def choose_by_role(self, layers: list[Any]) -> None:
         """Choose an image and its tissue as they come, and the first image if there is none yet."""
         widget = self._widget

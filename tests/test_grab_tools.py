@@ -1,0 +1,398 @@
+"""Brushes and landmarks of *Grab and pull* in a real window, with real mouse and key events."""
+
+import numpy as np
+import pytest
+from person import CTRL, SHIFT, by_name, only
+from qtpy.QtCore import Qt
+
+from napari_hmrf.annotation import Material
+from napari_hmrf.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.painted import number_of
+
+PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
+CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
+
+
+def displacement(widget):
+    """How the tissue that is seen moves."""
+    return widget._puller.display.seen.solution.displacement
+
+
+def seen_paint(person):
+    """The picture of what was painted."""
+    return by_name(person.viewer, "Painted").data
+
+
+def ring(middle, radius, count=16):
+    turn = np.linspace(0, 2 * np.pi, count + 1)
+    rows, cols = middle[0] + radius * np.sin(turn), middle[1] + radius * np.cos(turn)
+    return list(zip(rows.tolist(), cols.tolist(), strict=True))
+
+
+def outward(widget):
+    """How far a ring of radius 12 around the middle moves along its normal, on average."""
+    places = ring((32, 32), 12)
+    moved = [displacement(widget)[round(row), round(col)] for row, col in places]
+    normals = (np.array(places) - 32) / 12
+    return (np.array(moved) * normals).sum(axis=1).mean()
+
+
+@pytest.fixture
+def brushing(pulling, settle):
+    """Somebody who has pulled a wide patch to the right, and has a narrow brush."""
+    person, widget = pulling
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+    widget.form.radius.value = 3.0
+    settle(widget)
+    return person, widget
+
+
+def test_what_is_pinned_stays_and_is_seen_at_once(brushing, settle):
+    person, widget = brushing
+    before = displacement(widget)[20, 30]
+    assert np.linalg.norm(before) > 0.3
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 36)
+    assert seen_paint(person)[20, 28] == number_of("pin"), "before anything is solved"
+    person.release(20, 36)
+    settle(widget)
+    assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
+    assert seen_paint(person)[20, 28] == number_of("pin")
+    assert seen_paint(person)[26, 28] == 0
+    assert widget.history.undo_word == "pinned tissue"
+
+
+def test_what_is_freed_is_held_by_nothing(brushing, settle):
+    person, widget = brushing
+    person.key(FREE)
+    widget.form.radius.value = 9.0
+    person.paint((44, 40), (44, 46))
+    settle(widget)
+    assert np.abs(displacement(widget)).max() < 0.02, "the arrow says nothing any more"
+    assert set(np.unique(seen_paint(person))) == {0, number_of("free")}, "stripes"
+
+
+def test_what_is_moved_moves_and_its_paint_goes_along(brushing, settle):
+    person, widget = brushing
+    person.key(MOVE)
+    widget.form.fields.by_row.value = -4.0
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    assert displacement(widget)[20, 22] == pytest.approx((-4, 0), abs=0.02)
+    assert seen_paint(person)[16, 22] == number_of("move")
+    assert seen_paint(person)[22, 22] == 0, "it was painted there, and has left"
+    widget.form.fields.by_row.value = 2.0
+    settle(widget)
+    assert displacement(widget)[20, 22] == pytest.approx((2, 0), abs=0.02), "of the stroke painted"
+
+
+def test_a_ring_expands_or_shrinks(brushing, settle):
+    person, widget = brushing
+    widget.drawing = Drawing()
+    person.key(EXPAND)
+    widget.form.fields.amount.value = 2.0
+    person.paint(*ring((32, 32), 12))
+    settle(widget)
+    assert outward(widget) == pytest.approx(2, abs=0.2)
+    widget.form.fields.amount.value = -2.0
+    settle(widget)
+    assert outward(widget) == pytest.approx(-2, abs=0.2)
+
+
+def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
+    person, widget = pulling
+    person.key(EXPAND)
+    widget.form.radius.value = 1.0
+    widget.form.fields.amount.value = 2.0
+    person.paint(*((row, 30) for row in range(10, 50, 4)))
+    settle(widget)
+    assert not widget.drawing.marks
+    assert "no outside" in widget.status
+    assert not seen_paint(person).any()
+
+
+def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
+    person, widget = brushing
+    person.key(CONFIDENCE)
+    fields = widget.form.fields
+    fields.sure.value, fields.softness.value, fields.radius.value = 0.0, 1.0, 5.0
+    person.paint((44, 45), (44, 45))
+    settle(widget)
+    stroke = widget.drawing.marks[1]
+    assert (stroke.action, stroke.confidence, stroke.softness) == ("confidence", 0.0, 1.0)
+    sure = widget.drawing.render(widget._puller.ground.base).c[44, 40:46, 0]
+    assert sure[0] == pytest.approx(0, abs=0.15)
+    assert (np.diff(sure) > 0).all(), "it fades out"
+    assert len(np.unique(seen_paint(person))) > 3, "and so does its paint"
+
+
+def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing, settle):
+    person, widget = brushing
+    before = displacement(widget)[44, 14, 1]
+    person.key(MATERIAL)
+    assert 0 in widget.form.fields.material.choices, "what is cut away is no tissue"
+    widget.form.fields.material.value = 0
+    person.paint((30, 22), (36, 22), (42, 22), (48, 22), (54, 22))
+    settle(widget)
+    after = displacement(widget)
+    assert after[44, 14, 1] < 0.8 * before, "a gap passes nothing on"
+    assert not after[44, 22].any()
+    assert widget.history.undo_word == "painted tissue"
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert displacement(widget)[44, 14, 1] == pytest.approx(before, abs=0.02)
+
+
+def test_tissue_is_painted_from_the_table_of_its_layer(open_window, settle):
+    person, widget = open_window()
+    labels = np.ones((64, 64), np.uint8)
+    materials = (Material(1, "gel", 1.0), Material(7, "bone", 1000.0))
+    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    assert widget.start()
+    person.key(MATERIAL)
+    material = widget.form.fields.material
+    assert tuple(material.choices) == (1, 7)
+    material.value = 7
+    assert person.viewer.canvas.overlays.text.text == "Tissue: bone (1000 kPa)"
+    widget.form.radius.value = 6.0
+    person.paint((32, 20), (32, 32), (32, 44))
+    widget.drawing = Drawing((*widget.drawing.marks, Arrow((32, 20), (0, 4), 3.0)))
+    settle(widget)
+    moved = displacement(widget)
+    assert moved[32, 42, 1] > 3.5, "a bone moves as a whole"
+    assert labels.all(), "the layer itself is as it was"
+    assert (by_name(person.viewer, "T").data == 1).all()
+
+
+def test_two_clicks_are_a_landmark_and_escape_gives_half_of_one_up(pulling, settle):
+    person, widget = pulling
+    person.key(LANDMARK)
+    person.drag((30, 30), (30, 30))
+    assert "where it should be" in widget.status
+    assert len(by_name(person.viewer, "Arrows").data) > 10, "half of it is seen"
+    person.key(Qt.Key.Key_Escape)
+    assert len(by_name(person.viewer, "Arrows").data) == 0
+    person.drag((30, 30), (30, 30))
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert len(by_name(person.viewer, "Arrows").data) == 0, "so does undo"
+    person.drag((30, 30), (30, 30))
+    person.drag((34, 32), (34, 32))
+    settle(widget)
+    mark = only(widget)
+    assert isinstance(mark, Landmark)
+    assert displacement(widget)[30, 30] == pytest.approx((4, 2), abs=0.6)
+    person.paint((34, 32), (36, 32))
+    assert only(widget).target == pytest.approx((36, 32), abs=0.6), "its head is taken up again"
+    person.key(Qt.Key.Key_Delete)
+    assert not widget.drawing.marks
+
+
+def test_points_are_taken_as_landmarks(pulling, settle):
+    person, widget = pulling
+    form, viewer = widget.form, person.viewer
+    person.key(LANDMARK)
+    assert not form.take.native.isVisible()
+    where = viewer.add_points([[30, 30], [40, 20]], name="is")
+    should = viewer.add_points([[33, 30]], name="ought")
+    assert form.take.native.isVisible()
+    form.where.value, form.should.value = where, should
+    form.take.native.click()
+    assert not widget.drawing.marks
+    assert "'ought' has 1 points, but 'is' has 2" in widget.status
+    should.add([40, 22])
+    form.take.native.click()
+    settle(widget)
+    assert len(widget.drawing.marks) == 2
+    assert displacement(widget)[30, 30] == pytest.approx((3, 0), abs=0.02)
+    assert displacement(widget)[40, 20] == pytest.approx((0, 2), abs=0.02)
+    viewer.layers.remove(should)
+    assert not form.take.native.isVisible()
+
+
+def test_undo_and_redo_go_through_all_tools(pulling, settle):
+    person, widget = pulling
+    widget.form.radius.value = 3.0
+    states = [widget.drawing]
+
+    def done():
+        assert widget.drawing != states[-1]
+        states.append(widget.drawing)
+
+    person.drag((30, 30), (34, 34))
+    done()
+    for key in (PIN, MOVE, FREE, CONFIDENCE, MATERIAL):
+        person.key(key)
+        person.paint((10, 10), (10, 20))
+        done()
+    person.key(LANDMARK)
+    person.drag((50, 50), (50, 50))
+    person.drag((52, 50), (52, 50))
+    done()
+    person.pick(10, 12)
+    assert (widget.tool, widget._puller.hand.selected) == ("tissue", 5)
+    person.key(Qt.Key.Key_Delete)
+    done()
+    for state in reversed(states[:-1]):
+        person.key(Qt.Key.Key_Z, CTRL)
+        assert widget.drawing == state
+    for state in states[1:]:
+        person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+        assert widget.drawing == state
+    settle(widget)
+    widget.clear()
+    settle(widget)
+    assert not seen_paint(person).any()
+    assert len(by_name(person.viewer, "Arrows").data) == 0
+
+
+def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing, settle):
+    person, widget = brushing
+    person.key(MOVE)
+    widget.form.fields.by_row.value = -4.0
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    person.key(Qt.Key.Key_G)
+    widget.form.fields.by_row.value = 1.0
+    person.pick(16, 22)
+    assert widget.tool == "move", "it is found where it has gone"
+    assert widget.form.fields.by_row.value == -4.0
+    assert "Delete removes it" in widget.status
+    person.key(Qt.Key.Key_Delete)
+    assert len(widget.drawing.marks) == 1
+    person.pick(60, 60)
+    assert "Nothing is drawn there" in widget.status
+
+
+def test_keys_change_the_size_of_the_brush(pulling):
+    person, widget = pulling
+    person.key(PIN)
+    widget.form.radius.value = 4.0
+    person.key(Qt.Key.Key_BracketRight)
+    assert widget.form.radius.value == 5.0
+    assert by_name(person.viewer, "Arrows").cursor_size == pytest.approx(10.0)
+    person.key(Qt.Key.Key_BracketLeft)
+    assert widget.form.radius.value == 4.0
+
+
+def test_escape_gives_a_stroke_up(brushing, settle):
+    person, widget = brushing
+    before = widget.drawing
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 30)
+    person.key(Qt.Key.Key_Escape)
+    person.move(20, 40)
+    person.release(20, 40)
+    settle(widget)
+    assert (widget.drawing, widget.status) == (before, "Cancelled; everything is as before.")
+    assert not seen_paint(person).any()
+
+
+def test_another_slice_in_mid_stroke_ends_it_there(open_window, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_window(stack)
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    person.key(PIN)
+    person.press(20, 30)
+    person.move(24, 30)
+    viewer.dims.set_current_step(0, 2)
+    person.move(30, 30)
+    person.release(30, 30)
+    settle(widget)
+    assert not widget.drawing.marks
+    assert not seen_paint(person).any()
+    viewer.dims.set_current_step(0, 1)
+    settle(widget)
+    assert only(widget).lines[0][-1] == pytest.approx((24, 30), abs=0.6)
+    assert seen_paint(person).shape == (1, 48, 64)
+    assert seen_paint(person)[0, 22, 30] == number_of("pin")
+
+
+@pytest.mark.parametrize("gone", ["Painted", "Deformed image", "Displacement"])
+def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle, gone):
+    person, widget = brushing
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 24)
+    by_name(person.viewer, "MR").name = "T1"
+    by_name(person.viewer, "Arrows").name = "mine"
+    person.viewer.layers.remove(gone)
+    person.move(20, 30)
+    person.release(20, 30)
+    settle(widget)
+    assert widget.drawing.marks[1].lines[0][-1] == pytest.approx((20, 30), abs=0.6)
+    assert seen_paint(person)[20, 25] == number_of("pin")
+
+
+@pytest.mark.parametrize(("gone", "words"), [("Arrows", "is gone"), ("MR", "no image")])
+def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, qtbot, gone, words):
+    person, widget = brushing
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 24)
+    person.viewer.layers.remove(gone)
+    person.move(20, 30)
+    person.release(20, 30)
+    qtbot.wait(100)
+    assert not widget.history.in_progress
+    assert words in widget.status
+    assert not person.viewer.canvas.overlays.text.visible
+
+
+def test_two_viewers_have_tools_of_their_own(open_window, settle):
+    one, mine = open_window()
+    other, its = open_window()
+    for widget in (mine, its):
+        assert widget.start()
+    one.key(PIN)
+    other.key(LANDMARK)
+    assert (mine.tool, its.tool) == ("pin", "landmark")
+    one.drag((20, 20), (20, 30))
+    other.drag((20, 20), (22, 30))
+    settle(mine)
+    settle(its)
+    assert isinstance(only(mine), Stroke)
+    assert isinstance(only(its), Landmark)
+    assert "Painted" not in other.viewer.layers
+
+
+def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
+    person, widget = brushing
+    person.key(PIN)
+    person.paint((20, 20), (20, 30))
+    settle(widget)
+    person.viewer.window.remove_dock_widget(widget.native)
+    assert "Painted" not in person.viewer.layers
+    assert not person.viewer.canvas.overlays.text.visible
+    assert len(widget.drawing.marks) == 2
+
+
+def test_text_of_others_on_the_canvas_stays(open_window):
+    person, widget = open_window()
+    text = person.viewer.canvas.overlays.text
+    text.text, text.visible = "patient 7", True
+    widget.start()
+    assert text.text == "patient 7"
+    widget.stop()
+    assert text.visible
+
+
+def test_scripts_paint_without_a_mouse(open_window, settle):
+    person, widget = open_window()
+    assert widget.start()
+    widget.tool = "pin"
+    strokes = (
+        Stroke("move", (((20, 20), (20, 40)),), 4.0, by=(3, 0)),
+        Stroke("pin", (((44, 20), (44, 40)),), 4.0),
+    )
+    widget.drawing = Drawing(strokes)
+    settle(widget)
+    field = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"].displacement
+    assert field[20, 30] == pytest.approx((3, 0), abs=0.02)
+    assert field[44, 30] == pytest.approx((0, 0), abs=0.02)
+    kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]
+    assert Drawing.from_dict(kept) == widget.drawing

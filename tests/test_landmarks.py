@@ -1,0 +1,61 @@
+"""Two Points layers become landmarks."""
+
+import numpy as np
+import pytest
+from napari.layers import Image, Points
+
+from napari_hmrf import ProblemError
+from napari_hmrf.drawing import Landmark
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.landmarks import landmarks_of
+from napari_hmrf.layers.view import View
+
+
+def landmarks(where, should, image=None, view=None, **place):
+    image = image or Image(np.zeros((40, 50)), name="MR")
+    where, should = Points(where, name="is", **place), Points(should, name="ought", **place)
+    frame = Frame.of(image, view)
+    return landmarks_of(where, should, frame, image.data.shape[-2:], 3.0, 0.5)
+
+
+def test_points_are_paired_by_their_order():
+    found = landmarks([[1, 2], [10, 20]], [[3, 4], [11, 22]])
+    assert found == (
+        Landmark((1, 2), (3, 4), 3.0, 0.5),
+        Landmark((10, 20), (11, 22), 3.0, 0.5),
+    )
+
+
+def test_points_count_where_they_lie_in_the_world():
+    image = Image(np.zeros((40, 50)), scale=(0.5, 2), translate=(10, 0), units=("mm", "mm"))
+    (found,) = landmarks([[1.5, 1.0]], [[1.6, 1.0]], image, units=("cm", "cm"))
+    assert found.source == pytest.approx((10, 5))
+    assert found.target == pytest.approx((12, 5))
+
+
+def test_only_the_pairs_of_the_slice_that_is_shown_count():
+    image = Image(np.zeros((5, 40, 50)), name="stack")
+    view = View((1, 2), (3.0, 0.0, 0.0))
+    where, should = [[3, 1, 2], [4, 5, 6]], [[3, 2, 2], [4, 6, 6]]
+    assert landmarks(where, should, image, view) == (Landmark((1, 2), (2, 2), 3.0, 0.5),)
+    on_all = landmarks([[1, 2]], [[2, 2]], image, view)
+    assert on_all == (Landmark((1, 2), (2, 2), 3.0, 0.5),)
+    with pytest.raises(ProblemError, match="'ought' has point 0 on another slice than 'is'"):
+        landmarks([[3, 1, 2]], [[4, 2, 2]], image, view)
+    with pytest.raises(ProblemError, match="no points on this slice"):
+        landmarks([[2, 1, 2]], [[2, 2, 2]], image, view)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # of napari's own thumbnail
+@pytest.mark.parametrize(
+    ("where", "should", "words"),
+    [
+        ([[1, 2]], [[1, 2], [3, 4]], "'ought' has 2 points, but 'is' has 1"),
+        (np.zeros((0, 2)), np.zeros((0, 2)), "'is' has no points"),
+        ([[1, 2], [50, 4]], [[1, 2], [3, 4]], "'is' has point 1 outside the image"),
+        ([[1, 2]], [[np.nan, 2]], "'ought' has NaN or infinity in point 0"),
+    ],
+)
+def test_points_that_make_no_pairs_are_refused_by_name(where, should, words):
+    with pytest.raises(ProblemError, match=words):
+        landmarks(where, should)
