@@ -1,6 +1,10 @@
-"""How many times a second the tissue follows a patch that is dragged, without a window.
+"""How many times a second the tissue follows a patch that is dragged.
 
     python benchmarks/live.py [size ...]
+    python benchmarks/live.py --napari [size ...] [grey] [colour] [stack]
+
+The first without a window, the second in a napari window with *Grab and pull*: see
+`live_window.py`. What other processes took of the machine meanwhile is printed, too.
 
 A hand moves a patch of tissue about for some seconds, as often as a screen is redrawn. Printed are
 the updates of the picture each second, the time from a movement to its picture, and what each stage
@@ -13,13 +17,18 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from napari_hmrf import ElasticPrior, LiveSolver, Problem, phantom
 from napari_hmrf.backends.thread import compute_thread
@@ -34,6 +43,7 @@ STAGES = ("draw", "check", "solve", "warp")
 _SECONDS = 4.0
 _EVENTS = 60.0
 _TURN = 2.0  # seconds in which the hand comes round
+_QUIET = 0.1  # so much of a core others may use
 
 
 class Drag:
@@ -114,8 +124,7 @@ def measure(size: int) -> str:
         pause.wait(max(0.0, events / _EVENTS - (time.perf_counter() - begun)))
     drag.live.wait()
     seconds = time.perf_counter() - begun
-    rate, goal = len(drag.shown) / seconds, GOALS.get(size)
-    asked = f" (asked for: {goal})" if goal else ""
+    rate, asked = len(drag.shown) / seconds, goal_of(size)
     cycles = [update.solution.iterations for update in drag.shown if update.solution]
     lines = [
         f"{size} x {size}: {rate:.1f} updates a second{asked} of {events / seconds:.0f} movements",
@@ -128,17 +137,71 @@ def measure(size: int) -> str:
     return "\n".join(lines)
 
 
+def goal_of(size: int) -> str:
+    """The updates a second that are asked for, in words, if there are any."""
+    return f" (asked for: {GOALS[size]})" if size in GOALS else ""
+
+
 def _spread(seconds: list[float]) -> str:
     low, middle, high = 1e3 * np.percentile(seconds, (0, 50, 95))
     return f"median {middle:6.1f} ms, least {low:6.1f}, 95 % below {high:6.1f}"
 
 
-def main(arguments: list[str]) -> int:
-    """Print the figures of each size; whether the goals were met."""
-    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before")
-    for size in [int(size) for size in arguments] or SIZES:
-        print(measure(size), flush=True)
+def in_window(arguments: list[str]) -> int:
+    """Measure in a napari window, on a virtual display where there is none."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.getenv("WAYLAND_DISPLAY")):
+        if shutil.which("xvfb-run") is None:
+            print("No display, and no xvfb-run to make one: sudo apt-get install xvfb xauth")
+            return 1
+        script = Path(__file__).resolve().parent.parent / "scripts" / "headless.sh"
+        return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])
+    import live_window
+
+    kinds = [kind for kind in live_window.KINDS if kind in arguments] or live_window.KINDS[:1]
+    for size in _sizes(arguments):
+        for kind in kinds:
+            with load():
+                asked = goal_of(size)
+                print(live_window.measure(size, kind, _SECONDS, _spread, asked), flush=True)
     return 0
+
+
+def main(arguments: list[str]) -> int:
+    """Print the figures of each size."""
+    if "--napari" in arguments:
+        return in_window(arguments)
+    for size in _sizes(arguments):
+        with load():
+            print(measure(size), flush=True)
+    return 0
+
+
+def _sizes(arguments: list[str]) -> tuple[int, ...]:
+    return tuple(int(size) for size in arguments if size.isdigit()) or SIZES
+
+
+@contextmanager
+def load() -> Iterator[None]:
+    """Say how many cores others used meanwhile: with that figures are two and three times worse."""
+    others, begun = _others(), time.perf_counter()
+    yield
+    busy = (_others() - others) / (time.perf_counter() - begun)
+    quiet = "" if busy < _QUIET else "; the machine was NOT idle, and the figures are too bad"
+    print(f"    others used {busy:.2f} of {os.cpu_count()} cores{quiet}", flush=True)
+
+
+def _others() -> float:
+    """Seconds of all cores that other processes than ours and its display have used."""
+    times = psutil.cpu_times()
+    total = sum(times) - times.idle - getattr(times, "iowait", 0.0)
+    total -= getattr(times, "guest", 0.0) + getattr(times, "guest_nice", 0.0)
+    ours = sum(psutil.Process().cpu_times()[:2])
+    display = os.environ.get("DISPLAY", "")
+    for process in psutil.process_iter(["name", "cmdline", "cpu_times"]):
+        known = process.info
+        if known["name"] in ("Xvfb", "Xorg") and display in (known["cmdline"] or ()):
+            ours += sum(known["cpu_times"][:2])
+    return float(total - ours)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,326 @@
+"""The same drag as in `live.py`, in a real napari window: what `live.py --napari` measures.
+
+A thread of its own posts events of the mouse to the canvas at the rate of an ordinary mouse, of
+which those the window has not yet come to are replaced by the next one, as Qt does with real ones.
+What is shown is known from the drawing it belongs to; it counts once Qt has put the canvas, painted
+anew, on the screen. Another thread asks the window for an answer every few milliseconds: whatever
+it does not answer meanwhile, it is blocked.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import napari
+import numpy as np
+from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
+from qtpy.QtGui import QMouseEvent
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf import phantom
+from napari_hmrf.drawing import Rendering
+from napari_hmrf.layers.ground import Ground
+from napari_hmrf.warper import Warper
+from napari_hmrf.widgets.grab.arrows import ArrowsLayer
+from napari_hmrf.widgets.grab.live_layers import LiveLayers
+
+#: What the pictures are, beside grey: in colours, or a slice of a stack.
+KINDS = ("grey", "colour", "stack")
+_WINDOW = (1500, 950)
+_MOUSE = 100.0  # events a second
+_ASKING = 0.003  # seconds between questions to the window
+_SHORT = 0.005  # seconds nobody calls a block
+_LEFT = Qt.MouseButton.LeftButton
+_TURN = 2.0
+
+
+class Window:
+    """A window with a picture of tissue, and somebody who drags it."""
+
+    def __init__(self, size: int, kind: str) -> None:
+        self._size = size
+        self.costs: dict[str, list[float]] = defaultdict(list)
+        self.late: list[float] = []
+        self.viewer = napari.Viewer(show=False)
+        drawn = phantom("mass-effect", size)
+        image, m = drawn.image, drawn.problem.m
+        if kind == "colour":
+            image = np.stack([np.uint8(255 * image / image.max())] * 3, axis=-1)
+        elif kind == "stack":
+            image, m = (np.stack([np.zeros_like(each), each, each]) for each in (image, m))
+        self.viewer.add_image(image, name="MR")
+        tissue = self.viewer.add_image(m, name="stiffness", visible=False)
+        if kind == "stack":
+            self.viewer.dims.set_current_step(0, 1)
+        _, self._widget = self.viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+        # The window as it is for somebody who has just opened it.
+        self.viewer.window.resize(*_WINDOW)
+        self.viewer.show()
+        self._widget.tissue = tissue
+        self._canvas: Any = self.viewer.window._qt_viewer.canvas
+        self._native = self._canvas.native
+        self.viewer.mouse_over_canvas = True
+        self.wait(1.0)
+        self.viewer.reset_view()
+        self._moved: dict[int, tuple[object, float]] = {}
+        self._event_time = 0.0
+        self._seen: object = None
+        self._composing = 0.0
+
+    @property
+    def canvas_size(self) -> tuple[int, int]:
+        """Width and height of what is drawn, in pixels."""
+        return self._native.width(), self._native.height()
+
+    def drag(self, seconds: float) -> tuple[float, int, list[float], list[float]]:
+        """Drag for some time.
+
+        Returns
+        -------
+        seconds : float
+            It took.
+        events : int
+            Movements of the mouse.
+        waits : list of float
+            How long the window let those wait who asked it something, in seconds.
+        blocks : list of float
+            The times at a stretch in which it answered nothing.
+        """
+        self.start()
+        self._widget.seen.connect(self._on_seen)
+        self._widget.history.changed.connect(self._on_drawing)
+        self._native.frameSwapped.connect(self._on_swapped)
+        self._native.aboutToCompose.connect(self._on_compose)
+        mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
+        questions = _Poster(lambda asked: None, _ASKING)
+        with self._timed():
+            self._press()
+            self.wait(0.5)
+            self._clear()
+            begun = self._begun = time.perf_counter()
+            mouse.start()
+            questions.start()
+            self.wait(seconds)
+            mouse.stop()
+            questions.stop()
+            took = time.perf_counter() - begun
+            self._send(QEvent.Type.MouseButtonRelease, self._place(took), _LEFT)
+            self.settle()
+        return took, mouse.posted, questions.waits, questions.blocks
+
+    def start(self) -> None:
+        """Begin to pull, as the button does, and wait for what has to be compiled."""
+        self._widget.start()
+        self.settle()
+
+    def first(self) -> float:
+        """The seconds from the first press to the first picture of what moved."""
+        self._press()
+        begun, seen = time.perf_counter(), []
+        self._widget.seen.connect(seen.append)
+        self._send(QEvent.Type.MouseMove, self._place(0.1), _LEFT)
+        while not seen:
+            QApplication.processEvents()
+        took = time.perf_counter() - begun
+        self._widget.seen.disconnect(seen.append)
+        self._send(QEvent.Type.MouseButtonRelease, self._place(0.1), _LEFT)
+        self.settle()
+        self._widget.undo()
+        self.settle()
+        return took
+
+    def settle(self) -> None:
+        """Wait until nothing is on its way."""
+        self.wait(0.3)
+        while self._widget.busy:
+            self.wait(0.1)
+
+    def wait(self, seconds: float) -> None:
+        """Let the window do what it does, its event loop as in real life."""
+        loop = QEventLoop()
+        QTimer.singleShot(round(1000 * seconds), loop.quit)
+        loop.exec()
+
+    def close(self) -> None:
+        """Close the window."""
+        self.viewer.close()
+
+    def _press(self) -> None:
+        self._send(QEvent.Type.MouseButtonPress, self._place(0.0), _LEFT)
+
+    def _clear(self) -> None:
+        for kept in (*self.costs.values(), self.late):
+            kept.clear()
+        self._seen = None
+
+    def _place(self, seconds: float) -> tuple[float, float]:
+        """Where the hand is: a patch is led in a circle, as in `live.py`."""
+        angle, reach = 2 * math.pi * seconds / _TURN, 0.03 * self._size
+        at = (0.5 * self._size, 0.3 * self._size)
+        return at[0] + reach * math.sin(angle), at[1] + reach * (1 - math.cos(angle))
+
+    def _send(self, kind: QEvent.Type, place: tuple[float, float], button: Any) -> None:
+        view = self._canvas.view
+        x, y = (view.transform * view.scene.transform).map(place[::-1])[:2]
+        there = QPoint(round(x), round(y))
+        pressed = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseButtonRelease else button
+        changed = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else button
+        event = QMouseEvent(
+            kind, QPointF(there), QPointF(self._native.mapToGlobal(there)), changed, pressed,
+            Qt.KeyboardModifier.NoModifier,
+        )  # fmt: skip
+        QApplication.sendEvent(self._native, event)
+
+    def _on_mouse(self, moved: float) -> None:
+        self._event_time = moved
+        self._send(QEvent.Type.MouseMove, self._place(moved - self._begun), _LEFT)
+
+    def _on_drawing(self, drawing: object) -> None:
+        self._moved[id(drawing)] = (drawing, self._event_time)
+
+    def _on_seen(self, seen: Any) -> None:
+        self._seen = seen.drawing
+
+    def _on_compose(self) -> None:
+        self._composing = time.perf_counter()
+
+    def _on_swapped(self) -> None:
+        now = time.perf_counter()
+        if self._composing:
+            self.costs["window put together"].append(now - self._composing)
+        known = self._moved.pop(id(self._seen), None)
+        self._seen = None
+        if known is not None:
+            self.late.append(now - known[1])
+
+    @contextmanager
+    def _timed(self) -> Iterator[None]:
+        """Have the clock run beside what happens."""
+        wrapped = [
+            (Rendering, "show", "drawing"),
+            (Ground, "problem", "problem"),
+            (Warper, "__call__", "warp"),
+            (LiveLayers, "show", "image layer"),
+            (ArrowsLayer, "show", "arrows layer"),
+            (type(self._native), "paintGL", "canvas drawn"),
+        ]
+        before = [(owner, name, getattr(owner, name)) for owner, name, _ in wrapped]
+        for owner, name, stage in wrapped:
+            setattr(owner, name, self._clocked(getattr(owner, name), stage))
+        solved = self._widget.seen.connect(self._on_solved)
+        try:
+            yield
+        finally:
+            self._widget.seen.disconnect(solved)
+            for owner, name, method in before:
+                setattr(owner, name, method)
+
+    def _clocked(self, method: Callable[..., Any], stage: str) -> Callable[..., Any]:
+        def clocked(*arguments: Any, **named: Any) -> Any:
+            begun = time.perf_counter()
+            try:
+                return method(*arguments, **named)
+            finally:
+                self.costs[stage].append(time.perf_counter() - begun)
+
+        return clocked
+
+    def _on_solved(self, seen: Any) -> None:
+        if seen.solution is not None and seen.outputs is None:
+            self.costs["solve"].append(seen.solution.provenance.seconds)
+
+
+class _Poster(QObject):
+    """Posts to the window's thread at a steady rate, from a thread of its own.
+
+    Parameters
+    ----------
+    answer : callable
+        Called on the window's thread with the time of what was posted.
+    pause : float
+        Seconds between posts.
+    compress : bool
+        Whether what has not been come to is replaced by what follows, or is answered too.
+    """
+
+    _KIND = QEvent.Type(QEvent.registerEventType())
+
+    def __init__(
+        self, answer: Callable[[float], None], pause: float, compress: bool = False
+    ) -> None:
+        super().__init__()
+        self._answer, self._pause, self._compress = answer, pause, compress
+        self._lock = threading.Lock()
+        self._waiting: list[float] = []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self.posted = 0
+        self.waits: list[float] = []
+        self.blocks: list[float] = []
+
+    def start(self) -> None:
+        """Begin to post."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Post no more."""
+        self._over.set()
+        self._thread.join()
+
+    def customEvent(self, event: QEvent) -> None:
+        """Answer what waits."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        now = time.perf_counter()
+        self.waits += [now - posted for posted in waiting]
+        if now - waiting[0] > _SHORT:
+            self.blocks.append(now - waiting[0])
+        self._answer(waiting[-1])
+
+    def _run(self) -> None:
+        begun = time.perf_counter()
+        while not self._over.wait(
+            max(0.0, (self.posted + 1) * self._pause - (time.perf_counter() - begun))
+        ):
+            self.posted += 1
+            with self._lock:
+                told = bool(self._waiting)
+                now = time.perf_counter()
+                self._waiting = [now] if self._compress else [*self._waiting, now]
+            if not told:
+                QApplication.postEvent(self, QEvent(self._KIND))
+
+
+def measure(
+    size: int, kind: str, seconds: float, spread: Callable[[list[float]], str], asked: str = ""
+) -> str:
+    """Drag in a window for some seconds; what is to be printed."""
+    window = Window(size, kind)
+    window.start()
+    first = window.first()
+    took, events, waits, blocks = window.drag(seconds)
+    rate = len(window.late) / took
+    width, height = window.canvas_size
+    title = f"{size} x {size} in napari, {kind}: {rate:.1f} updates a second{asked} of "
+    lines = [
+        f"{title}{events / took:.0f} movements, on a canvas of {width} x {height}",
+        f"    from movement to the screen: {spread(window.late)}",
+        f"    window blocked {len(blocks)} times: {spread(blocks or [0.0])}",
+        f"    a click waits:        {spread(waits)}",
+        *(
+            f"    {stage:20}{spread(costs)}, {len(costs) / took:5.1f} / s"
+            for stage, costs in window.costs.items()
+            if costs
+        ),
+        f"    first picture: {1e3 * first:.0f} ms",
+    ]
+    window.close()
+    return "\n".join(lines)
