@@ -22,6 +22,7 @@ from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
 from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.results import ResultLayers
+from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import CANCELLED, MAKE, PAINT, READY, WELCOME, refusal
 from napari_hmrf.widgets.words import details as details_of
@@ -54,6 +55,7 @@ class DeformTissue(Chooser):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._life = Life(self.native, self._on_closed)
+        Tabs(self)
         self._docked = False
         self._request: Request | None = None
         self._status = ""

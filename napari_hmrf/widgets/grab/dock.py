@@ -19,6 +19,7 @@ from napari_hmrf.widgets.grab.toolbox import Toolbox
 from napari_hmrf.widgets.grab.watch import GrabWatch, timer
 from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
 from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.words import WELCOME
 
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
@@ -51,6 +52,7 @@ class GrabAndPull(Container):
         self.form = GrabForm(lambda: list(self._viewer.layers))
         super().__init__(widgets=[self.form], labels=False)
         self._life = Life(self.native, self._on_closed)
+        Tabs(self)
         self._docked = self._started = self._sized = False
         self._status = ""
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)

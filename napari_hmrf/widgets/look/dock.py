@@ -17,6 +17,7 @@ from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
 from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
+from napari_hmrf.widgets.tabs import Tabs
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
 #: How long a result has to stand still before it is looked at anew, in milliseconds.
@@ -53,6 +54,7 @@ class LookAtResult(LookControls):
         self._followed: Any = None
         self._events: list[tuple[Any, Any]] = []
         self._life = Life(self.native, self._on_closed)
+        Tabs(self)
         self._connect()
         self._on_theme()
         self._choose_newest()

@@ -1,0 +1,82 @@
+"""What napari's command palette (Ctrl+Shift+P) can do with our docks."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import napari
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.widgets.grab.dock import GrabAndPull
+from napari_hmrf.widgets.look.dock import LookAtResult
+
+_Dock = TypeVar("_Dock", DeformTissue, GrabAndPull, LookAtResult)
+#: As napari's menu names them, so that it finds them open.
+_TITLES: dict[type[Any], str] = {
+    DeformTissue: "Deform tissue (HMRF soft tissue)",
+    GrabAndPull: "Grab and pull (HMRF soft tissue)",
+    LookAtResult: "Look at the result (HMRF soft tissue)",
+}
+
+
+def dock(kind: type[_Dock], viewer: Any = None) -> _Dock:
+    """One of our docks, in sight; opened if there is none of its kind yet.
+
+    Parameters
+    ----------
+    kind : type
+        `DeformTissue`, `GrabAndPull` or `LookAtResult`.
+    viewer : napari.Viewer, optional
+        The one that is used now, if not given.
+
+    Raises
+    ------
+    HmrfError
+        If there is no window.
+    """
+    viewer = napari.current_viewer() if viewer is None else viewer
+    if viewer is None:
+        raise HmrfError("There is no napari window open: start napari first.")
+    found = next((each for each in viewer.window.dock_widgets.values() if type(each) is kind), None)
+    if found is None:
+        found = kind(viewer)
+        viewer.window.add_dock_widget(found, name=_TITLES[kind])
+    frame = found.native.parent()
+    frame.show()
+    frame.raise_()
+    return found
+
+
+def deform_now() -> None:
+    """Press Deform."""
+    dock(DeformTissue).deform()
+
+
+def grab_and_pull() -> None:
+    """Have the mouse pull tissue, or move the view again."""
+    grab = dock(GrabAndPull)
+    if grab.active:
+        grab.stop()
+    else:
+        grab.tool = "pull"
+        grab.start()
+
+
+def undo() -> None:
+    """Take back what was drawn last."""
+    dock(GrabAndPull).undo()
+
+
+def redo() -> None:
+    """Do again what was taken back."""
+    dock(GrabAndPull).redo()
+
+
+def play() -> None:
+    """Play the deformation back and forth, or stop."""
+    look = dock(LookAtResult)
+    if look.playing:
+        look.stop()
+    else:
+        look.play()

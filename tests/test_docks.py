@@ -1,0 +1,150 @@
+"""Our docks share a place in the window, and napari's menus and command palette find them."""
+
+import numpy as np
+import pytest
+from npe2 import PluginManifest
+from qtpy.QtWidgets import QApplication, QDockWidget
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.widgets.commands import dock
+from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.widgets.grab.dock import GrabAndPull
+from napari_hmrf.widgets.look.dock import LookAtResult
+
+KINDS = [DeformTissue, GrabAndPull, LookAtResult]
+#: Of a small screen, what the bars of the desktop and of the window leave.
+ROOM = (1366, 700)
+#: What napari calls with a path, not without one.
+WITH_A_FILE = ("napari-hmrf.open", "napari-hmrf.save")
+COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.commands
+
+
+@pytest.fixture
+def choose(qtbot):
+    """Choose a command in a menu or in the command palette."""
+    from napari._app_model import get_app_model
+
+    def chosen(name):
+        get_app_model().commands.execute_command(f"napari-hmrf.{name}").result()
+        qtbot.wait(50)
+
+    return chosen
+
+
+@pytest.fixture
+def window(make_napari_viewer, qtbot):
+    """A window on a small screen, with an image."""
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(*ROOM)
+    viewer.add_image(np.full((40, 40), 100, np.uint8), name="MR")
+    qtbot.wait(50)
+    return viewer.window
+
+
+def in_front(window):
+    """The docks of ours of which something is seen."""
+    return [
+        type(inner)
+        for inner in window.dock_widgets.values()
+        if type(inner) in KINDS
+        and frame_of(inner).isVisible()
+        and not frame_of(inner).visibleRegion().isEmpty()
+    ]
+
+
+def frame_of(inner):
+    frame = inner.native.parent()
+    assert isinstance(frame, QDockWidget)
+    return frame
+
+
+def test_docks_are_tabs_in_one_place_and_the_newest_is_in_front(window, choose):
+    for name, kind in zip(("deform", "grab", "look"), KINDS, strict=True):
+        choose(name)
+        assert in_front(window) == [kind]
+    main = window._qt_window
+    first = frame_of(dock(DeformTissue))
+    assert len(main.tabifiedDockWidgets(first)) == 2
+
+
+def test_all_docks_fit_on_a_small_screen(window, choose):
+    for name in ("deform", "grab", "look"):
+        choose(name)
+    for kind in KINDS:
+        dock(kind)
+        QApplication.processEvents()
+        assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
+    assert (window._qt_window.width(), window._qt_window.height()) == ROOM
+
+
+def test_a_tab_behind_comes_to_the_front_when_the_menu_chooses_it(window, choose):
+    for name in ("deform", "grab", "deform"):
+        choose(name)
+    assert in_front(window) == [DeformTissue]
+    choose("deform")
+    assert in_front(window) == [GrabAndPull], "what is seen is hidden, as napari does"
+    choose("deform")
+    assert in_front(window) == [DeformTissue], "and comes back in front"
+
+
+def test_a_dock_that_was_put_elsewhere_stays_there(window, choose):
+    choose("deform")
+    frame_of(dock(DeformTissue)).setFloating(True)
+    choose("grab")
+    assert set(in_front(window)) == {DeformTissue, GrabAndPull}
+    assert not window._qt_window.tabifiedDockWidgets(frame_of(dock(GrabAndPull)))
+
+
+def test_a_closed_dock_can_be_opened_again(window, choose, qtbot):
+    choose("deform")
+    choose("grab")
+    window.remove_dock_widget(frame_of(dock(GrabAndPull)))
+    qtbot.wait(50)
+    assert in_front(window) == [DeformTissue]
+    choose("grab")
+    assert in_front(window) == [GrabAndPull]
+
+
+@pytest.mark.parametrize("name", [each.id for each in COMMANDS if each.id not in WITH_A_FILE])
+def test_each_command_runs_in_a_window(window, choose, name, qtbot):
+    samples = {"sample_mass_effect": "mass-effect"}
+    word = name.removeprefix("napari-hmrf.")
+    choose(samples.get(word, word.removeprefix("sample_")))
+    for inner in window.dock_widgets.values():
+        if isinstance(inner, GrabAndPull):
+            qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=240_000)
+
+
+def test_commands_do_what_they_say(window, choose, qtbot):
+    choose("grab_now")
+    grab = dock(GrabAndPull)
+    assert grab.active
+    qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)
+    grab.clear()
+    choose("grab_now")
+    assert not grab.active
+    assert in_front(window) == [GrabAndPull]
+    choose("deform_now")
+    assert "tissue" in dock(DeformTissue).status
+
+
+def test_the_palette_offers_each_command_that_needs_no_file(window):
+    from napari._app_model import get_app_model
+
+    app = get_app_model()
+    offered = {
+        item.command.id: item.command
+        for item in app.menus.get_menu(app.menus.COMMAND_PALETTE_ID)
+        if item.command.id.startswith("napari-hmrf.")
+    }
+    for each in COMMANDS:
+        if "sample" in each.id:
+            continue
+        enabled = offered[each.id].enablement
+        assert (enabled is None or enabled.eval({})) == (each.id not in WITH_A_FILE)
+
+
+def test_without_a_window_a_command_says_so(monkeypatch):
+    monkeypatch.setattr("napari.current_viewer", lambda: None)
+    with pytest.raises(HmrfError, match="no napari window"):
+        dock(DeformTissue)
