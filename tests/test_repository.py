@@ -185,9 +185,9 @@ def test_the_readme_names_the_menus_as_napari_does():
     yaml = pytest.importorskip("yaml")
     manifest = yaml.safe_load((PACKAGE / "napari.yaml").read_text(encoding="utf-8"))
     plugin, what = manifest["display_name"], manifest["contributions"]
-    widget = what["widgets"][0]
     menus = " ".join(" ".join(re.findall(r"\*\*([^*]+ > [^*]+)\*\*", read("README.md"))).split())
-    assert f"Plugins > {widget['display_name']} ({plugin})" in menus
+    for widget in what["widgets"]:
+        assert f"Plugins > {plugin} > {widget['display_name']} ({plugin})" in menus
     opened = re.findall(r"File > Open Sample > ([^>]+) > (.+?)(?= File| Plugins|$)", menus)
     assert opened
     for name, sample in opened:

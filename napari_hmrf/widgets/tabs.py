@@ -1,4 +1,4 @@
-"""Docks of ours lie behind each other as tabs, the newest in front, and do not squeeze each other."""
+"""Docks of ours lie behind each other as tabs, the newest in front, and squeeze nothing."""
 
 from __future__ import annotations
 
