@@ -13,7 +13,7 @@ Such a *barrier* is found by the same iteration, to a coarse tolerance, and prov
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from napari_hmrf.optimizers.krylov import StabilisedGradients, Step
 from napari_hmrf.priors import SeilerPrior
 from napari_hmrf.problem import Problem
 
-if TYPE_CHECKING:
-    from napari_hmrf.optimizers.multigrid import Multigrid
-
 # How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
 _BARRIER = 0.5
 _BARRIER_AIM = 0.4
@@ -41,18 +38,19 @@ _TINY = 1e-300
 
 
 def converge(
-    settings: Multigrid,
+    tolerance: float,
+    max_iterations: int,
     problem: Problem,
     prior: SeilerPrior,
     backend: Backend[Any],
     report: Report,
     start: FloatArray | None,
 ) -> Outcome:
-    """Solve; lengths are in pixels."""
+    """Solve to a tolerance in so many cycles for each set of states; lengths are in pixels."""
     d, observed = host.prescribed(problem)
     y = d.copy()
     model = backend.seiler_model(prior.material(problem))
-    refinement = _Refinement(settings, model, report)
+    refinement = _Refinement(tolerance, max_iterations, model, report)
     try:
         steep = model.steepness
         force = host.planes(prior.limit(problem))
@@ -66,7 +64,7 @@ def converge(
             states.place(d)
             model.hold(states.held)
             refinement.run(d, states.load if states.any_slip else None)
-            changed = states.exchange(d, model.pull(d), settings.tolerance / 2)
+            changed = states.exchange(d, model.pull(d), tolerance / 2)
         energy, forces = model.work(d)
     except ConvergenceError:
         model.forget()
@@ -131,9 +129,11 @@ class _Refinement:
         The norm of the residual, in double precision.
     """
 
-    def __init__(self, settings: Multigrid, model: Any, report: Report) -> None:
-        self._settings, self._report = settings, report
-        self._model: LinearModel = model
+    def __init__(
+        self, tolerance: float, max_iterations: int, model: LinearModel, report: Report
+    ) -> None:
+        self._tolerance, self._max_iterations, self._report = tolerance, max_iterations, report
+        self._model = model
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
         self.cycles = 0
@@ -145,7 +145,7 @@ class _Refinement:
         """Move `d` in place to where each site is at q plus its load, to the tolerance."""
         self._begun = self.cycles
         reach = self._reach(d.shape)
-        tolerance = self._settings.tolerance
+        tolerance = self._tolerance
 
         def enough(step: Step, scale: float) -> bool:
             self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
@@ -191,14 +191,14 @@ class _Refinement:
         done = 0.0
         if math.isfinite(estimate):
             self._first = self._first or estimate
-            done = part_done(self._first, estimate, self._settings.tolerance)
+            done = part_done(self._first, estimate, self._tolerance)
         self._report(Monitor(f"cycle {self.cycles}, {message}", done))
-        if self.cycles - self._begun > self._settings.max_iterations:
+        if self.cycles - self._begun > self._max_iterations:
             self._give_up()
 
     def _give_up(self) -> None:
         raise ConvergenceError(
-            f"the field is not sure to be within {self._settings.tolerance:g} px of converged "
+            f"the field is not sure to be within {self._tolerance:g} px of converged "
             f"after {self.cycles} cycles. Raise max_iterations, or bring the softest and the "
             "stiffest tissue closer together"
         )

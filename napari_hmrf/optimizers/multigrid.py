@@ -82,7 +82,9 @@ class Multigrid:
     ) -> Outcome:
         """Solve; lengths are in pixels from here on."""
         if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
-            return centred.converge(self, problem, prior, backend, report, start)
+            return centred.converge(
+                self.tolerance, self.max_iterations, problem, prior, backend, report, start
+            )
         limit = prior.limit(problem)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
