@@ -49,6 +49,8 @@ class Answers:
             puller.said.emit(HALF)
         if puller.tool.is_brush:
             puller.display.touch(hand, point, first=True)
+        elif hand.holding:
+            puller.display.arrows.hide_circle()
         puller.draw()
         return taken
 

@@ -15,6 +15,7 @@ from napari_hmrf.layers.drawn import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.widgets.grab.keys import Listener, bind_keys
+from napari_hmrf.widgets.grab.quick import Hush, overwrite, spare_compiling
 from napari_hmrf.widgets.results import same_selection
 
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
@@ -37,7 +38,8 @@ class ArrowsLayer:
         self._told = told
         self._layer: Any = None
         self._frame: Frame | None = None
-        self._panning = False
+        self._panning = self._circle_hidden = False
+        self._hush = Hush(viewer)
         self._radius = 1.0
         self._does = HELP
         #: Counts drags: one that was ended from elsewhere does not go on.
@@ -67,6 +69,7 @@ class ArrowsLayer:
             self.remove()
             self._layer = self._make(frame, shape)
             self._viewer.add_layer(self._layer)
+            spare_compiling(self._viewer, self._layer)
         self.place(frame, shape)
         layers = self._viewer.layers
         layers.move(layers.index(self._layer), len(layers))
@@ -86,6 +89,7 @@ class ArrowsLayer:
             self._layer = self._make(frame, shape)
             with same_selection(self._viewer):
                 self._viewer.add_layer(self._layer)
+            spare_compiling(self._viewer, self._layer)
             if active:
                 self._viewer.layers.selection = {self._layer}
             self._equip(self._layer)
@@ -100,8 +104,12 @@ class ArrowsLayer:
         selected: int | None,
         pending: Point | None = None,
         more: Lines | None = None,
+        quick: bool = False,
     ) -> None:
-        """Draw the arrows, where the first click of a pair was, and more lines below them."""
+        """Draw the arrows, where the first click of a pair was, and more lines below them.
+
+        With `quick` more will follow soon, and only the canvas counts.
+        """
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
@@ -109,9 +117,13 @@ class ArrowsLayer:
         if more is not None:
             lines = np.concatenate([more[0], lines])
             colours = np.concatenate([more[1], colours])
-        layer.data = frame.put_vectors(lines)
+        placed = frame.put_vectors(lines)
+        same = np.array_equal(layer.edge_color, colours)
+        if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
+            return
+        layer.data = placed
         # Of a drag only the first move changes colours; to set them takes as long as the lines.
-        if len(lines) and not np.array_equal(layer.edge_color, colours):
+        if len(lines) and not same:
             layer.edge_color = colours
 
     def keep(self, drawing: Drawing) -> None:
@@ -140,9 +152,22 @@ class ArrowsLayer:
         if self.layer is not None:
             self._equip(self._layer)
 
+    def hide_circle(self) -> None:
+        """Show no circle around the pointer until the drag is over.
+
+        napari paints the whole canvas for every step of it; and what is held has an outline.
+        """
+        if self.layer is not None:
+            self._layer.cursor = "pointing"
+            self._circle_hidden = True
+
     def end_drag(self) -> None:
         """Whatever drag goes on is over."""
         self._drag += 1
+        self._hush.end()
+        if self._circle_hidden:
+            self._circle_hidden = False
+            self.show_radius(self._radius)
 
     def remove(self) -> None:
         """Take the layer out of the viewer."""
@@ -227,6 +252,7 @@ class ArrowsLayer:
             return
         self._drag += 1
         mine = self._drag
+        self._hush.begin()
         yield
         # The release is a move, too: vispy drops moves that follow another closely.
         while True:

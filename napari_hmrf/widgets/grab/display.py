@@ -71,7 +71,8 @@ class Display:
         self.seen = seen
         with self.own_doing():
             if seen.solution is not None or self._live.picture is not None:
-                self._live.show(seen, self._image)
+                quick = hand.holding and seen.outputs is None
+                self._live.show(seen, self._image, quick)
             self.show_painted(seen, hand)
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
@@ -108,7 +109,7 @@ class Display:
         if parts:
             lines, colours = zip(*parts, strict=True)
             more = np.concatenate(lines), np.concatenate(colours)
-        self.arrows.show(drawing, hand.selected, hand.pending, more)
+        self.arrows.show(drawing, hand.selected, hand.pending, more, quick=hand.holding)
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""

@@ -24,6 +24,7 @@ from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Solution
 from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.grab.newest import Newest
+from napari_hmrf.widgets.grab.repainted import Repainted
 
 _log = logging.getLogger("napari_hmrf")
 
@@ -61,8 +62,6 @@ class Seen:
         The arrows of the displacement, and the folds; only once a drawing has come to rest.
     painted : Painted, optional
         What brushes have painted; None if nothing.
-    number : int
-        Of the edit that this answers, as `Follower.number` counts them.
     """
 
     ground: Ground
@@ -72,7 +71,6 @@ class Seen:
     error: Exception | None = None
     outputs: Outputs | None = None
     painted: Painted | None = None
-    number: int = 0
 
     @classmethod
     def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:
@@ -119,6 +117,10 @@ class Seen:
 class Follower:
     """Has the tissue of a ground follow a drawing.
 
+    A drawing is solved for once the answer to the one before is painted, and then only the newest:
+    where the processor paints, too, the two would take its cores from each other, and what is shown
+    would be older for it.
+
     Parameters
     ----------
     show : callable
@@ -126,10 +128,15 @@ class Follower:
     """
 
     def __init__(self, show: Callable[[Seen], None]) -> None:
-        self._newest = Newest(show)
+        self._show = show
+        self._newest = Newest(self._on_newest)
+        self._repainted = Repainted(self._on_repainted)
         self._scene: _Scene | None = None
-        #: Of the last edit that was followed.
-        self.number = 0
+        # Whether what was submitted is not painted yet, and the newest drawing that waits for that.
+        self._behind = False
+        self._next: Drawing | None = None
+        #: What is to be seen instead of all that is still on its way.
+        self._still: Seen | None = None
 
     @property
     def ground(self) -> Ground | None:
@@ -141,6 +148,7 @@ class Follower:
         if self._scene is not None:
             self._scene.live.close()
         self._newest.forget()
+        self._behind, self._next, self._still = False, None, None
         self._scene = None if ground is None else _Scene(ground, self._newest)
 
     def follow(self, drawing: Drawing) -> None:
@@ -150,11 +158,14 @@ class Follower:
             return
         # Without a mark nothing moves, and still that is solved where it can be: what has to be
         # compiled then is when the first one is drawn.
-        if drawing.marks or scene.ground.base.c.any():
-            self.number = scene.live.submit(lambda: scene.problem(drawing))
-        else:
+        if not drawing.marks and not scene.ground.base.c.any():
             scene.live.forget()
-            self._newest.put(Seen.still(scene.ground))
+            self._next, self._still = None, Seen.still(scene.ground)
+            self._newest.put(self._still)
+        elif self._behind:
+            self._next = drawing
+        else:
+            self._submit(scene, drawing)
 
     def complete(self) -> None:
         """Have what takes longer made of the latest result, unless there is a newer one then."""
@@ -167,12 +178,33 @@ class Follower:
     def busy(self) -> bool:
         """Whether an answer is still to come."""
         scene = self._scene
-        return scene is not None and (scene.live.busy or scene.done < scene.asked)
+        if scene is None:
+            return False
+        return self._behind or scene.live.busy or scene.done < scene.asked
 
     def release(self) -> None:
         """Follow nothing any more."""
         self.stand_on(None)
         self._newest.release()
+        self._repainted.release()
+
+    def _submit(self, scene: _Scene, drawing: Drawing) -> None:
+        self._behind, self._next, self._still = True, None, None
+        scene.live.submit(lambda: scene.problem(drawing))
+
+    def _on_newest(self, seen: Seen) -> None:
+        # A delivery that had begun may come after all was taken back.
+        seen = seen if self._still is None else self._still
+        # What was wrong with an edit that has been replaced is put right by now, or said again.
+        if seen.error is None or self._next is None:
+            self._show(seen)
+        if seen.outputs is None:
+            self._repainted.ask()
+
+    def _on_repainted(self) -> None:
+        self._behind = False
+        if self._next is not None and self._scene is not None:
+            self._submit(self._scene, self._next)
 
 
 class _Scene:
@@ -204,19 +236,23 @@ class _Scene:
         return self.ground.problem(canvas, any(stroke.action == "tissue" for stroke in strokes))
 
     def _deliver(self, update: Update) -> None:
-        seen = self._seen
-        drawing = seen.drawing if self._rendering is None else self._rendering.drawing
-        if update.solution is None:
-            painted = self._moved(seen.solution)[1]
-            refused = replace(seen, error=update.error, outputs=None, number=update.number)
-            self._newest.put(replace(refused, painted=painted))
-            return
-        moved, painted = self._moved(update.solution)
+        error = update.error
+        if update.solution is not None:
+            try:
+                self._newest.put(self._next_seen(update.solution))
+                return
+            except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
+                _log.exception("the picture could not be moved")
+                error = failure
+        painted = self._moved(self._seen.solution)[1]
+        self._newest.put(replace(self._seen, error=error, outputs=None, painted=painted))
+
+    def _next_seen(self, solution: Solution) -> Seen:
+        drawing = self._seen.drawing if self._rendering is None else self._rendering.drawing
+        moved, painted = self._moved(solution)
         assert moved is not None
-        self._seen = Seen(
-            self.ground, drawing, moved, update.solution, None, None, painted, update.number
-        )
-        self._newest.put(self._seen)
+        self._seen = Seen(self.ground, drawing, moved, solution, painted=painted)
+        return self._seen
 
     def _moved(self, solution: Solution | None) -> tuple[npt.NDArray[Any] | None, Painted | None]:
         """The picture, and what is painted, where a solution takes them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from napari.layers import Layer
 
 from napari_hmrf.layers.frame import Frame
@@ -11,6 +12,7 @@ from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.widgets.grab.follow import Seen
+from napari_hmrf.widgets.grab.quick import overwrite
 from napari_hmrf.widgets.results import same_selection, update_layer
 
 PICTURE, ARROWS = "Deformed image", "Displacement"
@@ -32,6 +34,8 @@ class LiveLayers:
         self._arrows: Any = None
         self._frame: Frame | None = None
         self._hidden = False
+        #: What the picture's layer shows, if nobody else holds it.
+        self._own: Any = None
 
     @property
     def picture(self) -> Any:
@@ -43,7 +47,7 @@ class LiveLayers:
         """The *Displacement*, if there is one in the viewer."""
         return self._there(self._arrows)
 
-    def show(self, seen: Seen, image: Any) -> None:
+    def show(self, seen: Seen, image: Any, quick: bool = False) -> None:
         """Bring the layers up to date.
 
         Parameters
@@ -51,8 +55,10 @@ class LiveLayers:
         seen : Seen
         image : napari.layers.Image
             What is deformed.
+        quick : bool
+            Whether more will follow soon, and only the canvas counts.
         """
-        self._show_picture(seen, image)
+        self._show_picture(seen, image, quick)
         if seen.outputs is not None:
             made = seen.outputs.layers["arrows"]
             made.attributes["name"] = ARROWS
@@ -72,13 +78,16 @@ class LiveLayers:
         if layer is not None and layer.visible:
             layer.visible, self._hidden = False, True
 
-    def _show_picture(self, seen: Seen, image: Any) -> None:
+    def _show_picture(self, seen: Seen, image: Any, quick: bool) -> None:
         frame, layer = seen.ground.frame, self.picture
         data = frame.put_image(seen.picture)
         rgb = seen.picture.ndim == 3
         if layer is not None and (layer.ndim, layer.rgb) == (frame.ndim, rgb):
             if frame == self._frame:
-                layer.data = data
+                # Whoever takes the layer's data is told of others, and may write to them.
+                if quick and layer.data is self._own and overwrite(self._viewer, layer, data):
+                    return
+                layer.data = self._own = np.array(data) if quick else data
             else:
                 update_layer(layer, LayerData(data, self._attributes(seen.ground, rgb), "image"))
         else:

@@ -18,9 +18,13 @@ from napari_hmrf.widgets.grab.follow import Follower, Seen
 from napari_hmrf.widgets.grab.hands import Hands
 from napari_hmrf.widgets.grab.histories import Histories
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
+from napari_hmrf.widgets.grab.watch import timer
 from napari_hmrf.widgets.grab.words import OFF, OPEN
 from napari_hmrf.widgets.words import COMPILING, refusal
 
+#: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
+#: if that takes longer than so many milliseconds, they go ahead.
+_AHEAD = 100
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
 
@@ -64,6 +68,7 @@ class Puller:
         self.answers = Answers(self)
         self.display = Display(viewer, self.answers)
         self.follower = Follower(self._on_seen)
+        self._drawing_waits = timer(None, _AHEAD, self.draw)
         self._image: Any = None
         self._working = self._warned = self._in_error = False
         self._histories = Histories()
@@ -151,6 +156,7 @@ class Puller:
 
     def draw(self) -> None:
         """Show what is drawn as it is."""
+        self._drawing_waits.stop()
         self.display.draw(self.history.drawing, self.hand)
         self.changed.emit()
 
@@ -170,6 +176,7 @@ class Puller:
 
     def end(self) -> None:
         """Pull nothing any more."""
+        self._drawing_waits.stop()
         self.display.arrows.release()
         self.follower.release()
 
@@ -177,7 +184,10 @@ class Puller:
 
     def _on_changed(self, drawing: Drawing) -> None:
         self.follower.follow(drawing)
-        self.draw()
+        if not self.hand.holding:
+            self.draw()
+        elif not self._drawing_waits.isActive():
+            self._drawing_waits.start()
 
     def _on_seen(self, seen: Seen) -> None:
         if seen.ground is not self.ground or self._image is None:
@@ -189,7 +199,9 @@ class Puller:
         before = self.display.seen
         self.display.show(seen, self.hand)
         painted = seen.painted or (None if before is None else before.painted)
-        if painted is not None:  # its marks are those of what is seen
+        if self._drawing_waits.isActive():
+            self.draw()
+        elif painted is not None:  # its marks are those of what is seen
             self.display.draw(self.history.drawing, self.hand)
         if first or self._in_error:
             self._in_error = False
@@ -200,8 +212,6 @@ class Puller:
 
     def _on_error(self, seen: Seen) -> None:
         assert seen.error is not None
-        if seen.number != self.follower.number:  # it is put right by now, or said again
-            return
         self._in_error = True
         hand = self.hand
         if hand.holding and isinstance(hand.mark, Stroke):

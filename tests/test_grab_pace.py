@@ -1,0 +1,215 @@
+"""Tissue that is dragged: what is shown is the newest, and the window waits for nothing."""
+
+import threading
+
+import numpy as np
+import pytest
+from person import by_name
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.drawing import Arrow, Drawing
+from napari_hmrf.layers.colours import SELECTED
+from napari_hmrf.layers.ground import read_ground
+from napari_hmrf.problem import Problem
+from napari_hmrf.widgets.grab.follow import Follower
+
+
+def pulled(by):
+    return Drawing((Arrow((20, 20), (0, by), 4),))
+
+
+@pytest.fixture
+def image():
+    from napari.layers import Image
+
+    return Image(np.random.default_rng(1).integers(90, 200, (48, 48)).astype(np.uint8))
+
+
+@pytest.fixture
+def follower(image, qtbot):
+    """Follows drawings on an image, and knows what it has shown."""
+    shown = []
+    made = Follower(shown.append)
+    made.shown = shown
+    made.stand_on(read_ground(image))
+    yield made
+    made.release()
+
+
+@pytest.fixture
+def solver_at_work():
+    """Somebody who keeps the compute thread, until told to let go."""
+    begun, over = threading.Event(), threading.Event()
+    compute_thread.submit(lambda: (begun.set(), over.wait(60)))
+    assert begun.wait(60)
+    yield over
+    over.set()
+
+
+def rest(follower, qtbot):
+    qtbot.waitUntil(lambda: not follower.busy, timeout=240_000)
+    qtbot.wait(50)
+
+
+def test_the_newest_drawing_is_shown_in_the_end(follower, qtbot):
+    for by in range(40):
+        follower.follow(pulled(by / 10))
+        if by % 7 == 0:
+            QApplication.processEvents()
+    rest(follower, qtbot)
+    seen = follower.shown[-1]
+    assert seen.drawing == pulled(3.9)
+    assert seen.solution.displacement[20, 20] == pytest.approx((0, 3.9), abs=0.02)
+    order = [seen.drawing.marks[0].by[1] for seen in follower.shown]
+    assert order == sorted(order), "the tissue never goes back to an older drawing"
+
+
+def test_of_drawings_made_while_one_is_shown_only_the_last_is_solved(
+    follower, qtbot, monkeypatch, solver_at_work
+):
+    solved = []
+    check = Problem.__init__
+
+    def noted(self, y, *rest):
+        solved.append(round(float(y.max()), 1))
+        check(self, y, *rest)
+
+    monkeypatch.setattr(Problem, "__init__", noted)
+    for by in range(1, 10):
+        follower.follow(pulled(by / 10))
+    solver_at_work.set()
+    rest(follower, qtbot)
+    first, last = 0.1, 0.9
+    assert [by for by in solved if by not in (0, 1)] == [first, last], (
+        "compiling solves for 0 and 1"
+    )
+
+
+def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, qtbot):
+    shown = []
+    follower = Follower(shown.append)
+    follower.stand_on(read_ground(image, hold_edge=False))
+    follower.follow(pulled(2))
+    follower.follow(Drawing())
+    rest(follower, qtbot)
+    assert shown[-1].solution is None
+    assert np.array_equal(shown[-1].picture, image.data)
+    follower.follow(pulled(2))
+    rest(follower, qtbot)
+    assert shown[-1].solution is not None, "and the next drawing is followed again"
+    follower.release()
+
+
+def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, qtbot, solver_at_work):
+    beyond = Drawing((Arrow((20, 20), (0, 1e6), 4),))
+    follower.follow(beyond)
+    follower.follow(pulled(1))
+    solver_at_work.set()
+    rest(follower, qtbot)
+    assert [seen.error for seen in follower.shown] == [None]
+    follower.follow(beyond)
+    rest(follower, qtbot)
+    assert "diagonals" in str(follower.shown[-1].error)
+    follower.follow(pulled(2))
+    rest(follower, qtbot)
+    assert follower.shown[-1].solution is not None
+
+
+def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, qtbot, monkeypatch):
+    from napari_hmrf.warper import Warper
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
+        follower.follow(pulled(1))
+        rest(follower, qtbot)
+    assert isinstance(follower.shown[-1].error, ZeroDivisionError)
+    follower.follow(pulled(2))
+    rest(follower, qtbot)
+    assert follower.shown[-1].drawing == pulled(2)
+
+
+def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, solver_at_work):
+    person, _ = pulling
+    person.press(30, 30)
+    person.move(34, 40)
+    arrows = by_name(person.viewer, "Arrows")
+    qtbot.waitUntil(lambda: len(arrows.data) > 0 and arrows.data[:, 0].max() > 40, timeout=5_000)
+    solver_at_work.set()
+    person.release(34, 40)
+
+
+def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, settle, qtbot):
+    person, widget = pulling
+    picture = by_name(person.viewer, "Deformed image")
+    told, thumbnails, seen = [], [], []
+    person.press(30, 30)
+    person.move(32, 32)
+    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
+    picture.events.data.connect(lambda event: told.append(event.value))
+    picture.events.thumbnail.connect(lambda event: thumbnails.append(event))
+    widget.seen.connect(seen.append)
+    for step in range(1, 4):
+        person.move(32 + step, 32)
+        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=10_000)
+        assert np.array_equal(picture.data, seen[-1].picture)
+    assert not told
+    assert not thumbnails
+    person.release(35, 32)
+    settle(widget)
+    assert np.array_equal(told[-1], seen[-1].picture)
+    assert thumbnails
+    assert np.array_equal(by_name(person.viewer, "MR").data, widget._puller.ground.pictures.image)
+
+
+def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(32, 32)
+    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
+    picture = by_name(person.viewer, "Deformed image")
+    theirs = np.zeros_like(picture.data)
+    picture.data = theirs
+    person.move(34, 34)
+    qtbot.waitUntil(lambda: picture.data.any(), timeout=10_000)
+    assert not theirs.any()
+    person.release(34, 34)
+
+
+def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling, qtbot):
+    person, widget = pulling
+    layer, positions = by_name(person.viewer, "Arrows"), []
+    person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
+    for end in (lambda: person.release(34, 34), lambda: widget._puller.answers.cancel()):
+        person.press(30, 30)
+        assert layer.cursor == "pointing"
+        positions.clear()
+        person.move(34, 34)
+        assert not positions
+        end()
+        assert layer.cursor == "circle"
+        assert positions, "the status bar is told where the pointer is now"
+
+
+def test_nothing_is_computed_when_nothing_is_done(pulling, settle, qtbot):
+    person, widget = pulling
+    person.drag((30, 30), (32, 32), (34, 34))
+    settle(widget)
+    seen = []
+    widget.seen.connect(seen.append)
+    qtbot.wait(1000)
+    assert not seen
+
+
+def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
+    person, widget = pulling
+    person.drag((30, 30), (36, 30), (36, 36))
+    settle(widget)
+    layer = by_name(person.viewer, "Arrows")
+    assert np.allclose(layer.edge_color, SELECTED)
+    shot = person.viewer.screenshot(canvas_only=True, flash=False)[..., :3]
+    yellow = np.abs(shot - 255 * np.array(SELECTED[:3])).max(axis=-1) < 30
+    assert yellow.sum() > 50
+    mesh = person.viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
+    one = np.zeros((3, 4), np.float32)
+    assert mesh._build_color_transform(one) is mesh._build_color_transform(one + 1)
