@@ -34,7 +34,7 @@ _TABLE = 2**16
 #: Stiffnesses are computed in single precision.
 _LARGEST = float(np.finfo(np.float32).max)
 #: Of red, green and blue: how bright they look (ITU-R BT.709).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+_LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,9 @@ def luminance(colours: npt.NDArray[Any]) -> FloatArray:
     -------
     ndarray, shape (...), float32
     """
-    bright: FloatArray = colours[..., :3].astype(np.float32) @ _LUMINANCE
+    bright = np.zeros(colours.shape[:-1], dtype=np.float32)
+    for number, share in enumerate(_LUMINANCE):
+        bright += share * colours[..., number].astype(np.float32)
     return bright
 
 

@@ -14,6 +14,8 @@ ARROWS = "#ff6000"
 DIVERGING = "PuOr_r"
 #: From nothing upwards: ever lighter, whatever the colour vision.
 RISING = "magma"
+#: Of stiffness: evenly ever lighter, and of other colours than what is measured of a result.
+_STIFF = "viridis"
 #: Of folds among those: bright on dark purple, the colour of what is nearly folded.
 FOLDED = "#ffee00"
 #: From this part of their range on colours hide the image under them.
@@ -61,3 +63,11 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
     colours[:, 3] = np.minimum(1, much / _OPAQUE)
     low = transform_color(FOLDED)[0] if folds else None
     return Colormap(colours, name=f"{name}, clear", low_color=low)
+
+
+def stiffness_colours() -> Any:
+    """The colormap of an Image layer of stiffness; what is no tissue lets the image through."""
+    from napari.utils.colormaps import Colormap, ensure_colormap
+
+    colours = np.array(ensure_colormap(_STIFF).map(np.linspace(0, 1, 256)))
+    return Colormap(colours, name=f"{_STIFF}, clear", low_color=(0.0, 0.0, 0.0, 0.0))

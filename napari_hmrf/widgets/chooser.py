@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from napari.layers import Image, Labels, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.intensity import StiffnessCurve
 from napari_hmrf.layers.background import background_of
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request
@@ -18,7 +20,10 @@ from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.view import View
+from napari_hmrf.material_files import load_materials, save_materials
+from napari_hmrf.presets import Preset
 from napari_hmrf.widgets.face import Face
+from napari_hmrf.widgets.material_menu import materials_of
 from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.new_layers import layers_to_paint_on
 from napari_hmrf.widgets.settings import SolverSettings
@@ -89,6 +94,43 @@ class Chooser(Container):
         self._face.tissue.table.rows = materials
 
     @property
+    def curve(self) -> StiffnessCurve | None:
+        """The curve from intensity to stiffness, if the tissue is made by one."""
+        return self._face.tissue.curve.curve
+
+    @curve.setter
+    def curve(self, curve: StiffnessCurve) -> None:
+        self._face.tissue.curve.curve = curve
+
+    def take_materials(self, materials: Preset | Any) -> None:
+        """Take over a table with its unit: a preset, another Labels layer's, or a file's.
+
+        Parameters
+        ----------
+        materials : Preset, napari.layers.Labels, str or Path
+
+        Raises
+        ------
+        HmrfError
+            If there is no table to be had, or none to put it into.
+        OSError
+            If a file cannot be read.
+        """
+        if not isinstance(self.tissue, Labels):
+            raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
+        if isinstance(materials, str | Path):
+            materials = load_materials(materials)
+        elif not isinstance(materials, Preset):
+            layer, materials = materials, materials_of(materials)
+            if materials is None:
+                raise LayerError(layer, "has no table of materials. Choose another layer.")
+        self._face.tissue.menu.take(materials)
+
+    def save_materials(self, path: str | Path) -> Path:
+        """Save the table of tissues to a file; as `napari_hmrf.material_files.save_materials`."""
+        return save_materials(path, self._face.tissue.table.contents)
+
+    @property
     def rules(self) -> tuple[BoundaryRule, ...]:
         """What each boundary label does."""
         return self._face.boundary.rules
@@ -119,6 +161,8 @@ class Chooser(Container):
     def add_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
 
+        Where the tissue comes from the image's intensity, only the boundary is to be painted.
+
         Raises
         ------
         HmrfError
@@ -127,11 +171,46 @@ class Chooser(Container):
         if self.image is None:
             raise HmrfError(WELCOME)
         tissue, boundary = layers_to_paint_on(self.image, self._view())
+        if self.curve is not None and self._face.tissue.curve.image is self.image:
+            self._viewer.add_layer(boundary)
+            self.boundary = boundary
+            self._viewer.layers.selection = {boundary}
+            boundary.selected_label, boundary.mode = 1, "paint"
+            return
         self._viewer.add_layer(tissue)
         self._viewer.add_layer(boundary)
         self.tissue, self.boundary = tissue, boundary
         self._viewer.layers.selection = {tissue}
         tissue.selected_label, tissue.mode = 2, "paint"
+
+    def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> Any:
+        """Add a layer of stiffness made from the image's intensity, and choose it as tissue.
+
+        Parameters
+        ----------
+        curve : StiffnessCurve, optional
+            By default the one that there is for this image, or else a first guess.
+
+        Returns
+        -------
+        napari.layers.Image
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or no curve can be made for it.
+        """
+        image, made = self.image, self._face.tissue.curve
+        if image is None:
+            raise HmrfError(WELCOME)
+        layer = made.made(image)
+        if layer is None:
+            layer = made.make(image, curve)
+            self._viewer.layers.insert(self._viewer.layers.index(image) + 1, layer)
+        self.tissue = layer
+        if curve is not None:
+            made.curve = curve
+        return layer
 
     def fill_background(self) -> int:
         """Paint the dark surroundings of the image as no tissue, where nothing is painted yet.
@@ -174,6 +253,7 @@ class Chooser(Container):
         """Look again at which layers there are."""
         for choice in self._face.choices:
             choice.refresh()
+        self._face.tissue.curve.look()
 
     def request(self) -> Request:
         """All that is chosen, with the slice that is shown.

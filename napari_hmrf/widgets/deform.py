@@ -24,7 +24,16 @@ from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.watch import Watch
-from napari_hmrf.widgets.words import CANCELLED, MAKE, PAINT, READY, WELCOME, refusal
+from napari_hmrf.widgets.words import (
+    CANCELLED,
+    CURVE,
+    MAKE,
+    PAINT,
+    PAINT_BOUNDARY,
+    READY,
+    WELCOME,
+    refusal,
+)
 from napari_hmrf.widgets.words import details as details_of
 from napari_hmrf.widgets.words import progress as progress_of
 
@@ -69,6 +78,7 @@ class DeformTissue(Chooser):
         self._poll.timeout.connect(self._on_poll)
         face = self._face
         face.make.changed.connect(self.make_layers)
+        face.intensity.changed.connect(self.make_from_intensity)
         face.tissue.background.clicked.connect(self._on_background)
         face.footer.deform.changed.connect(self.deform)
         face.footer.cancel.changed.connect(self._on_cancel)
@@ -110,7 +120,11 @@ class DeformTissue(Chooser):
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer to paint on, on the pixels of the image."""
-        self._try(self.add_layers, PAINT)
+        self._try(self.add_layers, PAINT if self.curve is None else PAINT_BOUNDARY)
+
+    def make_from_intensity(self) -> None:
+        """Add a layer of stiffness made from the image's intensity, by a curve to be edited."""
+        self._try(self.tissue_from_intensity, CURVE)
 
     def mark_background(self) -> None:
         """Paint the dark surroundings of the image as no tissue, where nothing is painted yet."""

@@ -8,7 +8,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
 from superqt import QCollapsible
 
-from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.widgets.energy_plot import EnergyPlot
 from napari_hmrf.widgets.footer import Footer
@@ -45,13 +45,23 @@ class Face:
     def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
         self.image = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Image) and "kind" not in known_of(layer),
+            lambda layer: (
+                isinstance(layer, Image)
+                and "kind" not in known_of(layer)
+                and role_of(layer) != TISSUE
+            ),
             label="image",
             tooltip="The image to deform; of a stack, the slice that is shown",
         )
         self.make = PushButton(
             text="Make layers to paint on",
             tooltip="Adds a tissue and a boundary layer on the image's pixels",
+            enabled=False,
+        )
+        self.intensity = PushButton(
+            text="Tissue from intensity",
+            tooltip="Adds a layer of stiffness made from how bright the image is, by a curve that "
+            "you draw; then only the boundary is left to paint",
             enabled=False,
         )
         self.tissue = TissueSection(layers, view)
@@ -98,7 +108,8 @@ class Face:
         self.boundary.painted.release()
 
     def _assemble(self, outer: Container) -> None:
-        first = Container(widgets=[self.image, self.make])
+        ways = Container(widgets=[self.make, self.intensity], layout="horizontal", labels=False)
+        first = Container(widgets=[self.image, ways])
         kinds = list(self._checks.values())
         rows = [
             Container(widgets=part, layout="horizontal", labels=False)
@@ -131,7 +142,9 @@ class Face:
         scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         outer.native.layout().addWidget(self.footer.build())
-        self.make.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        for button in (self.make, self.intensity):
+            button.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        ways.margins = (0, 0, 0, 0)
         for container in (outer, body, first, self.tissue, self.boundary, self.model, *rows):
             container.margins = (2, 2, 2, 2)
 

@@ -6,12 +6,12 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from psygnal import Signal
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QMenu, QPushButton
 
 from napari_hmrf.annotation import Material
 from napari_hmrf.layers.defaults import default_material
-from napari_hmrf.presets import PRESETS, Preset
+from napari_hmrf.presets import Preset
 from napari_hmrf.priors.elastic import POISSON_RANGE
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 from napari_hmrf.widgets.words import ABOUT_POISSON
@@ -20,7 +20,15 @@ _NAME, _STIFFNESS, _POISSON = range(1, 4)
 
 
 class MaterialTable(LabelTable):
-    """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
+    """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s.
+
+    Attributes
+    ----------
+    changed : Signal(Preset)
+        Emitted with all that the table says whenever that is another, once for each edit.
+    """
+
+    changed = Signal(Preset)
 
     def __init__(self) -> None:
         super().__init__(
@@ -34,6 +42,8 @@ class MaterialTable(LabelTable):
         )
         self.unit = ""
         self.poisson_shown = False
+        self._said = self.contents
+        self.edited.connect(self._on_edited)
 
     @property
     def unit(self) -> str:
@@ -49,6 +59,16 @@ class MaterialTable(LabelTable):
             "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
             "matter.\n0 is no tissue, such as air."
         )
+
+    @property
+    def contents(self) -> Preset:
+        """All that the table says, as one value that does not change; to be put back, too."""
+        return Preset("", self.unit, "", self.rows)
+
+    @contents.setter
+    def contents(self, contents: Preset) -> None:
+        self.unit = contents.unit
+        self.rows = contents.materials
 
     @property
     def poisson_shown(self) -> bool:
@@ -67,7 +87,7 @@ class MaterialTable(LabelTable):
         preset does not have, since their old stiffness may be in another unit.
         """
         given = {material.label: material for material in preset.materials}
-        first = preset.materials[0]
+        first = next(row for row in preset.materials if row.stiffness > 0)
         others = [
             replace(
                 row, stiffness=first.stiffness if row.stiffness > 0 else 0.0, poisson=first.poisson
@@ -75,8 +95,12 @@ class MaterialTable(LabelTable):
             for row in self._rows
             if row.label not in given
         ]
-        self.unit = preset.unit
-        self.rows = [*others, *given.values()]
+        self.contents = Preset("", preset.unit, "", (*others, *given.values()))
+
+    def _on_edited(self) -> None:
+        if self.contents != self._said:
+            self._said = self.contents
+            self.changed.emit(self._said)
 
     def _default(self, label: int) -> Material:
         return default_material(label, self._rows)
@@ -112,17 +136,3 @@ class MaterialTable(LabelTable):
         if not (math.isfinite(stiffness) and stiffness >= 0):
             raise ValueError("Stiffness must be a number, 0 or more")
         return replace(material, stiffness=stiffness)
-
-
-def preset_button(table: MaterialTable) -> QPushButton:
-    """A menu of published stiffnesses, each with its source."""
-    button = QPushButton("Presets")
-    button.setToolTip("Published stiffnesses, with their source; replaces the table")
-    menu = QMenu(button)
-    menu.setToolTipsVisible(True)
-    for preset in PRESETS:
-        action = menu.addAction(f"{preset.name} {preset.unit}")
-        action.setToolTip(f"Source: {preset.source}")
-        action.triggered.connect(lambda _=False, chosen=preset: table.apply_preset(chosen))
-    button.setMenu(menu)
-    return button

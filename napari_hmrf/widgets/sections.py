@@ -11,12 +11,14 @@ from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
 from napari_hmrf.annotation import BoundaryRule, Material
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.boundary_table import BoundaryTable
+from napari_hmrf.widgets.curve.tissue import TissueCurve
 from napari_hmrf.widgets.label_table import LabelTable
 from napari_hmrf.widgets.layer_choice import LayerChoice
-from napari_hmrf.widgets.material_table import MaterialTable, preset_button
+from napari_hmrf.widgets.material_menu import MaterialMenu
+from napari_hmrf.widgets.material_table import MaterialTable
 from napari_hmrf.widgets.painting import PaintedLabels
 
 Layers = Callable[[], list[Any]]
@@ -31,6 +33,10 @@ NO_PREVIEW = "No preview: the slice is too large"
 
 def _is_preview(layer: Any) -> bool:
     return known_of(layer).get("kind") == "preview"
+
+
+def _is_tissue(layer: Any) -> bool:
+    return isinstance(layer, Labels) or role_of(layer) == TISSUE
 
 
 def _add_button(table: LabelTable, text: str, tooltip: str) -> QPushButton:
@@ -93,13 +99,13 @@ class _PaintedSection(Container, Generic[Table]):
 
 
 class TissueSection(_PaintedSection[MaterialTable]):
-    """Labels with a table of stiffness, or an image that is the stiffness."""
+    """Labels with a table of stiffness, or an image that is the stiffness, by a curve or not."""
 
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Labels | Image),
-            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (as stiffness)"),
+            lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
             label="tissue",
             tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
         )
@@ -109,11 +115,17 @@ class TissueSection(_PaintedSection[MaterialTable]):
             "Paints what is dark around the image with a label of stiffness 0, as far as it is "
             "unpainted; undo with Ctrl+Z on the layer"
         )
+        self.menu = MaterialMenu(self._table, layers, lambda: self._painted.layer)
         self._put_below(
             _add_button(self._table, "Add tissue", "Add a label to paint with"),
-            preset_button(self._table),
+            self.menu,
             self._background,
         )
+        self.curve = TissueCurve(layers, view)
+        self.native.layout().addWidget(self.curve.editor)
+        self.curve.changed.connect(lambda _: self.edited.emit())
+        self._choice.changed.connect(self._show_curve)
+        self._show_curve(None)
 
     @property
     def background(self) -> QPushButton:
@@ -124,6 +136,10 @@ class TissueSection(_PaintedSection[MaterialTable]):
     def materials(self) -> tuple[Material, ...]:
         """The tissues."""
         return self._table.rows
+
+    def _show_curve(self, layer: Any) -> None:
+        self.curve.layer = layer
+        self.curve.editor.setVisible(self.curve.layer is not None)
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):

@@ -57,6 +57,8 @@ class Watch:
             section.painted.picked.connect(widget.hand_brush)
             section.painted.found.connect(widget.note)
             section.table.refused.connect(widget.say)
+        face.tissue.menu.said.connect(widget.say)
+        face.tissue.curve.refused.connect(widget.say)
         self._events = [
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
@@ -64,6 +66,8 @@ class Watch:
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events.current_step, self._on_edited),
             (viewer.dims.events.order, self._on_edited),
+            (viewer.dims.events.current_step, face.tissue.curve.look),
+            (viewer.dims.events.order, face.tissue.curve.look),
             (viewer.events.theme, self._on_theme),
         ]
         for event, answer in self._events:
@@ -87,7 +91,7 @@ class Watch:
             self._check_soon()
 
     def _on_image(self, image: Any) -> None:
-        self._face.make.enabled = image is not None
+        self._face.make.enabled = self._face.intensity.enabled = image is not None
         self._on_edited()
 
     def _check_soon(self, *_: Any) -> None:

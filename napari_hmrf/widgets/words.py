@@ -18,6 +18,14 @@ PAINT = (
     "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
     "paint with its label. Then press Deform."
 )
+PAINT_BOUNDARY = (
+    "Paint what holds or moves in 'Boundary': click a row of the table, then paint with its label. "
+    "Then press Deform."
+)
+CURVE = (
+    "A first guess: the brighter, the stiffer. Drag the points of the curve; 'Make layers to paint "
+    "on' then adds the boundary."
+)
 CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 CANCELLED = "Cancelled; nothing was changed."

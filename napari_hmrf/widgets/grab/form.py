@@ -13,7 +13,7 @@ from magicgui.widgets import (
 from napari.layers import Image, Labels, Points
 
 from napari_hmrf.drawing import History
-from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.widgets.forms import Prose
 from napari_hmrf.widgets.grab.fields import ToolFields
 from napari_hmrf.widgets.grab.tools import BY_NAME, TOOLS, Tool
@@ -45,7 +45,11 @@ class GrabForm(Container):
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
         self.image = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Image) and "kind" not in known_of(layer),
+            lambda layer: (
+                isinstance(layer, Image)
+                and "kind" not in known_of(layer)
+                and role_of(layer) != TISSUE
+            ),
             label="image",
             tooltip="The image whose tissue is pulled; of a stack, the slice that is shown",
         )

@@ -1,0 +1,508 @@
+"""What the user does with the curve of stiffness and with materials, by mouse and by keys."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.layers import Image
+from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
+from qtpy.QtGui import QMouseEvent
+from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
+
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.intensity import StiffnessCurve
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.stiffness import curve_of
+from napari_hmrf.material_files import load_materials
+from napari_hmrf.presets import PRESETS, Preset
+from napari_hmrf.widgets.curve.axes import CurveAxes
+from napari_hmrf.widgets.curve.editor import CurveEditor
+from napari_hmrf.widgets.grab.dock import GrabAndPull
+from napari_hmrf.widgets.material_menu import own_library
+
+CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
+
+
+class Person:
+    """Somebody with a mouse over a plot."""
+
+    def __init__(self, qtbot, plot):
+        self.qtbot, self.plot = qtbot, plot
+        self.changed, self.settled = [], []
+        plot.edited.connect(self.changed.append)
+        plot.settled.connect(self.settled.append)
+
+    def at(self, point):
+        return self.plot.place_of(point).toPoint()
+
+    def _send(self, kind, place, button, buttons):
+        """As `QTest` does, but with the button held while the mouse moves."""
+        where = QPointF(place)
+        event = QMouseEvent(
+            kind,
+            where,
+            QPointF(self.plot.mapToGlobal(place)),
+            button,
+            buttons,
+            Qt.KeyboardModifier.NoModifier,
+        )
+        QApplication.sendEvent(self.plot, event)
+
+    def drag(self, start, *ways):
+        left, none = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
+        self.qtbot.mousePress(self.plot, left, pos=start)
+        for way in ways:
+            self._send(QMouseEvent.Type.MouseMove, way, none, left)
+        self.qtbot.mouseRelease(self.plot, left, pos=ways[-1])
+
+    def key(self, key, modifier=Qt.KeyboardModifier.NoModifier):
+        self.qtbot.keyClick(self.plot, key, modifier)
+
+
+@pytest.fixture
+def editor(qtbot):
+    made = CurveEditor(CURVE)
+    qtbot.addWidget(made)
+    made.resize(400, 260)
+    made.show()
+    made.show_intensities(np.linspace(0, 255, 10_000).reshape(100, 100))
+    return made
+
+
+@pytest.fixture
+def person(qtbot, editor):
+    return Person(qtbot, editor.plot)
+
+
+# The plot
+
+
+def test_a_point_is_dragged_and_the_curve_follows_all_the_way(editor, person):
+    start = person.at((100, 20))
+    person.drag(start, start + QPoint(10, -10), start + QPoint(30, -25))
+    intensity, stiffness = editor.curve.points[1]
+    assert intensity > 105
+    assert stiffness > 25
+    assert editor.curve.points[::2] == CURVE.points[::2]
+    assert len(person.changed) == 2
+    assert person.settled == [editor.curve]
+    place = person.at(editor.curve.points[1])
+    assert place.x() == pytest.approx(start.x() + 30, abs=1.5)
+    assert editor.intensity.value() == pytest.approx(intensity)
+    assert editor.stiffness.value() == pytest.approx(stiffness)
+
+
+def test_a_point_stops_at_its_neighbours_and_at_the_edges(editor, person):
+    start = person.at((100, 20))
+    person.drag(start, QPoint(2000, -2000))
+    intensities = [intensity for intensity, _ in editor.curve.points]
+    assert intensities == sorted(intensities)
+    assert 199 < intensities[1] < 200
+    person.drag(person.at(editor.curve.points[1]), QPoint(-2000, 2000))
+    assert editor.curve.points[1][0] > 50
+    assert editor.curve.points[1][1] > 0
+
+
+def test_a_click_alone_selects_and_changes_nothing(editor, person, qtbot):
+    qtbot.mouseClick(editor.plot, Qt.MouseButton.LeftButton, pos=person.at((200, 40)))
+    assert editor.plot.selected == 2
+    assert editor.intensity.value() == 200
+    qtbot.mouseClick(editor.plot, Qt.MouseButton.LeftButton, pos=QPoint(120, 20))
+    assert editor.plot.selected is None
+    assert not editor.intensity.isEnabled()
+    assert (person.changed, person.settled) == ([], [])
+
+
+def test_a_double_click_adds_a_point_that_delete_removes(editor, person, qtbot):
+    place = person.at((150, 15))
+    qtbot.mouseDClick(editor.plot, Qt.MouseButton.LeftButton, pos=place)
+    assert len(editor.curve.points) == 4
+    assert editor.plot.selected == 2
+    assert editor.curve.points[2] == (pytest.approx(150, abs=1), pytest.approx(15, rel=0.05))
+    person.key(Qt.Key.Key_Delete)
+    assert editor.curve == CURVE
+    assert len(person.settled) == 2
+
+
+def test_two_points_stay(editor, person):
+    for _ in range(3):
+        editor.plot.select(0)
+        person.key(Qt.Key.Key_Backspace)
+    assert len(editor.curve.points) == 2
+    editor.plot.select(0)
+    assert not editor.remove.isEnabled()
+
+
+def test_the_edge_of_what_is_no_tissue_is_dragged(editor, person):
+    edge = person.at((20, 90))
+    person.drag(edge, edge + QPoint(20, 0))
+    assert editor.curve.void_below > 25
+    assert editor.curve.points == CURVE.points
+    assert editor.void_below.value() == pytest.approx(editor.curve.void_below)
+    assert len(person.settled) == 1
+
+
+def test_all_can_be_done_with_keys(editor, person):
+    person.key(Qt.Key.Key_PageUp)
+    person.key(Qt.Key.Key_PageUp)
+    assert editor.plot.selected == 1
+    person.key(Qt.Key.Key_PageDown)
+    person.key(Qt.Key.Key_PageDown)
+    assert editor.plot.selected == 2
+    person.key(Qt.Key.Key_Right)
+    right, stiff = editor.curve.points[2]
+    assert right > 200
+    assert stiff == 40
+    person.key(Qt.Key.Key_Down, Qt.KeyboardModifier.ShiftModifier)
+    assert editor.curve.points[2][0] == right
+    assert editor.curve.points[2][1] < 36
+
+
+def test_fields_say_and_take_numbers(editor, person, qtbot):
+    editor.plot.select(1)
+    editor.stiffness.setValue(30)
+    assert editor.curve.points[1] == (100, 30)
+    editor.intensity.setValue(500)
+    assert editor.curve.points[1][0] < 200
+    said = []
+    editor.refused.connect(said.append)
+    editor.stiffness.setValue(0)
+    assert "above 0" in said[0]
+    assert editor.stiffness.value() == 30
+    editor.void.click()
+    assert editor.curve.void_below is None
+    editor.void.click()
+    editor.void_below.setValue(7)
+    assert editor.curve.void_below == 7
+    editor.between.setCurrentIndex(1)
+    editor.scale.setCurrentIndex(1)
+    assert (editor.curve.between, editor.curve.logarithmic) == ("smooth", False)
+    editor.unit.setFocus()
+    editor.unit.clear()
+    qtbot.keyClicks(editor.unit, "MPa")
+    qtbot.keyClick(editor.unit, Qt.Key.Key_Return)
+    assert editor.curve.unit == "MPa"
+    editor.add.click()
+    assert len(editor.curve.points) == 4
+    assert all(person.settled)
+
+
+def test_a_point_is_added_on_the_curve_as_it_is(editor):
+    before = editor.curve(np.arange(256))
+    editor.add.click()
+    np.testing.assert_allclose(editor.curve(np.arange(256)), before, rtol=0.01)
+
+
+def test_setting_a_curve_is_no_edit(editor, person):
+    editor.curve = replace(CURVE, points=CURVE.points[:2])
+    assert (person.changed, person.settled) == ([], [])
+    assert editor.plot.selected is None
+
+
+def test_the_mouse_is_told_what_lies_under_it(editor, person):
+    assert editor.plot.words_at(person.at((100, 20))).startswith("Intensity 100")
+    assert "stiffness 20 kPa" in editor.plot.words_at(person.at((100, 20)))
+    assert "no tissue" in editor.plot.words_at(person.at((5, 20)))
+    assert all(
+        field.toolTip()
+        for field in (editor.intensity, editor.stiffness, editor.void, editor.void_below)
+    )
+
+
+@pytest.mark.parametrize("curve", [CURVE, replace(CURVE, logarithmic=False)])
+@pytest.mark.parametrize("width", [1e-6, 1.0, 255.0, 65535.0])
+def test_axes_have_round_numbers_and_know_places_both_ways(curve, width):
+    points = tuple((at / 255 * width, stiff) for at, stiff in curve.points)
+    axes = CurveAxes.around(replace(curve, points=points, void_below=None), 0.0, width)
+    for point in points:
+        back = axes.point(*axes.place(point))
+        assert back == (pytest.approx(point[0], abs=width / 900), pytest.approx(point[1], rel=0.01))
+    assert 2 <= len(axes.intensity_ticks()) <= 8
+    assert 2 <= len(axes.stiffness_ticks()) <= 8
+    assert axes.left <= axes.intensity_ticks()[0] <= axes.intensity_ticks()[-1] <= axes.right * 1.01
+
+
+def test_a_picture_of_anything_can_be_drawn(editor, qtbot):
+    for values in (np.full((4, 4), np.nan), np.zeros((4, 4), np.uint8), np.array([[0, np.inf]])):
+        editor.show_intensities(values)
+        editor.curve = StiffnessCurve(((-1e9, 1e-6), (1e9, 1e9)), void_below=2e9)
+        assert not editor.grab().isNull()
+
+
+# The tissue made by it
+
+
+def grey(shape=(24, 30)):
+    rows, cols = np.indices(shape[-2:])
+    inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
+    one = np.where(inside, 60 + 5 * cols, 2 + cols % 3).astype(np.uint8)
+    return np.broadcast_to(one, shape).copy()
+
+
+def made(widget, pixels=None, **place):
+    viewer = widget._viewer
+    image = viewer.add_image(grey() if pixels is None else pixels, name="MR", **place)
+    widget._face.intensity.native.click()
+    return viewer, image, widget.tissue
+
+
+def test_one_button_makes_tissue_of_an_image_and_chooses_it(docked):
+    viewer, image, layer = made(docked, scale=(0.5, 0.5), units="mm")
+    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)"]
+    assert docked.image is image
+    assert docked.curve == curve_of(layer)
+    assert not docked._face.tissue.curve.editor.isHidden()
+    assert (layer.data[0] == 0).all(), "air"
+    assert (layer.data[12, 10:20] > 0).all()
+    assert "Drag the points" in docked.status
+    docked._face.intensity.native.click()
+    assert len(viewer.layers) == 2, "there is one already"
+
+
+def test_what_is_dragged_is_seen_in_the_layer_while_it_is_dragged(docked, qtbot, wait_for):
+    _, image, layer = made(docked)
+    tissue = docked._face.tissue.curve
+    person = Person(qtbot, tissue.editor.plot)
+    changed, settled = [], []
+    tissue.changed.connect(changed.append)
+    tissue.settled.connect(settled.append)
+    start = person.at(docked.curve.points[1])
+    qtbot.mousePress(person.plot, Qt.MouseButton.LeftButton, pos=start)
+    before = layer.data.copy()
+    left, none = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
+    person._send(QMouseEvent.Type.MouseMove, start - QPoint(0, 20), none, left)
+    wait_for(lambda: bool(changed))
+    assert (layer.data != before).any(), "the button is still down"
+    assert settled == []
+    qtbot.mouseRelease(person.plot, Qt.MouseButton.LeftButton, pos=start - QPoint(0, 20))
+    assert settled == [docked.curve] == [curve_of(layer)]
+    np.testing.assert_array_equal(layer.data, docked.curve(image.data))
+
+
+def test_tissue_from_intensity_is_deformed(docked, run, wait_for):
+    viewer, _, layer = made(docked)
+    docked._face.make.native.click()
+    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)", "Boundary"]
+    assert docked.tissue is layer, "there is no other tissue to paint"
+    docked.boundary.data[12, 6] = 1
+    docked.boundary.data[12, 24] = 2
+    docked.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0)))
+    docked.settings.sweeps.value = 50
+    first = run(docked).solution.displacement.copy()
+    assert first[12, 24, 1] == pytest.approx(2, abs=0.05)
+    low, high = (at for at, _ in docked.curve.points[::2])
+    docked.curve = StiffnessCurve(((low, 1000), (high, 1)))
+    wait_for(lambda: docked.status.startswith("Changed"))
+    second = run(docked).solution.displacement
+    assert np.abs(second - first).max() > 0.1
+
+
+def test_tissue_from_intensity_is_pulled(qtbot):
+    from napari.components import ViewerModel
+
+    from napari_hmrf.layers.ground import read_ground
+    from napari_hmrf.widgets.deform import DeformTissue
+
+    viewer = ViewerModel()
+    widget, grab = DeformTissue(viewer), GrabAndPull(viewer)
+    for each in (widget, grab):
+        qtbot.addWidget(each.native)
+    image = viewer.add_image(grey(), name="MR")
+    layer = widget.tissue_from_intensity()
+    assert grab.tissue is layer
+    assert grab.image is image
+    ground = read_ground(grab.image, grab.tissue)
+    np.testing.assert_array_equal(ground.m, layer.data)
+
+
+@pytest.mark.parametrize("shape", [(3, 24, 30), (24, 30, 3)])
+def test_stacks_and_colours_have_tissue_too(docked, shape):
+    coloured = shape[-1] == 3
+    pixels = np.repeat(grey()[..., None], 3, axis=-1) if coloured else grey(shape)
+    viewer, image, layer = made(docked, pixels, rgb=coloured)
+    assert image.rgb == coloured
+    assert layer.data.shape == (24, 30) if coloured else shape
+    assert docked.curve is not None
+    if not coloured:
+        image.data[1] //= 2
+        viewer.dims.set_current_step(0, 1)
+        np.testing.assert_array_equal(layer.data[1], docked.curve(image.data[1]))
+
+
+def test_a_script_says_the_curve_and_reads_it_back(widget):
+    image = widget._viewer.add_image(grey(), name="MR")
+    layer = widget.tissue_from_intensity(CURVE)
+    assert widget.tissue is layer
+    assert widget.curve == CURVE
+    np.testing.assert_array_equal(layer.data, CURVE(image.data))
+    other = replace(CURVE, void_below=None)
+    assert widget.tissue_from_intensity(other) is layer
+    assert widget.curve == other
+    widget.tissue = None
+    assert widget.curve is None
+    with pytest.raises(HmrfError, match="has no curve"):
+        widget.curve = CURVE
+
+
+def test_a_layer_from_a_project_is_edited_again_once_its_image_is_there(widget):
+    viewer = widget._viewer
+    kept = {METADATA: {"role": TISSUE, "curve": CURVE.as_dict(), "source": "MR", "unit": "kPa"}}
+    layer = viewer.add_image(CURVE(grey()), name="from a file", metadata=kept)
+    assert widget.tissue is layer
+    assert widget.curve == CURVE
+    editor = widget._face.tissue.curve.editor
+    assert not editor.isEnabled()
+    assert "'MR' is not open" in editor.toolTip()
+    with pytest.raises(HmrfError, match="'MR', which is not open"):
+        widget.curve = replace(CURVE, void_below=None)
+    assert curve_of(layer) == CURVE
+    image = viewer.add_image(grey(), name="MR")
+    assert editor.isEnabled()
+    image.name = "renamed"
+    widget.curve = replace(CURVE, void_below=90)
+    np.testing.assert_array_equal(layer.data, widget.curve(image.data))
+    viewer.layers.remove(image)
+    assert not editor.isEnabled()
+
+
+def test_start_anew_is_a_step_of_its_own(widget):
+    widget._viewer.add_image(grey(), name="MR")
+    widget.tissue_from_intensity(CURVE)
+    tissue = widget._face.tissue.curve
+    settled = []
+    tissue.settled.connect(settled.append)
+    tissue.editor.anew.click()
+    assert settled == [widget.curve]
+    assert widget.curve != CURVE
+
+
+def test_without_an_image_a_sentence_says_what_to_do(widget):
+    widget.make_from_intensity()
+    assert widget.status.startswith("Open an image")
+    widget._viewer.add_image(np.zeros((9, 9)), name="flat")
+    assert not [layer for layer in widget._viewer.layers if layer.name != "flat"]
+
+
+def test_a_layer_of_stiffness_is_no_image_to_deform(widget):
+    _, image, layer = made(widget)
+    assert layer not in widget._face.image.offered
+    assert image in widget._face.image.offered
+
+
+# Materials
+
+
+@pytest.fixture
+def own(monkeypatch, tmp_path):
+    """A user without settings."""
+    monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(tmp_path / "settings"))
+    return own_library()
+
+
+def entries(menu):
+    menu.fill()
+    return {action.text(): action for action in menu.menu().actions() if action.text()}
+
+
+def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sample, own):
+    small_sample(widget._viewer)
+    found = entries(widget._face.tissue.menu)
+    for preset in PRESETS:
+        about = found[f"{preset.name} {preset.unit}"].toolTip()
+        assert preset.source.replace("&", "&amp;") in about
+        assert f"{preset.materials[0].stiffness:g} {preset.unit}" in about
+    found["Liver 5.4, carcinoma 70 kPa"].trigger()
+    assert widget.materials[1] == Material(1, "liver", 5.4, 0.49)
+    assert widget._face.tissue.table.unit == "kPa"
+    assert widget.status == "Materials: Liver 5.4, carcinoma 70."
+
+
+def test_materials_are_taken_from_another_layer(widget, small_sample, own):
+    viewer = widget._viewer
+    small_sample(viewer)
+    rows = (Material(1, "jelly", 7.0), Material(2, "bone", 900.0))
+    tissue = widget.tissue
+    viewer.add_labels(np.ones((20, 24), int), name="other", metadata=described(TISSUE, rows, "Pa"))
+    viewer.add_labels(np.ones((20, 24), int), name="nothing")
+    widget.tissue = tissue
+    taken = entries(widget._face.tissue.menu)["Take from layer"].menu()
+    assert [action.text() for action in taken.actions()] == ["other"]
+    taken.actions()[0].trigger()
+    assert widget.materials[1:] == rows
+    assert tissue.metadata[METADATA]["unit"] == "Pa"
+    assert widget.materials[0].stiffness == 0, "air stays air"
+    with pytest.raises(HmrfError, match="'nothing' has no table"):
+        widget.take_materials(viewer.layers["nothing"])
+
+
+def test_materials_go_through_a_file(widget, small_sample, own, monkeypatch, tmp_path):
+    small_sample(widget._viewer)
+    path = str(tmp_path / "table.json")
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (path, ""))
+    entries(widget._face.tissue.menu)["Save to file ..."].trigger()
+    before = widget.materials
+    widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
+    entries(widget._face.tissue.menu)["Load from file ..."].trigger()
+    assert widget.materials == before
+    assert load_materials(path).unit == "kPa"
+    widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
+    widget.take_materials(path)
+    assert widget.materials == before
+    with open(path, "w", encoding="utf-8") as file:
+        file.write("{}")
+    entries(widget._face.tissue.menu)["Load from file ..."].trigger()
+    assert widget.status.startswith("table.json is no file of materials")
+    assert widget.materials == before
+
+
+def test_materials_of_one_s_own_are_in_the_menu_of_every_session(
+    widget, small_sample, own, monkeypatch
+):
+    small_sample(widget._viewer)
+    monkeypatch.setattr(QInputDialog, "getText", lambda *_: ("My gel", True))
+    entries(widget._face.tissue.menu)["Remember as your own ..."].trigger()
+    assert widget.status == "Remembered 'My gel'."
+    found = entries(widget._face.tissue.menu)
+    widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
+    found["My gel"].trigger()
+    assert widget.materials[1] == Material(1, "gel", 20.0)
+    entries(widget._face.tissue.menu)["Forget"].menu().actions()[0].trigger()
+    assert "My gel" not in entries(widget._face.tissue.menu)
+
+
+def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample):
+    small_sample(widget._viewer)
+    table = widget._face.tissue.table
+    said = []
+    table.changed.connect(said.append)
+    before = table.contents
+    table.apply_preset(PRESETS[1])
+    assert said == [table.contents]
+    table.item(1, 2).setText("3")
+    assert said[1:] == [table.contents]
+    table.contents = before
+    assert said[2:] == [before]
+    assert isinstance(before, Preset)
+    assert hash(before) == hash(table.contents)
+
+
+def test_a_file_of_void_alone_is_refused(widget, small_sample, tmp_path):
+    small_sample(widget._viewer)
+    widget.materials = (Material(0, "air", 0.0), Material(1, "hole", 0.0))
+    with pytest.raises(HmrfError, match="above 0"):
+        widget.save_materials(tmp_path / "void.json")
+    widget.tissue = widget._viewer.layers["MR"]
+    with pytest.raises(HmrfError, match="no table to fill"):
+        widget.take_materials(PRESETS[0])
+
+
+def test_a_stack_s_curve_may_be_edited_by_any_of_its_slices(widget):
+    stack = grey((3, 24, 30))
+    stack[1] = 255 - stack[1]
+    image = widget._viewer.add_image(stack, name="MR")
+    assert isinstance(widget.tissue_from_intensity(CURVE), Image)
+    widget._viewer.dims.set_current_step(0, 1)
+    widget.curve = replace(CURVE, void_below=None)
+    np.testing.assert_array_equal(np.asarray(widget.tissue.data), widget.curve(image.data))
