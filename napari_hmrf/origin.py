@@ -17,6 +17,7 @@ def origin(
     displacement: npt.NDArray[np.float32],
     spacing: Sequence[float],
     tissue: npt.NDArray[np.bool_],
+    farthest: npt.NDArray[np.float32] | None = None,
 ) -> tuple[float, float] | None:
     """Invert the motion at one point: faster than everywhere, and good to a fraction of a pixel.
 
@@ -30,6 +31,8 @@ def origin(
         Size of a pixel in (row, col) direction.
     tissue : ndarray of bool, shape (H, W)
         What moves.
+    farthest : ndarray, shape (2,), optional
+        `farthest_of` the displacement, where it is known: to find it takes longer than the rest.
 
     Returns
     -------
@@ -37,7 +40,7 @@ def origin(
         The X, in pixels, with X + d(X) at the point; None where there is no tissue.
     """
     size = np.asarray(spacing, dtype=np.float64)
-    reach = np.abs(displacement).reshape(-1, 2).max(axis=0) / size + _APART
+    reach = (farthest_of(displacement) if farthest is None else farthest) / size + _APART
     low = [max(0, math.floor(at - far)) for at, far in zip(point, reach, strict=True)]
     high = [
         min(extent, math.ceil(at + far) + 1)
@@ -64,3 +67,9 @@ def origin(
         if abs(np.linalg.det(gradient)) > 1e-3:
             step = np.clip(np.linalg.solve(gradient, -away[row, col]), -1, 1)
     return float(row + low[0] + step[0]), float(col + low[1] + step[1])
+
+
+def farthest_of(displacement: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """How far anything moves, (row, col), in the unit of the displacement."""
+    most: npt.NDArray[np.float32] = np.abs(displacement).reshape(-1, 2).max(axis=0)
+    return most

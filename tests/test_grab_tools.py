@@ -162,8 +162,13 @@ def test_tissue_is_painted_from_the_table_of_its_layer(open_window, settle):
     settle(widget)
     moved = displacement(widget)
     assert moved[32, 42, 1] > 3.5, "a bone moves as a whole"
-    assert labels.all(), "the layer itself is as it was"
-    assert (by_name(person.viewer, "T").data == 1).all()
+    assert (by_name(person.viewer, "T").data == 1).all(), "the layer itself is as it was"
+    material.value = 1
+    assert widget.drawing.marks[0].label == 7, "that is for what is painted next"
+    person.pick(32, 44)
+    assert material.value == 7
+    material.value = 1
+    assert widget.drawing.marks[0].label == 1, "of what was picked up it is changed"
 
 
 def test_two_clicks_are_a_landmark_and_escape_gives_half_of_one_up(pulling, settle):
@@ -396,3 +401,21 @@ def test_scripts_paint_without_a_mouse(open_window, settle):
     assert field[44, 30] == pytest.approx((0, 0), abs=0.02)
     kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]
     assert Drawing.from_dict(kept) == widget.drawing
+
+
+def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(brushing, settle):
+    person, widget = brushing
+    person.key(MATERIAL)
+    fields = widget.form.fields
+    assert fields.preset.native.isVisible()
+    fields.preset.value = next(each for each in fields.preset.choices if each.unit == "kPa")
+    settle(widget)
+    before = displacement(widget)
+    names = [row.name for row in fields.preset.value.materials]
+    assert names[0] in person.viewer.canvas.overlays.text.text + str(
+        fields.material.native.itemText(1)
+    )
+    fields.material.value = fields.preset.value.materials[0].label
+    person.paint((20, 20), (30, 20))
+    settle(widget)
+    assert displacement(widget) == pytest.approx(before, abs=0.02), "it was that already"

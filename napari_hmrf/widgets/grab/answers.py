@@ -31,6 +31,8 @@ class Answers:
 
     def __init__(self, puller: Puller) -> None:
         self._puller = puller
+        #: Whether what is selected was picked up, and not just made.
+        self.picked = False
 
     def press(self, point: Point, reach: float) -> bool:
         """Take hold of tissue, or of an arrow, or put the brush down."""
@@ -40,7 +42,7 @@ class Answers:
         if puller.tool.is_brush and not seen.is_inside(point):
             puller.said.emit(OUTSIDE)
             return False
-        hand = puller.hand
+        hand, self.picked = puller.hand, False
         taken = hand.press(point, reach, puller.how(), seen.came_from)
         self._show_how()
         if not taken:
@@ -68,6 +70,7 @@ class Answers:
         if number is not None:
             puller.take_up(puller.tool_for(number))
         puller.hand.select(number)
+        self.picked = number is not None
         self._show_how()
         puller.said.emit(PICKED if number is not None else NOTHING_DRAWN)
         puller.draw()

@@ -176,8 +176,9 @@ class GrabAndPull(Container):
             if self._viewer.dims.ndisplay != 2:
                 raise HmrfError(FLAT)
             view = View.of(self._viewer.dims)
-            edge = self.form.edge.value
-            ground = read_ground(self.image, self.tissue, self.boundary, view, edge)
+            form = self.form
+            how = {"hold_edge": form.edge.value, "preset": form.fields.preset.value}
+            ground = read_ground(self.image, self.tissue, self.boundary, view, **how)
         except (HmrfError, ValueError) as error:
             self._puller.stand_on(None)
             self.show_toggle()

@@ -11,6 +11,7 @@ from napari_hmrf.drawing.brush import Paint
 from napari_hmrf.drawing.marks import Action
 from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.palette import Palette
+from napari_hmrf.presets import PRESETS
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 
 COMPONENTS = [
@@ -84,9 +85,20 @@ class ToolFields(Container):
         self.material = ComboBox(
             choices=[], label="becomes", tooltip="Of the tissue's own table, or of the presets"
         )
+        self.preset = ComboBox(
+            choices=[(each.name, each) for each in PRESETS],
+            value=PRESETS[0],
+            label="tissues of",
+            tooltip="Published tissues to paint with, as the tissue layer has no table of its own; "
+            "what is not painted behaves as the first of them",
+        )
+        box = self.preset.native
+        box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        box.setMinimumContentsLength(8)
+        self._own_table = False
         fields = (
             self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
-            self.softness, self.components, self.material,
+            self.softness, self.components, self.preset, self.material,
         )  # fmt: skip
         for field, name in zip(fields, _NAMES, strict=True):
             field.name = name
@@ -136,6 +148,7 @@ class ToolFields(Container):
         self._tool = tool
         for name in _NAMES:
             getattr(self, name).visible = name in tool.fields
+        self.preset.visible = "material" in tool.fields and not self._own_table
 
     def show_how(self, how: Grip | Paint) -> None:
         """Show how the selected mark was made, without changing it."""
@@ -177,11 +190,13 @@ class ToolFields(Container):
         with self.material.changed.blocked():
             self.material.choices = choices
             self.material.value = before if before in labels else labels[-1]
+        self._own_table = palette.own
+        self.show_for(self._tool)
 
 
 _NAMES = (
     "radius", "by_row", "by_col", "amount", "confidence", "sure", "softness", "components",
-    "material",
+    "preset", "material",
 )  # fmt: skip
 
 

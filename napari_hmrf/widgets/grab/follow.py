@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.outputs import RESTORED, Outputs, emptiness, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
 from napari_hmrf.live import LiveSolver, Update
-from napari_hmrf.origin import origin
+from napari_hmrf.origin import farthest_of, origin
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Solution
@@ -84,10 +85,16 @@ class Seen:
         before: Point | None = point
         if self.solution is not None:
             solution = self.solution
-            before = origin(point, solution.displacement, solution.spacing, solution.tissue)
+            field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
+            before = origin(point, *field)
             # What nobody held anywhere stayed out of it, and where it was.
             before = before or (None if self._tissue_at(point, solution.tissue) else point)
         return before if before is not None and self._tissue_at(before, self.ground.m) else None
+
+    @cached_property
+    def _farthest(self) -> npt.NDArray[np.float32]:
+        assert self.solution is not None
+        return farthest_of(self.solution.displacement)
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Where tissue that was at points, (N, 2) in pixels, is seen."""

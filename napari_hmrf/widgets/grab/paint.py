@@ -121,7 +121,7 @@ class PaintedLayer:
         if layer is None or layer.ndim != frame.ndim:
             if layer is not None:
                 self._viewer.layers.remove(layer)
-            layer = self._layer = Layer.create(*painted_layer(frame, picture, tissues))
+            layer = self._layer = Layer.create(*painted_layer(frame, picture.copy(), tissues))
             layer.editable = False
             self._tissues = tissues
             with same_selection(self._viewer):
@@ -131,7 +131,9 @@ class PaintedLayer:
                 ]
                 layers.insert(min([len(layers), *lines]), layer)
         elif frame == self._frame and tissues == self._tissues:
-            layer.data = frame.put_image(picture)
+            layer.data[...] = frame.put_image(picture)
+            # Faster than other data, of which the thumbnail and all extents are made anew.
+            layer.refresh(extent=False, thumbnail=False, highlight=False)
         else:
             made = painted_layer(frame, picture, tissues)
             update_layer(layer, made)

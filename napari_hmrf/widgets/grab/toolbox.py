@@ -47,7 +47,8 @@ class Toolbox:
         for name, button in form.tools.items():
             button.native.clicked.connect(partial(self._on_button, name))
         for field in form.fields:
-            field.changed.connect(self._on_field)
+            if field is not form.fields.preset:
+                field.changed.connect(self._on_field)
         for choice in (form.where, form.should):
             choice.changed.connect(self.look)
         form.take.changed.connect(self.take_points)
@@ -123,6 +124,9 @@ class Toolbox:
         how = self._form.fields.how
         self._puller.display.arrows.show_radius(how.radius)
         self.show()
+        # A tissue is chosen for what is painted next; of the others the last is adjusted, too.
+        if self._puller.tool.name == "tissue" and not self._puller.answers.picked:
+            return
         try:
             self._puller.hand.change(**asdict(how))
         except HmrfError as error:

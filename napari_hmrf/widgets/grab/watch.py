@@ -37,6 +37,7 @@ class GrabWatch:
         form.tissue.changed.connect(self._on_choice)
         form.boundary.changed.connect(self._on_choice)
         form.edge.changed.connect(self._on_choice)
+        form.fields.preset.changed.connect(self._on_choice)
         self._events = [
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
