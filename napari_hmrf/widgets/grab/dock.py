@@ -116,8 +116,8 @@ class GrabAndPull(Container):
     @property
     def busy(self) -> bool:
         """Whether tissue is still on its way."""
-        waits = self._started and self._watch.waiting
-        return self._puller.follower.busy or self._resting.isActive() or waits
+        read = not self._started or not self._watch.waiting
+        return self._puller.follower.busy or self._resting.isActive() or not read
 
     @property
     def away(self) -> bool:
@@ -144,10 +144,8 @@ class GrabAndPull(Container):
         """Have the mouse pull tissue; whether it does from now on."""
         self._started = True
         if self.look():
-            ground = self._puller.ground
-            assert ground is not None
-            if not self._sized:
-                self.form.radius.value = ground.usual_radius
+            if not self._sized and self._puller.ground is not None:
+                self.form.radius.value = self._puller.ground.usual_radius
                 self._sized = True
             self._watch.hide_paint()
             self._puller.take(self.form.radius.value)

@@ -14,6 +14,7 @@ from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import number_of, painted_layer
+from napari_hmrf.widgets.grab.quick import overwrite
 from napari_hmrf.widgets.results import same_selection, update_layer
 
 
@@ -131,9 +132,9 @@ class PaintedLayer:
                 ]
                 layers.insert(min([len(layers), *lines]), layer)
         elif frame == self._frame and tissues == self._tissues:
-            layer.data[...] = frame.put_image(picture)
-            # Faster than other data, of which the thumbnail and all extents are made anew.
-            layer.refresh(extent=False, thumbnail=False, highlight=False)
+            data = frame.put_image(picture)
+            if not overwrite(self._viewer, layer, data):
+                layer.data = data.copy()
         else:
             made = painted_layer(frame, picture, tissues)
             update_layer(layer, made)
