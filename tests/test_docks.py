@@ -77,6 +77,14 @@ def test_all_docks_fit_on_a_small_screen(window, choose):
     assert (window._qt_window.width(), window._qt_window.height()) == ROOM
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_dock_fits_on_a_small_screen(window, kind, qtbot):
+    dock(kind)
+    qtbot.wait(50)
+    assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
+    assert (window._qt_window.width(), window._qt_window.height()) == ROOM
+
+
 def test_a_tab_behind_comes_to_the_front_when_the_menu_chooses_it(window, choose):
     for name in ("deform", "grab", "deform"):
         choose(name)

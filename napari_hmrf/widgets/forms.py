@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from magicgui.widgets import Container, Label
-from qtpy.QtCore import QEvent, QObject
-from qtpy.QtWidgets import QSizePolicy
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
 
 
 class Prose(Label):
@@ -43,3 +43,25 @@ def align_labels(form: Container) -> None:
     """Give a form's labels one width: magicgui does so only when one of them changes."""
     first = form[0]
     first.label = first.label
+
+
+def put_scrolled(outer: Container, body: Container, width: int) -> None:
+    """Put a form into a dock widget that may be lower than the form is, but no narrower.
+
+    Parameters
+    ----------
+    outer : Container
+        The dock widget.
+    body : Container
+        The form; the dock widget has to keep it.
+    width : int
+        The least width, in pixels.
+    """
+    scroll = QScrollArea()
+    scroll.setWidgetResizable(True)
+    scroll.setFrameShape(QFrame.Shape.NoFrame)
+    scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    scroll.setWidget(body.native)
+    scroll.setMinimumWidth(width)
+    scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+    outer.native.layout().addWidget(scroll)

@@ -13,6 +13,7 @@ from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.painted import tissue_colours
 from napari_hmrf.layers.view import View, unit_symbol
+from napari_hmrf.widgets.forms import put_scrolled
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.toolbox import Toolbox
@@ -22,6 +23,8 @@ from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.words import WELCOME
 
+#: Of the dock, in pixels: enough for the row of tools.
+_WIDTH = 350
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
 _REST = 300
 
@@ -50,7 +53,8 @@ class GrabAndPull(Container):
         # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
         self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
         self.form = GrabForm(lambda: list(self._viewer.layers))
-        super().__init__(widgets=[self.form], labels=False)
+        super().__init__(labels=False)
+        put_scrolled(self, self.form, _WIDTH)
         self._life = Life(self.native, self._on_closed)
         Tabs(self)
         self._docked = self._started = self._sized = False

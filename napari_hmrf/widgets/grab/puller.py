@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from psygnal import Signal
@@ -176,7 +177,8 @@ class Puller:
 
     def end(self) -> None:
         """Pull nothing any more."""
-        self._drawing_waits.stop()
+        with suppress(RuntimeError):  # at the end of the process Qt's own are gone before us
+            self._drawing_waits.stop()
         self.display.arrows.release()
         self.follower.release()
 

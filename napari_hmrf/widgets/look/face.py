@@ -6,12 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import CheckBox, ComboBox, Container, FloatSlider, PushButton, Slider, SpinBox
-from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
 
 from napari_hmrf.layers.outputs import ARROWS
 from napari_hmrf.widgets.energy_plot import EnergyPlot
-from napari_hmrf.widgets.forms import Prose
+from napari_hmrf.widgets.forms import Prose, put_scrolled
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.look.words import COLOURS_TIP, NOTHING, POINT, colour_choices
 
@@ -134,14 +132,7 @@ class LookFace:
         layout.setSpacing(4)
         layout.insertWidget(layout.count() - 2, self.energy)
         layout.addStretch()
-        scroll = QScrollArea()
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setWidget(body.native)
-        scroll.setMinimumWidth(_WIDTH)
-        scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        outer.native.layout().addWidget(scroll)
+        put_scrolled(outer, body, _WIDTH)
 
     @property
     def of_result(self) -> tuple[Any, ...]:
