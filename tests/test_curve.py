@@ -506,3 +506,49 @@ def test_a_stack_s_curve_may_be_edited_by_any_of_its_slices(widget):
     widget._viewer.dims.set_current_step(0, 1)
     widget.curve = replace(CURVE, void_below=None)
     np.testing.assert_array_equal(np.asarray(widget.tissue.data), widget.curve(image.data))
+
+
+# What stays
+
+
+def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sample, run, tmp_path):
+    from napari_hmrf.contributions import open_solution, save_solution
+
+    viewer = widget._viewer
+    small_sample(viewer)
+    arrows = run(widget).layers["arrows"]
+    (path,) = save_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
+    viewer.layers.clear()
+    small_sample(viewer)
+    widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
+    (again,) = open_solution(path)(path)
+    result = viewer.add_vectors(again[0], **again[1])
+    assert result not in widget._face.tissue.choice.offered
+    widget.take_materials(result)
+    assert widget.materials[1] == Material(1, "gel", 20.0)
+
+
+def test_a_result_keeps_the_curve_it_was_made_with(widget, run):
+    _, _, layer = made(widget)
+    widget.make_layers()
+    widget.boundary.data[12, 6] = 1
+    widget.boundary.data[12, 24] = 2
+    kept = run(widget).solution.provenance.parameters["tissue"]
+    assert StiffnessCurve.from_dict(kept["curve"]) == widget.curve
+    assert kept["source"] == "MR"
+    assert kept["layer"] == layer.name
+
+
+def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run, qtbot):
+    from napari_hmrf.widgets.look.dock import LookAtResult
+
+    viewer, _, layer = made(widget)
+    widget.make_layers()
+    widget.boundary.data[12, 6] = 1
+    widget.boundary.data[12, 24] = 2
+    widget.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 0.5)))
+    run(widget)
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    said = f"stiffness {layer.data[12, 6]:.3g} MPa"
+    qtbot.waitUntil(lambda: said in look._scene.cursor.at((12.0, 6.0))[1], timeout=5000)

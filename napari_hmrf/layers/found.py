@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Image, Labels
+from napari.layers import Image
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
@@ -95,10 +95,15 @@ def can_be_source(layer: Any, result: FoundResult) -> bool:
 
 
 def tissue_of(layers: Iterable[Any], result: FoundResult) -> Any:
-    """Find the Labels layer whose table says how stiff the tissue of a result is, or None."""
+    """Find the layer that says how stiff the tissue of a result is, or None.
+
+    That is one of labels with a table, or one of stiffness made from an image's intensity.
+    """
     for layer in reversed(list(layers)):
-        described = isinstance(layer, Labels) and role_of(layer) == TISSUE
-        if described and rows_of(layer, TISSUE) and frame_in(layer, result) is not None:
+        if role_of(layer) != TISSUE:
+            continue
+        described = isinstance(layer, Image) or rows_of(layer, TISSUE)
+        if described and frame_in(layer, result) is not None:
             return layer
     return None
 

@@ -45,6 +45,42 @@ def described(role: Role, rows: Iterable[Any] = (), unit: str = "") -> dict[str,
     return {METADATA: known}
 
 
+def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
+    """What made the tissue of a layer, in JSON types, to be kept with a solution.
+
+    Parameters
+    ----------
+    layer : napari.layers.Labels or napari.layers.Image
+    materials : iterable of Material
+        Of labels.
+
+    Returns
+    -------
+    dict
+        The layer's name, the unit of stiffness, and a table of materials or a curve.
+    """
+    known = known_of(layer)
+    record = {"layer": str(layer.name)}
+    record.update({key: known[key] for key in ("unit", "curve", "source") if key in known})
+    rows = [asdict(material) for material in materials]
+    return record if "curve" in known or not rows else {**record, "materials": rows}
+
+
+def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
+    """The table of materials that the solution in a result's layer was made with, and its unit."""
+    try:
+        record = known_of(layer)["solution"].provenance.parameters["tissue"]
+        rows = tuple(
+            Material(
+                int(row["label"]), str(row["name"]), float(row["stiffness"]), float(row["poisson"])
+            )
+            for row in record["materials"]
+        )
+        return rows, str(record.get("unit", ""))
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
+        return None, ""
+
+
 def role_of(layer: Any) -> Role | None:
     """What a layer is for, if its metadata say so."""
     role = known_of(layer).get("role")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from napari.layers import Labels, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import tissue_record
 from napari_hmrf.layers.naming import LayerError, Named
 from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.reading import check_place, nearest_paint, plane_shape, take_slice
@@ -77,6 +78,8 @@ class Snapshot:
     confidence_name : Named, optional
     image_name : Named, optional
     materials, rules : tuple
+    record : dict
+        What made the tissue, as `tissue_record` says it; of no consequence for the result.
     notes : tuple of str
         What the user should know about how the layers were read.
     """
@@ -96,6 +99,7 @@ class Snapshot:
     image_name: Named | None = None
     materials: tuple[Material, ...] = ()
     rules: tuple[BoundaryRule, ...] = ()
+    record: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -178,6 +182,7 @@ def copy_layers(request: Request) -> Snapshot:
         image_name=None if image is None else Named.of(image),
         materials=tuple(request.materials),
         rules=tuple(request.rules),
+        record=tissue_record(tissue, request.materials if labelled else ()),
         notes=_notes(request, frames, shape),
     )
 

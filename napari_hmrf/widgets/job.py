@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection
 from concurrent.futures import Future
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import Cancelled
@@ -48,6 +49,7 @@ def deforming(
         tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
         with naming(m=tissue, poisson=tissue, c=boundary):
             solution = run_here(inputs.problem, inputs.prior, optimizer, backend, report, cancel)
+        solution = _with_tissue(solution, snapshot.record)
         report(Monitor("drawing the result", 1.0))
         outputs = result_layers(solution, inputs.frame, inputs.pictures, kinds, checkpoint)
         return Done(outputs, snapshot, inputs.ignored, inputs.notes)
@@ -69,6 +71,13 @@ def drawing(done: Done, kinds: Collection[Kind]) -> Work:
         )
 
     return work
+
+
+def _with_tissue(solution: Solution, record: dict[str, Any]) -> Solution:
+    """Keep with a solution what its tissue was made of."""
+    run = solution.provenance
+    parameters = {**run.parameters, "tissue": record}
+    return replace(solution, provenance=replace(run, parameters=parameters))
 
 
 def _checkpoint(cancel: threading.Event) -> Callable[[], None]:

@@ -11,7 +11,7 @@ from qtpy.QtCore import QStandardPaths
 from qtpy.QtWidgets import QFileDialog, QInputDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
+from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.material_files import ENDING, MaterialLibrary, load_materials, save_materials
 from napari_hmrf.presets import PRESETS, Preset
 from napari_hmrf.widgets.material_table import MaterialTable
@@ -26,11 +26,12 @@ def own_library() -> MaterialLibrary:
 
 
 def materials_of(layer: Any) -> Preset | None:
-    """The table of a layer of tissue labels, as a preset named after it; None if it has none."""
-    rows = rows_of(layer, TISSUE)
+    """The table of a layer of tissue labels, or of a result, as a preset; None if it has none."""
+    rows, unit = rows_of(layer, TISSUE), str(known_of(layer).get("unit", ""))
+    if rows is None:
+        rows, unit = tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
         return None
-    unit = str(known_of(layer).get("unit", ""))
     return Preset(str(layer.name), unit, f"the layer '{layer.name}'", rows)
 
 

@@ -29,7 +29,7 @@ from napari_hmrf.widgets.curve.plot import CurvePlot
 #: Spin boxes need ends.
 _FAR = 1e12
 _BETWEEN: dict[Between, str] = {"straight": "straight", "smooth": "smooth"}
-_SCALES = {True: "factors", False: "amounts"}
+_SCALES = {True: "logarithmic", False: "linear"}
 
 
 class CurveEditor(QWidget):
@@ -79,8 +79,8 @@ class CurveEditor(QWidget):
         for logarithmic, words in _SCALES.items():
             self.scale.addItem(words, logarithmic)
         self.scale.setToolTip(
-            "What is equally far apart on the axis of stiffness, and rises evenly between points: "
-            "factors (logarithmic) or amounts (linear)"
+            "Of stiffness. Logarithmic: it rises by equal factors, as stiffnesses of tissues differ; "
+            "linear: by equal amounts. Counts between the points, too"
         )
         self.anew = QPushButton("Start anew")
         self.anew.setToolTip(
@@ -114,7 +114,7 @@ class CurveEditor(QWidget):
         for row in (
             [QLabel("intensity"), self.intensity, QLabel("stiffness"), self.stiffness, self.unit],
             [self.void, self.void_below, self.add, self.remove, self.anew],
-            [QLabel("lines"), self.between, QLabel("even in"), self.scale],
+            [QLabel("between points"), self.between, QLabel("axis"), self.scale],
         ):
             line = QHBoxLayout()
             for widget in row:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from napari.layers import Image
+
 from napari_hmrf.annotation import Material
 from napari_hmrf.layers.found import FoundResult, frame_in, place_at
 from napari_hmrf.layers.frame import Frame
@@ -68,7 +70,7 @@ class UnderCursor:
         self._fraction = fraction
 
     def stiffness_from(self, tissue: Any, result: FoundResult) -> None:
-        """Take the stiffness from a Labels layer and its table; None for nowhere."""
+        """Take the stiffness from labels and their table, or from an image; None for nowhere."""
         self._tissue = tissue
         self._place = None if tissue is None else frame_in(tissue, result)
         rows = () if tissue is None else rows_of(tissue, TISSUE) or ()
@@ -105,10 +107,12 @@ class UnderCursor:
             return ""
         index = list(frame.index)
         index[frame.plane[0]], index[frame.plane[1]] = found.row, found.col
-        material = self._materials.get(int(full_resolution(tissue)[tuple(index)]))
+        unit, value = str(known_of(tissue).get("unit", "")), full_resolution(tissue)[tuple(index)]
+        if isinstance(tissue, Image):
+            return stiffness_of("", float(f"{float(value):.3g}"), unit)
+        material = self._materials.get(int(value))
         if material is None:
             return ""
-        unit = str(known_of(tissue).get("unit", ""))
         return stiffness_of(material.name, material.stiffness, unit)
 
     def _on_status(self, event: Any) -> None:

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from napari.layers import Labels
 from qtpy.QtCore import QTimer
 
 from napari_hmrf.deformation import magnitude
@@ -152,7 +153,7 @@ class Scene:
             if shown.source is not None:
                 image = picture_of(shown.source, result)
             tissue = tissue_of(self._viewer.layers, result)
-            if tissue is not None and shown.layer("labels") is not None:
+            if isinstance(tissue, Labels) and shown.layer("labels") is not None:
                 labels = picture_of(tissue, result)
         except HmrfError as error:
             self._refuse(error)
