@@ -345,3 +345,60 @@ def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling, settle
     assert not badge.visible
     with pytest.raises(ValueError, match="no tool 'saw'"):
         widget.tool = "saw"
+
+
+def test_an_edit_of_another_slice_is_taken_back_there(open_window, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_window(stack, scale=(5, 1, 1))
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    settle(widget)
+    person.drag((20, 30), (24, 30))
+    viewer.dims.set_current_step(0, 2)
+    settle(widget)
+    person.drag((20, 40), (20, 44))
+    settle(widget)
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+    assert widget.form.undo.tooltip == "Take back: drew an arrow (in slice 1) (Ctrl+Z)"
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert viewer.dims.current_step[0] == 1, "it goes to where it happened"
+    assert not widget.drawing.marks
+    assert widget.status == "Took back, in slice 1: drew an arrow."
+    assert not widget.form.undo.enabled
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6)
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    settle(widget)
+    assert viewer.dims.current_step[0] == 2
+    assert only(widget).by == pytest.approx((0, 4), abs=0.6)
+
+
+def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
+    person, widget = pulling
+    labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
+    person.viewer.layers.selection.active = by_name(person.viewer, "Arrows")
+    person.drag((30, 30), (34, 34))
+    drawn = widget.drawing
+    labels.paint((10, 10), 3)
+    person.viewer.layers.selection.active = labels
+    box = widget.form.grab.native
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == Drawing()
+    assert labels.data.any(), "what napari painted stays"
+    QTest.keyClick(box, Qt.Key.Key_Y, CTRL)
+    assert widget.drawing == drawn
+
+
+def test_an_image_that_is_removed_takes_its_steps_along(pulling, qtbot):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    assert widget.form.undo.enabled
+    person.viewer.layers.remove("MR")
+    qtbot.wait(50)
+    assert not widget.form.undo.enabled
+    widget.undo()
+    assert widget.status == "There is nothing to take back."

@@ -125,19 +125,13 @@ class Answers:
 
     def undo(self) -> None:
         """Take back what was done last."""
-        if self._give_up_half():
-            return
-        word = self._puller.history.undo()
-        self._puller.said.emit(f"Took back: {word}." if word else "There is nothing to take back.")
+        self._puller.steps.undo()
 
     def redo(self) -> None:
         """Do again what was taken back."""
-        if self._give_up_half():
-            return
-        word = self._puller.history.redo()
-        self._puller.said.emit(f"Did again: {word}." if word else "There is nothing to do again.")
+        self._puller.steps.redo()
 
-    def _give_up_half(self) -> bool:
+    def interrupt(self) -> bool:
         """A pair of which only one place was clicked is what was done last."""
         self._puller.display.arrows.end_drag()
         if self._puller.hand.pending is None:

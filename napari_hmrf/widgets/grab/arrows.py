@@ -44,7 +44,6 @@ class ArrowsLayer:
         self._does = HELP
         #: Counts drags: one that was ended from elsewhere does not go on.
         self._drag = 0
-        self._bound: list[str] = []
 
     @property
     def layer(self) -> Any:
@@ -175,30 +174,9 @@ class ArrowsLayer:
             self._viewer.layers.remove(self._layer)
         self._layer = self._frame = None
 
-    def bind_viewer(self) -> None:
-        """Undo and redo from wherever no layer has keys of its own for it, as Labels have."""
-        told = self._told
-        self.unbind_viewer()
-        for key, answer in (
-            ("Control-Z", lambda _: told.undo()),
-            ("Control-Shift-Z", lambda _: told.redo()),
-        ):
-            try:
-                self._viewer.bind_key(key, answer)
-            except ValueError:  # somebody else's
-                continue
-            self._bound.append(key)
-
-    def unbind_viewer(self) -> None:
-        """Leave the viewer's keys alone."""
-        for key in self._bound:
-            self._viewer.bind_key(key, None)
-        self._bound.clear()
-
     def release(self) -> None:
         """Feel nothing any more."""
         self.end_drag()
-        self.unbind_viewer()
         layer, self._layer = self._layer, None
         if layer is not None:
             if self._on_drag in layer.mouse_drag_callbacks:

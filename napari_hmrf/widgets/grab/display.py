@@ -113,7 +113,6 @@ class Display:
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""
-        self.arrows.unbind_viewer()
         with self.own_doing():
             self.arrows.remove()
             self.painted.remove()

@@ -20,6 +20,7 @@ from napari_hmrf.widgets.grab.toolbox import Toolbox
 from napari_hmrf.widgets.grab.watch import GrabWatch, timer
 from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
 from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.words import WELCOME
 
@@ -58,12 +59,13 @@ class GrabAndPull(Container):
         self._life = Life(self.native, self._on_closed)
         Tabs(self)
         self._docked = self._started = self._sized = False
-        self._status = ""
+        self._status = self._step = ""
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)
         self._resting = timer(self.native, _REST, self._on_rest)
         self._toolbox = Toolbox(self, self.form, self._puller, self._viewer, self.say)
         self._connect()
         self._watch = GrabWatch(self, self._viewer)
+        StepKeys(self.native, self._puller.steps)
         self.native_parent_changed.connect(self._on_parent)
         self.reset_choices()
         self._watch.choose_by_role(list(self._viewer.layers))
@@ -268,7 +270,9 @@ class GrabAndPull(Container):
         puller = self._puller
         for name in ("undo", "redo", "remove", "clear"):
             getattr(self.form, name).changed.connect(getattr(self, name))
-        puller.said.connect(self.say)
+        puller.said.connect(self._on_said)
+        puller.steps.said.connect(self._on_step)
+        puller.steps.edits.moved.connect(self._show_steps)
         puller.changed.connect(self._on_changed)
         puller.seen.connect(self.seen.emit)
 
@@ -276,7 +280,21 @@ class GrabAndPull(Container):
         if self.away:
             return
         self._resting.start()
-        self.form.show_steps(self.history, self._puller.hand.selected is not None)
+        self._show_steps()
+
+    def _show_steps(self) -> None:
+        if not self.away:
+            selected = self._puller.hand.selected is not None
+            self.form.show_steps(self._puller.steps, len(self.drawing.marks), selected)
+
+    def _on_said(self, sentence: str) -> None:
+        # On another slice, too, it is still to be read what was taken back there.
+        if sentence not in (self._puller.tool.how, OFF) or self._status != self._step:
+            self.say(sentence)
+
+    def _on_step(self, sentence: str, _: object) -> None:
+        self._step = sentence
+        self.say(sentence)
 
     def _on_rest(self) -> None:
         if self.away:
@@ -292,14 +310,16 @@ class GrabAndPull(Container):
             return
         if self.native.parent() is not None:
             self._docked = True
-            self._puller.display.arrows.bind_viewer()
+            self._puller.steps.bind_keys(self._puller.answers)
             self.reset_choices()
         elif self._docked:
             self._resting.stop()
             self._toolbox.release()
+            self._puller.steps.unbind_keys(self._puller.answers)
             self._puller.leave()
 
     def _on_closed(self) -> None:
         """Listen to nothing any more: the dock or the viewer is gone."""
         self._watch.release()
+        self._puller.steps.unbind_keys(self._puller.answers)
         self._puller.end()

@@ -12,12 +12,13 @@ from magicgui.widgets import (
 )
 from napari.layers import Image, Labels, Points
 
-from napari_hmrf.drawing import History
 from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.steps import ViewerSteps
 from napari_hmrf.widgets.forms import Prose
 from napari_hmrf.widgets.grab.fields import ToolFields
 from napari_hmrf.widgets.grab.tools import BY_NAME, TOOLS, Tool
 from napari_hmrf.widgets.layer_choice import LayerChoice
+from napari_hmrf.widgets.step_buttons import StepButtons
 
 ABOUT = (
     "Tissue is elastic here: it follows best, as each picture is computed from the one before. "
@@ -29,7 +30,7 @@ KEYS = (
     + ", ".join(f"{tool.key} {tool.title.split()[0].lower()}" for tool in TOOLS)
     + ". [ and ]: size.\n"
     "Shift+click: select what was drawn. Delete: remove it. Esc: cancel. "
-    "Ctrl+Z, Ctrl+Shift+Z: undo, redo. Hold Space: move the view."
+    "Ctrl+Z, Ctrl+Y: undo, redo. Hold Space: move the view."
 )
 
 
@@ -104,8 +105,8 @@ class GrabForm(Container):
         )
         self.take = PushButton(text="Take points as landmarks", enabled=False)
         self.points = Container(widgets=[self.where, self.should])
-        self.undo = PushButton(text="Undo", enabled=False)
-        self.redo = PushButton(text="Redo", enabled=False)
+        self._steps = StepButtons()
+        self.undo, self.redo = self._steps.undo, self._steps.redo
         self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
         self.clear = PushButton(text="Remove all", enabled=False)
         self.status = Prose(value="")
@@ -114,7 +115,6 @@ class GrabForm(Container):
             Container(widgets=pair, layout="horizontal", labels=False)
             for pair in ([self.undo, self.redo], [self.remove, self.clear])
         ]
-        self._steps = ("", "")
         first = Container(widgets=[self.image, self.tissue, self.boundary])
         others = list(self.tools.values())[1:]
         rows = [
@@ -147,16 +147,10 @@ class GrabForm(Container):
             part.visible = tool.name == "landmark" and len(self.where.offered) > 1
         self.take.enabled = self.where.value is not None and self.should.value is not None
 
-    def show_steps(self, history: History, selected: bool) -> None:
+    def show_steps(self, steps: ViewerSteps, marks: int, selected: bool) -> None:
         """Show what can be taken back, done again and removed."""
-        self.remove.enabled, self.clear.enabled = selected, bool(history.drawing.marks)
-        undo, redo = steps = history.undo_word, history.redo_word
-        if steps == self._steps:
-            return
-        self._steps = steps
-        self.undo.enabled, self.redo.enabled = bool(undo), bool(redo)
-        self.undo.tooltip = f"Take back: {undo} (Ctrl+Z)" if undo else "Ctrl+Z"
-        self.redo.tooltip = f"Do again: {redo} (Ctrl+Shift+Z)" if redo else "Ctrl+Shift+Z"
+        self.remove.enabled, self.clear.enabled = selected, bool(marks)
+        self._steps.show(steps)
 
     def show_toggle(self, on: str) -> None:
         """Show which tool the mouse has; "" if none."""

@@ -1,20 +1,29 @@
-"""The drawings of all slices of all images."""
+"""The drawings of all slices of all images, among all else that is edited in a viewer."""
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 from napari_hmrf.drawing import History
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.steps import DRAWING, Place, Slot, steps_of
 
 
 class Histories:
-    """Each slice of an image has its own drawing, as long as the image is there."""
+    """Each slice of an image has its own drawing, as long as the image is there.
 
-    def __init__(self) -> None:
-        self._known: weakref.WeakKeyDictionary[Any, dict[Any, History]]
-        self._known = weakref.WeakKeyDictionary()
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+
+    Attributes
+    ----------
+    steps : ViewerSteps
+        Which goes back and forth between them, and whatever else is edited.
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self.steps = steps_of(viewer)
 
     def of(self, image: Any, frame: Frame) -> History:
         """The drawing of a slice.
@@ -25,4 +34,5 @@ class Histories:
         frame : Frame
             Of the slice.
         """
-        return self._known.setdefault(image, {}).setdefault((frame.plane, frame.index), History())
+        slot = Slot(DRAWING, image, Place(frame.plane, frame.index))
+        return History(edits=self.steps.edits, slot=slot)

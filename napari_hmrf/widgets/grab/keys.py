@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from napari_hmrf.drawing.marks import Point
+from napari_hmrf.layers.steps import KEYS
 from napari_hmrf.widgets.grab.tools import TOOLS
 
 #: By how much a key makes the brush larger.
@@ -61,10 +62,9 @@ def bind_keys(layer: Any, told: Listener) -> None:
         ("Delete", lambda _: told.remove()),
         ("Backspace", lambda _: told.remove()),
         ("Escape", lambda _: told.cancel()),
-        ("Control-Z", lambda _: told.undo()),
-        ("Control-Shift-Z", lambda _: told.redo()),
         ("[", lambda _: told.ask_for_size(1 / _LARGER)),
         ("]", lambda _: told.ask_for_size(_LARGER)),
+        *((key, lambda _, name=name: getattr(told, name)()) for key, name in KEYS.items()),
     ):
         layer.bind_key(key, answer)
     for tool in TOOLS:

@@ -13,6 +13,7 @@ from napari_hmrf.drawing.brush import Paint
 from napari_hmrf.drawing.hand import Hand
 from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.ground import Ground
+from napari_hmrf.layers.steps import ViewerSteps
 from napari_hmrf.widgets.grab.answers import Answers
 from napari_hmrf.widgets.grab.display import Display
 from napari_hmrf.widgets.grab.follow import Follower, Seen
@@ -72,7 +73,7 @@ class Puller:
         self._drawing_waits = timer(None, _AHEAD, self.draw)
         self._image: Any = None
         self._working = self._warned = self._in_error = False
-        self._histories = Histories()
+        self._histories = Histories(viewer)
 
     @property
     def hand(self) -> Hand:
@@ -88,6 +89,11 @@ class Puller:
     def active(self) -> bool:
         """Whether the mouse pulls tissue."""
         return self.ground is not None and self.display.arrows.active
+
+    @property
+    def steps(self) -> ViewerSteps:
+        """All that was edited in the viewer, in order."""
+        return self._histories.steps
 
     @property
     def quiet(self) -> bool:
@@ -148,7 +154,7 @@ class Puller:
         with self.display.own_doing():
             self.display.arrows.take(ground.frame, ground.shape, radius)
         self.draw()
-        self.said.emit(COMPILING if self._working else self.tool.how)
+        self.said.emit(self.tool.how if self._working else COMPILING)
 
     def complete(self) -> None:
         """The drawing rests: keep it, and have its displacement drawn."""
