@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from napari.layers import Labels
 
 from napari_hmrf import ProblemError
 from napari_hmrf.drawing import Arrow, Canvas, Drawing, History, Landmark, Rendering, Stroke
 from napari_hmrf.drawing.brush import Brush, Paint
 from napari_hmrf.drawing.pairs import Pairs
 from napari_hmrf.drawing.pull import Grip
+from napari_hmrf.layers.painted import COLOURS, number_of, painted_colours
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)
@@ -230,3 +232,15 @@ def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(pair
     assert history.drawing.marks == (Landmark((8, 9), (14, 14), 3.0),)
     assert not pairs.press((40, 40), 1.0, Grip(3.0), lambda _: None)
     assert pairs.pending is None
+
+
+def test_what_was_painted_has_a_colour_of_its_own_and_is_paler_where_it_is_less_sure():
+    picture = np.zeros((4, 4), np.uint8)
+    colours = {7: (0.2, 0.4, 0.6)}
+    layer = Labels(picture, colormap=painted_colours(colours))
+    assert not layer.colormap.colors[0].any(), "nothing hides the image where nothing is painted"
+    seen = [layer.get_color(number_of(action)) for action in COLOURS]
+    for colour, expected in zip(seen, COLOURS.values(), strict=True):
+        assert colour[:3] == pytest.approx(expected, abs=0.01)
+    assert layer.get_color(number_of("pin", 0.2))[3] < 0.6 * layer.get_color(number_of("pin"))[3]
+    assert layer.get_color(number_of("tissue", label=7))[:3] == pytest.approx(colours[7], abs=0.01)

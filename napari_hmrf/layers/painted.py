@@ -110,16 +110,18 @@ def painted_colours(tissues: dict[int, Any]) -> Any:
     tissues : dict of int to colour
         Red, green and blue of each tissue's label, 0 to 1.
     """
-    from napari.utils.colormaps import DirectLabelColormap
+    from napari.utils.colormaps import CyclicLabelColormap
 
-    colours: dict[int | None, Any] = {None: (0.0, 0.0, 0.0, 0.0), 0: (0.0, 0.0, 0.0, 0.0)}
+    # As many colours as there are values, so that none comes twice; of a colormap for some values
+    # napari would compile the mapping first, for seconds.
+    colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
         for level in range(_LEVELS):
             opacity = _PALEST + (_FULL - _PALEST) * level / (_LEVELS - 1)
             colours[1 + (kind - 1) * _LEVELS + level] = (*COLOURS[action], opacity)
     for label, colour in tissues.items():
         colours[_TISSUE + label % _TISSUES] = (*(float(c) for c in colour[:3]), _TISSUE_OPACITY)
-    return DirectLabelColormap(color_dict=colours)
+    return CyclicLabelColormap(colors=colours)
 
 
 def painted_layer(
