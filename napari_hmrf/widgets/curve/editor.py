@@ -79,8 +79,8 @@ class CurveEditor(QWidget):
         for logarithmic, words in _SCALES.items():
             self.scale.addItem(words, logarithmic)
         self.scale.setToolTip(
-            "Of stiffness. Logarithmic: it rises by equal factors, as stiffnesses of tissues differ; "
-            "linear: by equal amounts. Counts between the points, too"
+            "Of stiffness. Logarithmic: by equal factors, as tissues differ; linear: by equal "
+            "amounts. It counts between the points, too"
         )
         self.anew = QPushButton("Start anew")
         self.anew.setToolTip(
@@ -118,7 +118,7 @@ class CurveEditor(QWidget):
         ):
             line = QHBoxLayout()
             for widget in row:
-                line.addWidget(widget)
+                line.addWidget(widget, int(isinstance(widget, QComboBox | QDoubleSpinBox)))
             layout.addLayout(line)
 
     def _connect(self) -> None:
