@@ -1,5 +1,6 @@
 """Tissue that is dragged: what is shown is the newest, and the window waits for nothing."""
 
+import sys
 import threading
 
 import numpy as np
@@ -213,3 +214,54 @@ def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
     mesh = person.viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
     one = np.zeros((3, 4), np.float32)
     assert mesh._build_color_transform(one) is mesh._build_color_transform(one + 1)
+
+
+@pytest.mark.parametrize("confidence", [1.0, 0.5])
+def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
+    from napari.layers import Image
+
+    from napari_hmrf.lookup import look_up
+    from napari_hmrf.rasterise import rasterise_displaced
+
+    def compiled():
+        kernels = look_up.signatures, rasterise_displaced.signatures
+        return [sorted(map(str, each)) for each in kernels], set(
+            sys.modules["napari_hmrf.solve"]._prepared
+        )
+
+    follower = Follower(lambda seen: None)
+    image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
+    follower.stand_on(read_ground(image, hold_edge=False))
+    rest(follower, qtbot)
+    compute_thread.submit(lambda: None).result(240)
+    before = compiled()
+    follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
+    rest(follower, qtbot)
+    assert compiled() == before
+    follower.release()
+
+
+def test_whoever_waits_for_the_compiler_is_told(open_window, settle, qtbot, solver_at_work):
+    _, widget = open_window()
+    widget.start()
+    qtbot.waitUntil(lambda: "Compiling" in widget.status, timeout=10_000)
+    solver_at_work.set()
+    settle(widget)
+    assert widget.status.startswith("Drag tissue")
+    widget.stop()
+    widget.start()
+    assert widget.status.startswith("Drag tissue")
+
+
+def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(image, qtbot, solver_at_work):
+    shown = []
+    follower = Follower(shown.append)
+    follower.stand_on(read_ground(image, hold_edge=False))
+    follower.follow(Drawing())
+    qtbot.wait(50)
+    assert follower.busy
+    assert not shown
+    solver_at_work.set()
+    rest(follower, qtbot)
+    assert [seen.solution for seen in shown] == [None]
+    follower.release()

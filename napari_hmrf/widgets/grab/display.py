@@ -15,10 +15,10 @@ from napari_hmrf.layers.drawn import Lines
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import outline_of
 from napari_hmrf.widgets.grab.arrows import ArrowsLayer
-from napari_hmrf.widgets.grab.follow import Seen
 from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.live_layers import LiveLayers
 from napari_hmrf.widgets.grab.paint import PaintedLayer
+from napari_hmrf.widgets.grab.seen import Seen
 
 
 class Display:

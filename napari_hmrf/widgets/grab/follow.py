@@ -4,121 +4,28 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.drawing import Drawing, Rendering, Stroke
-from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.ground import Ground
-from napari_hmrf.layers.outputs import RESTORED, Outputs, emptiness, result_layers
+from napari_hmrf.layers.outputs import RESTORED, emptiness, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
 from napari_hmrf.live import LiveSolver, Update
-from napari_hmrf.origin import farthest_of, origin
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Solution
 from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.grab.newest import Newest
+from napari_hmrf.widgets.grab.rehearsal import rehearse, rehearse_the_rest
 from napari_hmrf.widgets.grab.repainted import Repainted
+from napari_hmrf.widgets.grab.seen import Painted, Seen
 
 _log = logging.getLogger("napari_hmrf")
-
-
-class Painted(NamedTuple):
-    """What brushes have painted, and how it looks.
-
-    Attributes
-    ----------
-    picture : ndarray of uint8, shape (H, W)
-        Moved with the tissue.
-    lines, colours : ndarray
-        As `painted_marks` returns them.
-    """
-
-    picture: npt.NDArray[np.uint8]
-    lines: npt.NDArray[np.float32]
-    colours: npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """The tissue as a drawing has moved it.
-
-    Attributes
-    ----------
-    ground : Ground
-    drawing : Drawing
-    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
-        The image, moved with the tissue.
-    solution : Solution, optional
-    error : Exception, optional
-        Why there is no solution; the picture is then the one before.
-    outputs : Outputs, optional
-        The arrows of the displacement, and the folds; only once a drawing has come to rest.
-    painted : Painted, optional
-        What brushes have painted; None if nothing.
-    """
-
-    ground: Ground
-    drawing: Drawing
-    picture: npt.NDArray[Any]
-    solution: Solution | None = None
-    error: Exception | None = None
-    outputs: Outputs | None = None
-    painted: Painted | None = None
-
-    @classmethod
-    def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:
-        """Nothing has moved."""
-        picture = ground.pictures.image
-        assert picture is not None
-        return cls(ground, drawing or Drawing(), picture)
-
-    def came_from(self, point: Point) -> Point | None:
-        """Where the tissue seen at a point was before it moved; None if there is none."""
-        before: Point | None = point
-        if self.solution is not None:
-            solution = self.solution
-            field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            before = origin(point, *field)
-            # What nobody held anywhere stayed out of it, and where it was.
-            before = before or (None if self._tissue_at(point, solution.tissue) else point)
-        return before if before is not None and self._tissue_at(before, self.ground.m) else None
-
-    @cached_property
-    def _farthest(self) -> npt.NDArray[np.float32]:
-        assert self.solution is not None
-        return farthest_of(self.solution.displacement)
-
-    def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Where tissue that was at points, (N, 2) in pixels, is seen."""
-        if self.solution is None or not len(points):
-            return points
-        field, size = self.solution.displacement, self.ground.frame.spacing
-        steps = [
-            ndimage.map_coordinates(field[..., axis], points.T, order=1, mode="nearest")
-            / size[axis]
-            for axis in (0, 1)
-        ]
-        seen: npt.NDArray[np.float64] = points + np.stack(steps, axis=-1)
-        return seen
-
-    def is_inside(self, point: Point) -> bool:
-        """Whether a point is one of the image."""
-        return all(
-            -0.5 <= at <= size - 0.5 for at, size in zip(point, self.ground.shape, strict=True)
-        )
-
-    def _tissue_at(self, point: Point, image: npt.NDArray[Any]) -> bool:
-        row, col = (round(along) for along in point)
-        rows, cols = self.ground.shape
-        return 0 <= row < rows and 0 <= col < cols and bool(image[row, col] > 0)
 
 
 class Follower:
@@ -156,19 +63,22 @@ class Follower:
             self._scene.live.close()
         self._newest.forget()
         self._behind, self._next, self._still = False, None, None
-        self._scene = None if ground is None else _Scene(ground, self._newest)
+        self._scene = None
+        if ground is not None:
+            self._scene = _Scene(ground, self._newest)
+            self._scene.rehearse()
 
     def follow(self, drawing: Drawing) -> None:
         """Have the tissue move as a drawing says; returns at once."""
         scene = self._scene
         if scene is None:
             return
-        # Without a mark nothing moves, and still that is solved where it can be: what has to be
-        # compiled then is when the first one is drawn.
         if not drawing.marks and not scene.ground.base.c.any():
             scene.live.forget()
             self._next, self._still = None, Seen.still(scene.ground)
-            self._newest.put(self._still)
+            # With a rehearsal going on it is shown after that.
+            if not scene.rehearsing:
+                self._newest.put(self._still)
         elif self._behind:
             self._next = drawing
         else:
@@ -178,8 +88,7 @@ class Follower:
         """Have what takes longer made of the latest result, unless there is a newer one then."""
         scene = self._scene
         if scene is not None:
-            scene.asked += 1
-            compute_thread.submit(scene.complete)
+            scene.ask(scene.complete)
 
     @property
     def busy(self) -> bool:
@@ -199,9 +108,11 @@ class Follower:
         self._behind, self._next, self._still = True, None, None
         scene.live.submit(lambda: scene.problem(drawing))
 
-    def _on_newest(self, seen: Seen) -> None:
+    def _on_newest(self, seen: Seen | None) -> None:
         # A delivery that had begun may come after all was taken back.
         seen = seen if self._still is None else self._still
+        if seen is None:  # what had to be compiled is
+            return
         # What was wrong with an edit that has been replaced is put right by now, or said again.
         if seen.error is None or self._next is None:
             self._show(seen)
@@ -220,7 +131,7 @@ class _Scene:
     def __init__(self, ground: Ground, newest: Newest) -> None:
         self.ground = ground
         self.live = LiveSolver(self._deliver, ground.prior)
-        #: Jobs of `complete`: those that the window's thread asked for, and those done here.
+        #: Jobs beside solving: those that the window's thread asked for, and those done here.
         self.asked = self.done = 0
         self._newest = newest
         self._rendering: Rendering | None = None
@@ -228,6 +139,30 @@ class _Scene:
         self._seen = Seen.still(ground)
         # What was painted where, at rest; moved with the picture, once there is anything.
         self._painted: npt.NDArray[np.uint8] | None = None
+
+    @property
+    def rehearsing(self) -> bool:
+        """Whether what is to be compiled may not be yet."""
+        return self.done == 0
+
+    def ask(self, job: Callable[[], None], then: Callable[[], None] = lambda: None) -> None:
+        """Have a job done beside solving, in its turn."""
+        self.asked += 1
+
+        def run() -> None:
+            try:
+                job()
+            finally:
+                self.done += 1
+                then()
+
+        compute_thread.submit(run)
+
+    def rehearse(self) -> None:
+        """Compile what the first drawing will need, and then what others may."""
+        # Nothing is solved before this, so its answer, None, replaces nothing.
+        self.ask(lambda: rehearse(self.ground), lambda: self._newest.put(None))
+        compute_thread.submit(lambda: rehearse_the_rest(self.ground))
 
     def problem(self, drawing: Drawing) -> tuple[Problem, Prior]:
         if self._rendering is None:
@@ -279,16 +214,16 @@ class _Scene:
         return moved[0], Painted(moved[1], *painted_marks(self._rendering.canvas))
 
     def complete(self) -> None:
+        """Have the displacement drawn, and folds counted."""
         seen = self._seen
+        if seen.solution is None or not seen.drawing.marks or self.live.busy:
+            return
         try:
-            if seen.solution is None or not seen.drawing.marks or self.live.busy:
-                return
             # A drawing is kept in the file of the solution it belongs to.
             solution = replace(seen.solution, frame={"drawing": seen.drawing.as_dict()})
             outputs = result_layers(solution, self.ground.frame, None, kinds=RESTORED)
-            if not self.live.busy:
-                self._newest.put(replace(seen, outputs=outputs))
         except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
             _log.exception("the displacement could not be drawn")
-        finally:
-            self.done += 1
+            return
+        if not self.live.busy:
+            self._newest.put(replace(seen, outputs=outputs))

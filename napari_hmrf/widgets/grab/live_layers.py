@@ -11,8 +11,8 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
-from napari_hmrf.widgets.grab.follow import Seen
 from napari_hmrf.widgets.grab.quick import overwrite
+from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.results import same_selection, update_layer
 
 PICTURE, ARROWS = "Deformed image", "Displacement"

@@ -16,9 +16,10 @@ from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.steps import ViewerSteps
 from napari_hmrf.widgets.grab.answers import Answers
 from napari_hmrf.widgets.grab.display import Display
-from napari_hmrf.widgets.grab.follow import Follower, Seen
+from napari_hmrf.widgets.grab.follow import Follower
 from napari_hmrf.widgets.grab.hands import Hands
 from napari_hmrf.widgets.grab.histories import Histories
+from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 from napari_hmrf.widgets.grab.watch import timer
 from napari_hmrf.widgets.grab.words import OFF, OPEN
@@ -26,7 +27,9 @@ from napari_hmrf.widgets.words import COMPILING, refusal
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
-_AHEAD = 100
+_AHEAD = 150
+#: After so many milliseconds without a first answer something is being compiled.
+_LONG = 1000
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
 
@@ -71,6 +74,7 @@ class Puller:
         self.display = Display(viewer, self.answers)
         self.follower = Follower(self._on_seen)
         self._drawing_waits = timer(None, _AHEAD, self.draw)
+        self._compiling = timer(None, _LONG, self._on_long)
         self._image: Any = None
         self._working = self._warned = self._in_error = False
         self._histories = Histories(viewer)
@@ -154,7 +158,9 @@ class Puller:
         with self.display.own_doing():
             self.display.arrows.take(ground.frame, ground.shape, radius)
         self.draw()
-        self.said.emit(self.tool.how if self._working else COMPILING)
+        self.said.emit(self.tool.how)
+        if not self._working:
+            self._compiling.start()
 
     def complete(self) -> None:
         """The drawing rests: keep it, and have its displacement drawn."""
@@ -185,6 +191,7 @@ class Puller:
         """Pull nothing any more."""
         with suppress(RuntimeError):  # at the end of the process Qt's own are gone before us
             self._drawing_waits.stop()
+            self._compiling.stop()
         self.display.arrows.release()
         self.follower.release()
 
@@ -217,6 +224,10 @@ class Puller:
         if seen.outputs is not None:
             self._warn_of(seen.outputs.folds)
         self.seen.emit(seen)
+
+    def _on_long(self) -> None:
+        if not self._working and self.ground is not None and self.follower.busy:
+            self.said.emit(COMPILING)
 
     def _on_error(self, seen: Seen) -> None:
         assert seen.error is not None

@@ -1,0 +1,77 @@
+"""Compiling what tissue that follows the mouse will need, before the mouse is pressed.
+
+Whatever was compiled on a machine once is there for good, so this mostly takes no time; where it
+does, the first drag would wait for it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from napari_hmrf.layers.ground import Ground
+from napari_hmrf.layers.outputs import emptiness
+from napari_hmrf.live import TOLERANCE
+from napari_hmrf.optimizers import Multigrid
+from napari_hmrf.priors import ElasticPrior, Prior
+from napari_hmrf.problem import Problem
+from napari_hmrf.solve import run_here
+from napari_hmrf.warper import Picture, Warper
+
+_SIZE = 24
+_log = logging.getLogger("napari_hmrf")
+#: Of this process.
+_moved: set[str] = set()
+_solved: set[tuple[str, bool]] = set()
+
+
+def rehearse(ground: Ground) -> None:
+    """Solve something small, and move a corner of the picture; on the compute thread only."""
+    picture = ground.pictures.image
+    assert picture is not None
+    _solve(ground, ground.prior)
+    _move(Picture(picture[:_SIZE, :_SIZE], fill=emptiness(picture)))
+
+
+def rehearse_the_rest(ground: Ground) -> None:
+    """The same with what not every drawing needs: holds that may slip, and paint."""
+    prior = ground.prior
+    if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+        _solve(ground, replace(prior, penalty=1.0))
+    _move(Picture(np.zeros((_SIZE, _SIZE), np.uint8), order=0))
+
+
+def _solve(ground: Ground, prior: Prior) -> None:
+    spacing = ground.frame.spacing
+    key = (prior.kernels, len(set(spacing)) == 1)
+    if key in _solved:
+        return
+    y, c = np.zeros((2, _SIZE, _SIZE, 2))
+    c[0] = c[-1] = 1
+    y[-1] = min(spacing)
+    problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing)
+    small = prior.rehearsal(problem.shape)
+    never = threading.Event()
+    try:
+        run_here(problem, small, Multigrid(TOLERANCE), "auto", None, never)
+    except Exception:  # noqa: BLE001 - whoever draws is told of it
+        _log.debug("a rehearsal failed", exc_info=True)
+    _solved.add(key)
+
+
+def _move(picture: Picture) -> None:
+    image = np.asarray(picture.image)
+    key = f"{image.dtype.str} {picture.order}"
+    if key in _moved:
+        return
+    try:
+        tissue = np.ones(image.shape[:2], dtype=bool)
+        tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
+        Warper(picture)(np.zeros((*tissue.shape, 2), np.float32), tissue)
+    except Exception:  # noqa: BLE001 - whoever draws is told of it
+        _log.debug("a rehearsal failed", exc_info=True)
+    _moved.add(key)
