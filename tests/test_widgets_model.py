@@ -369,10 +369,15 @@ def test_a_doubt_about_the_boundary_that_does_not_count_is_told(widget, small_sa
 def test_a_boundary_with_little_grip_slips(widget, small_sample, run):
     small_sample(viewer_of(widget))
     elastic(widget)
-    pushed = np.s_[10, -3, 1]
-    assert run(widget).solution.displacement[pushed] == pytest.approx(3, abs=1e-3)
+
+    def stretched():
+        across = run(widget).solution.displacement[10, :, 1]
+        return across[-3] - across[2]
+
+    assert stretched() == pytest.approx(3, abs=1e-3)
     widget.settings.grip.value = 0.05
-    assert 0.1 < run(widget).solution.displacement[pushed] < 2.9
+    # Both sides grip alike: which of them slips is nobody's to say.
+    assert 0.1 < stretched() < 2.9
 
 
 def test_a_boundary_too_thin_for_the_schedule_is_none_for_elastic_tissue():
