@@ -20,8 +20,8 @@ from napari_hmrf.problem import Problem
 # Below this fraction of the largest, what holds a rigid motion is rounding.
 _NOTHING = 1e-9
 _MOTIONS = ("along rows", "along columns", "by turning")
-# Where the last problem that was found to be held has tissue, and where it is observed: checking
-# takes as long as a few cycles.
+# Where a problem was found to be held, and where it has tissue: checking takes as long as a few
+# cycles.
 _held: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
 
 Labels = npt.NDArray[np.int32]
@@ -57,7 +57,8 @@ def check_held(problem: Problem) -> None:
     """
     held = problem.c > 0
     for known, tissue in _held:
-        if np.array_equal(known, held) and np.array_equal(tissue, problem.tissue):
+        # To hold more, as a brush does, frees nothing.
+        if np.array_equal(tissue, problem.tissue) and not (known & ~held).any():
             return
     free = free_motion(problem, held)
     if free is not None:

@@ -233,6 +233,18 @@ def test_a_piece_that_is_held_too_little_is_told_how_it_could_move(sites, way):
         solve(Problem(0 * c, c, m), ElasticPrior())
 
 
+def test_what_is_let_go_is_noticed_after_what_was_held_more():
+    m, c = pieces()
+    c[9, 20] = c[9, 24, 0] = 1
+    more, less = c.copy(), c.copy()
+    more[12, 22] = 1
+    less[9, 24, 0] = 0
+    for enough in (c, more, c):
+        solve(Problem(0 * c, enough, m), ElasticPrior())
+    with pytest.raises(ProblemError, match="could still move by turning"):
+        solve(Problem(0 * c, less, m), ElasticPrior())
+
+
 def test_two_points_hold_a_piece():
     m, c = pieces()
     c[9, 20] = c[9, 24, 0] = 1
