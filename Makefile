@@ -6,7 +6,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 HEADLESS := sh scripts/headless.sh
 
-.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks report screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks live report screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make lint         look for mistakes in style"
 	@echo "make types        check the types"
 	@echo "make benchmarks   print the tables of the paper, measured here"
+	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make screenshots  take the pictures of the README again, from a real window"
 	@echo "make sample-data  make the files of sample_data/ again"
@@ -50,6 +51,10 @@ types: setup
 
 benchmarks: setup
 	@$(RUN) benchmarks/run.py
+
+live: setup-for-windows
+	@$(RUN) benchmarks/live.py
+	@$(HEADLESS) $(RUN) benchmarks/live.py --napari
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation.py

@@ -59,15 +59,17 @@ class Window:
         if kind == "stack":
             self.viewer.dims.set_current_step(0, 1)
         _, self._widget = self.viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
-        # The window as it is for somebody who has just opened it.
-        self.viewer.window.resize(*_WINDOW)
         self.viewer.show()
         self._widget.tissue = tissue
         self._canvas: Any = self.viewer.window._qt_viewer.canvas
         self._native = self._canvas.native
         self.viewer.mouse_over_canvas = True
+        # Docks ask for their room as they come; what is painted should be as much each time.
+        self.wait(1.0)
+        self.viewer.window.resize(*_WINDOW)
         self.wait(1.0)
         self.viewer.reset_view()
+        self.wait(0.5)
         self._moved: dict[int, tuple[object, float]] = {}
         self._event_time = 0.0
         self._seen: object = None

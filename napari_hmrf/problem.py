@@ -81,7 +81,7 @@ class Problem:
                 )
         _check_stiffness(m)
         _check_confidence(c, m)
-        y = np.where(c > 0, y, np.float32(0))
+        np.copyto(y, np.float32(0), where=c <= 0)  # a copy already
         _check_finite("y", y, "where c > 0")
         _check_reach(y, pixel)
         for field, array in (("y", y), ("c", c), ("m", m)):
