@@ -14,6 +14,8 @@ from napari_hmrf.backends.linear import HeldPlanes, Planes
 if TYPE_CHECKING:
     from napari_hmrf.problem import Problem
 
+_spare: list[tuple[Planes, HeldPlanes]] = []
+
 
 def prescribed(problem: Problem, start: FloatArray | None = None) -> tuple[Planes, HeldPlanes]:
     """Return the displacement that is observed on tissue, in pixels, and where that is.
@@ -23,9 +25,21 @@ def prescribed(problem: Problem, start: FloatArray | None = None) -> tuple[Plane
     from napari_hmrf.backends.cpu import exact
 
     shape = (2, *(size + 4 for size in problem.shape))
-    d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+    if _spare and _spare[0][0].shape == shape:
+        d, held = _spare.pop()
+    else:
+        _spare.clear()
+        d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
     exact.prescribe(problem.y, problem.c, problem.m, start, 1 / problem.unit, d, held)
     return d, held
+
+
+def reuse(d: Planes, held: HeldPlanes) -> None:
+    """Take what `prescribed` made for the next time: fresh memory takes longer to get than to fill.
+
+    For the compute thread only, on which solves take turns.
+    """
+    _spare[:] = [(d, held)]
 
 
 def observed(problem: Problem) -> npt.NDArray[np.int64]:

@@ -113,8 +113,10 @@ class Multigrid:
         finally:
             model.close()
         energies = np.array(refinement.energies) / max(1, int(problem.tissue.sum()))
+        displacement = host.gathered(d)
+        host.reuse(d, observed)
         return Outcome(
-            displacement=host.gathered(d),
+            displacement=displacement,
             energy=energies,
             levels=(LevelRun(0, problem.shape, len(energies)),),
             convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
