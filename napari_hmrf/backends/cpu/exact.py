@@ -59,21 +59,21 @@ def blend(values, weight, out):
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
 def _settle_row(values, tissue, unit):
     nothing = np.float32(0)
+    for j in range(len(values)):
+        nothing += values[j] * np.float32(0)  # 0, but for what is not a number
     for j in range(len(tissue)):
-        row, col = values[j, 0], values[j, 1]
-        # 0, but for what is not a number.
-        nothing += row * np.float32(0) + col * np.float32(0)
-        factor = unit if tissue[j] else np.float32(0)
-        values[j, 0] = row * factor
-        values[j, 1] = col * factor
+        factor = unit * np.float32(tissue[j])
+        values[2 * j] *= factor
+        values[2 * j + 1] *= factor
     return nothing == 0
 
 
 @_parallel
 def settle(values, tissue, unit, row_finite):
     """Values *= unit on tissue, 0 elsewhere; whether each row of (H, W, 2) had numbers only."""
+    flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
-        row_finite[i] = _settle_row(values[i], tissue[i], unit)
+        row_finite[i] = _settle_row(flat[i], tissue[i], unit)
 
 
 @_parallel
