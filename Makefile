@@ -18,7 +18,7 @@ help:
 	@echo "make benchmarks   print the tables of the paper, measured here"
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
-	@echo "make screenshots  take the pictures of the README again, from a real window"
+	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
 	@echo "make clean        delete what the commands above made, the environment included"
@@ -61,6 +61,7 @@ report: setup-for-report
 
 screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py
+	@$(HEADLESS) $(RUN) scripts/tutorial.py
 
 sample-data: setup
 	@$(RUN) scripts/make_sample_data.py

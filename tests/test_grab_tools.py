@@ -202,7 +202,7 @@ def test_points_are_taken_as_landmarks(pulling, settle):
     where = viewer.add_points([[30, 30], [40, 20]], name="is")
     should = viewer.add_points([[33, 30]], name="ought")
     assert form.take.native.isVisible()
-    form.where.value, form.should.value = where, should
+    assert (form.where.value, form.should.value) == (where, should), "there are no others"
     form.take.native.click()
     assert not widget.drawing.marks
     assert "'ought' has 1 points, but 'is' has 2" in widget.status

@@ -98,6 +98,8 @@ class Answers:
             self._puller.draw()
             return
         if done:
+            if self._puller.tool.name == "landmark":  # no click is waited for any more
+                self._puller.said.emit(self._puller.tool.how)
             self._puller.draw()
 
     def cancel(self) -> None:

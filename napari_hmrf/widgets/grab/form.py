@@ -145,6 +145,13 @@ class GrabForm(Container):
         self.fields.show_for(tool)
         for part in (self.points, self.take):
             part.visible = tool.name == "landmark" and len(self.where.offered) > 1
+        offered = self.where.offered
+        if (
+            tool.name == "landmark"
+            and len(offered) == 2
+            and not (self.where.value or self.should.value)
+        ):
+            self.where.value, self.should.value = offered  # the lower one is where things are
         self.take.enabled = self.where.value is not None and self.should.value is not None
 
     def show_steps(self, steps: ViewerSteps, marks: int, selected: bool) -> None:

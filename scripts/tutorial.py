@@ -1,0 +1,338 @@
+"""Take the tutorial's pictures, from a real napari window used with mouse and keys.
+
+``make screenshots`` takes all of them; ``python scripts/tutorial.py landmarks`` those of one page.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import own_images
+from PIL import Image
+from qtpy.QtCore import QPoint, Qt
+from qtpy.QtWidgets import QApplication
+from window import LEFT, NO_BUTTON, ROOT, Person, save, save_animation, wait, wait_until
+
+FOLDER = ROOT / "docs" / "tutorial" / "images"
+#: Of the windows: what fits on a small screen.
+SIZE = (1280, 690)
+#: Of the animation: what is seen of the window, how large it becomes, how long a frame stays.
+CROP, FRAME, MILLISECONDS = (470, 560), (376, 448), 60
+PLUGIN = "HMRF soft tissue"
+CTRL = Qt.KeyboardModifier.ControlModifier
+
+
+def keep(
+    person: Person, name: str, *around: Any, pointer: bool = True, screen: bool = False
+) -> None:
+    """Keep a picture of the window, or of what is around some widgets."""
+    picture = person.screen(pointer) if screen else person.sight(pointer)
+    if around:
+        picture = picture.crop(person.region(*around))
+    save(picture, FOLDER / f"{name}.png")
+
+
+def open_dock(person: Person, name: str) -> Any:
+    """Open one of our docks from the menu."""
+    person.menu("Plugins", PLUGIN, f"{name} ({PLUGIN})")
+    wait(0.5)
+    return person.dock(name)
+
+
+def open_sample(person: Person, name: str) -> None:
+    """Open a sample from the menu."""
+    person.menu("File", "Open Sample", PLUGIN, name)
+    wait(0.8)
+
+
+def grabbing(person: Person) -> Any:
+    """Open *Grab and pull* and press its button."""
+    dock = open_dock(person, "Grab and pull")
+    person.click(dock.form.grab)
+    wait_until(lambda: not dock.busy)
+    return dock
+
+
+def home(person: Person) -> None:
+    """Show the whole image."""
+    person.click(person.viewer.window._qt_viewer.viewerButtons.resetViewButton)
+    wait(0.2)
+
+
+def deformed(person: Person, dock: Any) -> None:
+    """Press Deform, and wait for the result."""
+    person.click(dock._face.footer.deform)
+    wait_until(lambda: dock.idle)
+    if dock.solution is None:
+        raise RuntimeError(f"there is no result: {dock.status}")
+
+
+def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int = 12) -> None:
+    """Press on tissue and drag it through places, the tissue following; the button stays down."""
+    person.press(*places[0])
+    for begin, end in itertools.pairwise(places):
+        for step in range(1, steps + 1):
+            along = step / steps
+            person.move(*(a + (b - a) * along for a, b in zip(begin, end, strict=True)))
+            wait_until(lambda: not dock._puller.follower.busy, rest=0.0)
+
+
+# The pages
+
+
+def first(_: dict[str, Path]) -> None:
+    """The first deformation: a sample, *Grab and pull*, a drag, a click."""
+    person = Person(SIZE)
+    menu = person.menu("File", "Open Sample", PLUGIN)
+    chosen = next(each for each in menu.actions() if "growing" in each.text())
+    person.point_at(menu, menu.actionGeometry(chosen).center())
+    menu.setActiveAction(chosen)
+    save(person.screen().crop((0, 0, 860, 330)), FOLDER / "first-sample.png")
+    person.click(menu, menu.actionGeometry(chosen).center())
+    wait(1)
+    menu = person.menu("Plugins", PLUGIN)
+    chosen = next(each for each in menu.actions() if each.text().startswith("Grab"))
+    person.point_at(menu, menu.actionGeometry(chosen).center())
+    menu.setActiveAction(chosen)
+    save(person.screen().crop((0, 0, 860, 330)), FOLDER / "first-menu.png")
+    person.click(menu, menu.actionGeometry(chosen).center())
+    wait(0.5)
+    dock = person.dock("Grab and pull")
+    person.click(dock.form.grab)
+    wait_until(lambda: not dock.busy)
+    keep(person, "first-on")
+    pulled(person, dock, (140, 92), (124, 106))
+    wait(0.5)
+    keep(person, "first-drag")
+    person.release(124, 106)
+    wait_until(lambda: not dock.busy)
+    person.drag((78, 112))
+    wait_until(lambda: not dock.busy)
+    keep(person, "first-hold")
+    person.key(Qt.Key.Key_Z, CTRL)
+    wait_until(lambda: not dock.busy)
+    print(dock.status)
+    person.viewer.close()
+
+
+def animation(_: dict[str, Path]) -> None:
+    """Grab and pull, as it moves."""
+    person = Person(SIZE)
+    open_sample(person, "Brain with a growing tumour")
+    dock = grabbing(person)
+    person.viewer.canvas.overlays.text.visible = False
+    frames: list[Image.Image] = []
+
+    def look() -> None:
+        sight = person.sight(pointer=True)
+        canvas = person.canvas
+        corner = canvas.mapTo(person.window, QPoint(0, 0))
+        left = corner.x() + (canvas.width() - CROP[0]) // 2
+        top = corner.y() + (canvas.height() - CROP[1]) // 2
+        crop = sight.crop((left, top, left + CROP[0], top + CROP[1]))
+        frames.append(crop.resize(FRAME, Image.Resampling.LANCZOS))
+
+    def go(*places: tuple[float, float], steps: int, held: bool) -> None:
+        """Move from place to place, slowly at either end."""
+        for begin, end in itertools.pairwise(places):
+            for step in range(1, steps + 1):
+                along = 0.5 - 0.5 * math.cos(math.pi * step / steps)
+                place = [a + (b - a) * along for a, b in zip(begin, end, strict=True)]
+                person.move(*place, button=LEFT if held else NO_BUTTON)
+                wait_until(lambda: not dock._puller.follower.busy, rest=0.0)
+                look()
+
+    go((70, 40), (148, 112), steps=6, held=False)
+    person.press(148, 112)
+    go((148, 112), (128, 88), (136, 132), steps=14, held=True)
+    person.release(136, 132)
+    wait_until(lambda: not dock.busy)
+    go((136, 132), (160, 170), steps=7, held=False)
+    person.press(160, 170)
+    go((160, 170), (136, 184), steps=14, held=True)
+    person.release(136, 184)
+    wait_until(lambda: not dock.busy)
+    look()
+    save_animation(frames, FOLDER / "grab-and-pull.gif", MILLISECONDS)
+    person.viewer.close()
+
+
+def tumour(_: dict[str, Path]) -> None:
+    """A growing tumour: Deform, look at the result, and change something."""
+    person = Person(SIZE)
+    open_sample(person, "Brain with a growing tumour")
+    dock = open_dock(person, "Deform tissue")
+    face = dock._face
+    wait(0.5)
+    keep(person, "tumour-painted", pointer=False)
+    deformed(person, dock)
+    keep(person, "tumour-result")
+    look = open_dock(person, "Look at the result")
+    wait_until(lambda: look.idle)
+    person.choose(look._face.colours, "Jacobian")
+    wait_until(lambda: look.idle)
+    person.tick(look._face.arrows)
+    wait_until(lambda: look.idle)
+    keep(person, "tumour-jacobian")
+    person.choose(look._face.colours, "nothing")
+    open_dock(person, "Deform tissue")
+    table = face.boundary.table
+    person.write(table, 1, 5, "10")
+    wait(0.5)
+    keep(person, "tumour-table", table, face.boundary.choice)
+    deformed(person, dock)
+    keep(person, "tumour-more")
+    print(dock.status)
+    person.viewer.close()
+
+
+def landmarks(_: dict[str, Path]) -> None:
+    """Landmarks: pairs of clicks, and two layers of points."""
+    person = Person(SIZE)
+    open_sample(person, "Brain that expands outward")
+    dock = grabbing(person)
+    person.click(dock.form.tools["landmark"])
+    keep(person, "landmarks-tool")
+    for where, should in (((96, 106), (88, 98)), ((150, 112), (156, 104)), ((96, 150), (91, 156))):
+        person.drag(where)
+        wait(0.5)
+        if where == (150, 112):
+            keep(person, "landmarks-half")
+        person.drag(should)
+        wait_until(lambda: not dock.busy)
+        print(dock.status, len(dock.drawing.marks))
+    keep(person, "landmarks-pairs")
+    person.click(dock.form.clear)
+    wait_until(lambda: not dock.busy)
+    for places in (((96, 106), (150, 112), (96, 150)), ((88, 98), (156, 104), (91, 156))):
+        person.menu("File", "New Layer", "Points")
+        person.key(Qt.Key.Key_2)
+        for place in places:
+            person.drag(place)
+            wait(0.5)
+    person.click(dock.form.tools["landmark"])
+    wait_until(lambda: not dock.busy)
+    print(dock.status)
+    keep(person, "landmarks-points")
+    person.click(dock.form.take)
+    wait_until(lambda: not dock.busy)
+    print(dock.status)
+    keep(person, "landmarks-taken")
+    person.viewer.close()
+
+
+def painting(person: Person, table: Any, row: int) -> None:
+    """Take the brush of a row."""
+    person.show(table)
+    item = table.item(row, 0)
+    person.click(table.viewport(), table.visualItemRect(item).center())
+
+
+def ring(person: Person, centre: tuple[float, float], radii: tuple[float, float]) -> None:
+    """Paint a ring with the brush in the hand."""
+    turns = [2 * math.pi * step / 40 for step in range(41)]
+    (row, col), (down, along) = centre, radii
+    person.drag(*((row + down * math.sin(t), col + along * math.cos(t)) for t in turns))
+
+
+def own(images: dict[str, Path]) -> None:
+    """An image of one's own: a PNG."""
+    person = Person(SIZE)
+    person.viewer.open(str(images["png"]), plugin="napari")
+    wait(0.5)
+    dock = open_dock(person, "Deform tissue")
+    face = dock._face
+    home(person)
+    person.click(face.make)
+    wait(0.5)
+    keep(person, "own-layers")
+    person.click(face.tissue.background)
+    wait(0.5)
+    keep(person, "own-background")
+    painting(person, face.tissue.table, 3)
+    person.viewer.layers["Tissue"].brush_size = 24
+    person.drag((110, 98), (112, 98), (116, 96), (108, 102))
+    wait(0.5)
+    keep(person, "own-tissue")
+    painting(person, face.boundary.table, 1)
+    ring(person, (112, 98), (21, 22))
+    painting(person, face.boundary.table, 0)
+    person.drag((204, 150), (204, 170), (204, 190))
+    wait(0.5)
+    keep(person, "own-boundary")
+    deformed(person, dock)
+    print(dock.status)
+    keep(person, "own-result")
+    person.viewer.close()
+
+
+def photograph(images: dict[str, Path]) -> None:
+    """An RGB photograph, and tissue by an intensity curve."""
+    person = Person(SIZE)
+    person.viewer.open(str(images["photograph"]), plugin="napari")
+    wait(0.5)
+    dock = open_dock(person, "Deform tissue")
+    home(person)
+    person.click(dock._face.intensity)
+    wait(1)
+    print(dock.status)
+    keep(person, "photograph-curve")
+    grab = open_dock(person, "Grab and pull")
+    person.click(grab.form.grab)
+    wait_until(lambda: not grab.busy)
+    print(grab.status)
+    pulled(person, grab, (175, 245), (160, 232))
+    person.release(160, 232)
+    wait_until(lambda: not grab.busy)
+    print(grab.status)
+    keep(person, "photograph-pulled")
+    person.viewer.close()
+
+
+def stack(images: dict[str, Path]) -> None:
+    """A slice of a stack."""
+    person = Person(SIZE)
+    person.viewer.open(str(images["stack"]), plugin="napari")
+    wait(0.5)
+    dock = grabbing(person)
+    home(person)
+    print(dock.status)
+    pulled(person, dock, (112, 98), (100, 120))
+    person.release(100, 120)
+    wait_until(lambda: not dock.busy)
+    print(dock.status)
+    keep(person, "stack-pulled")
+    person.viewer.dims.set_current_step(0, 5)
+    wait_until(lambda: not dock.busy)
+    print(dock.status)
+    person.viewer.close()
+
+
+PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
+    "first": first,
+    "animation": animation,
+    "tumour": tumour,
+    "landmarks": landmarks,
+    "own": own,
+    "photograph": photograph,
+    "stack": stack,
+}
+
+
+def main(names: list[str]) -> None:
+    """Take the pictures of some pages, or of all."""
+    with tempfile.TemporaryDirectory() as folder:
+        images = own_images.write(Path(folder))
+        for name in names or list(PAGES):
+            PAGES[name](images)
+            QApplication.processEvents()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
