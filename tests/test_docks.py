@@ -3,14 +3,18 @@
 import numpy as np
 import pytest
 from npe2 import PluginManifest
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget
 
+from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.widgets.commands import dock
 from napari_hmrf.widgets.deform import DeformTissue
 from napari_hmrf.widgets.grab.dock import GrabAndPull
 from napari_hmrf.widgets.look.dock import LookAtResult
 
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 KINDS = [DeformTissue, GrabAndPull, LookAtResult]
 #: Of a small screen, what the bars of the desktop and of the window leave.
 ROOM = (1366, 700)
@@ -150,6 +154,44 @@ def test_the_palette_offers_each_command_that_needs_no_file(window):
             continue
         enabled = offered[each.id].enablement
         assert (enabled is None or enabled.eval({})) == (each.id not in WITH_A_FILE)
+
+
+@pytest.mark.parametrize(
+    ("typed", "command"),
+    [
+        ("deform tissue", "deform"),
+        ("deform now", "deform_now"),
+        ("pull tissue", "grab_now"),
+        ("grab", "grab"),
+        ("look result", "look"),
+        ("undo tissue", "undo"),
+        ("redo tissue", "redo"),
+        ("play deformation", "play"),
+    ],
+)
+def test_the_palette_finds_commands_by_what_people_type(window, typed, command, qtbot):
+    main = window._qt_window
+    QTest.keyClick(main, Qt.Key.Key_P, CTRL | SHIFT)
+    qtbot.wait(20)
+    palette = main._command_palette
+    if not palette.isVisible():  # where no window manager gives the window the keyboard
+        window._toggle_command_palette()
+    QTest.keyClicks(palette._line, typed)
+    found = [each.id for each in palette._list.iter_command()]
+    assert f"napari-hmrf.{command}" in found
+    palette.hide()
+
+
+def test_undo_of_the_palette_takes_back_what_was_drawn(window, choose, qtbot):
+    choose("grab_now")
+    grab = dock(GrabAndPull)
+    qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)
+    drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
+    grab.drawing = drawn
+    choose("undo")
+    assert grab.drawing == Drawing()
+    choose("redo")
+    assert grab.drawing == drawn
 
 
 def test_without_a_window_a_command_says_so(monkeypatch):

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import napari
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.widgets.deform import DeformTissue
 from napari_hmrf.widgets.grab.dock import GrabAndPull
 from napari_hmrf.widgets.look.dock import LookAtResult
@@ -35,9 +36,7 @@ def dock(kind: type[_Dock], viewer: Any = None) -> _Dock:
     HmrfError
         If there is no window.
     """
-    viewer = napari.current_viewer() if viewer is None else viewer
-    if viewer is None:
-        raise HmrfError("There is no napari window open: start napari first.")
+    viewer = _current() if viewer is None else viewer
     found = next((each for each in viewer.window.dock_widgets.values() if type(each) is kind), None)
     if found is None:
         found = kind(viewer)
@@ -46,6 +45,13 @@ def dock(kind: type[_Dock], viewer: Any = None) -> _Dock:
     frame.show()
     frame.raise_()
     return found
+
+
+def _current() -> Any:
+    viewer = napari.current_viewer()
+    if viewer is None:
+        raise HmrfError("There is no napari window open: start napari first.")
+    return viewer
 
 
 def deform_now() -> None:
@@ -64,13 +70,13 @@ def grab_and_pull() -> None:
 
 
 def undo() -> None:
-    """Take back what was drawn last."""
-    dock(GrabAndPull).undo()
+    """Take back what was done last, in whichever dock."""
+    steps_of(_current()).undo()
 
 
 def redo() -> None:
     """Do again what was taken back."""
-    dock(GrabAndPull).redo()
+    steps_of(_current()).redo()
 
 
 def play() -> None:
