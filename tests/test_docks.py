@@ -89,6 +89,39 @@ def test_each_dock_fits_on_a_small_screen(window, kind, qtbot):
     assert (window._qt_window.width(), window._qt_window.height()) == ROOM
 
 
+def corners_seen(viewer):
+    """The least and the greatest row and column of the image that are on the canvas."""
+    canvas = viewer.window._qt_viewer.canvas
+    view = canvas.view
+    mapped = (view.transform * view.scene.transform).imap([[0, 0], list(canvas.size[::-1])])
+    (left, top), (right, bottom) = mapped[:, :2] / mapped[:, 3:]
+    return top, bottom, left, right
+
+
+def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(make_napari_viewer, qtbot):
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(*ROOM)
+    qtbot.wait(50)
+    viewer.add_image(np.full((40, 80), 100, np.uint8), name="MR")
+    qtbot.wait(50)
+    dock(DeformTissue, viewer)
+    qtbot.wait(150)
+    _, _, left, right = corners_seen(viewer)
+    assert left < 0
+    assert right > 79
+
+
+def test_a_view_that_somebody_chose_stays_beside_a_dock(window, qtbot):
+    viewer = window._qt_viewer.viewer
+    camera = viewer.scene.camera
+    camera.zoom *= 3
+    camera.center = (0, 10, 12)
+    chosen = (camera.zoom, camera.center)
+    dock(DeformTissue)
+    qtbot.wait(150)
+    assert (camera.zoom, camera.center) == chosen
+
+
 def test_a_tab_behind_comes_to_the_front_when_the_menu_chooses_it(window, choose):
     for name in ("deform", "grab", "deform"):
         choose(name)

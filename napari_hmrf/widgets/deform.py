@@ -64,7 +64,7 @@ class DeformTissue(Chooser):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._life = Life(self.native, self._on_closed)
-        Tabs(self)
+        Tabs(self, self._viewer)
         self._docked = False
         self._request: Request | None = None
         self._status = ""

@@ -1,7 +1,9 @@
-"""Docks of ours lie behind each other as tabs, the newest in front, and squeeze nothing."""
+"""Docks of ours lie behind each other as tabs, the newest in front, and cut nothing off."""
 
 from __future__ import annotations
 
+import math
+import weakref
 from typing import Any
 
 from magicgui.widgets import Container
@@ -10,27 +12,37 @@ from qtpy.QtWidgets import QDockWidget, QMainWindow
 
 #: Qt's property by which a widget of ours is known.
 _OURS = "napari_hmrf_dock"
+#: Until the canvas has the size that a new dock leaves it, in milliseconds.
+_LAID_OUT = 50
+#: The middle of a view is the same if it is not further away, in pixels of the screen.
+_NEAR = 20
 
 
 class Tabs(QObject):
     """Has a widget, once it is docked, be a tab beside those of ours that are docked there.
 
-    It is a child of the widget, and ends with it.
+    An image that was seen whole is seen whole beside the dock, too. It is a child of the widget,
+    and ends with it.
 
     Parameters
     ----------
     widget : Container
         A dock widget of ours, not docked yet.
+    viewer : napari.Viewer or ViewerModel
     """
 
-    def __init__(self, widget: Container) -> None:
+    def __init__(self, widget: Container, viewer: Any) -> None:
         super().__init__(widget.native)
+        self._viewer = weakref.ref(viewer)
         widget.native.setProperty(_OURS, True)
         self._dock: Any = None
         self._behind = self._hidden = False
         self._raising = QTimer(self)
         self._raising.setSingleShot(True)
         self._raising.timeout.connect(self._raise)
+        self._fitting = QTimer(self)
+        self._fitting.setSingleShot(True)
+        self._fitting.timeout.connect(self._fit)
         widget.native.installEventFilter(self)
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
@@ -85,11 +97,18 @@ class Tabs(QObject):
         if others:
             window.tabifyDockWidget(others[-1], dock)
             self._raising.start(0)
+        elif window.isVisible() and sees_all(self._viewer()):
+            self._fitting.start(_LAID_OUT)
 
     def _on_seen(self, seen: bool) -> None:
         """Qt tells of a tab, too, whether it is in front."""
         dock = self._dock
         self._behind = not seen and dock is not None and not dock.isHidden()
+
+    def _fit(self) -> None:
+        viewer = self._viewer()
+        if viewer is not None and self._in_sight:
+            viewer.reset_view()
 
     def _raise(self) -> None:
         dock = self._dock
@@ -98,3 +117,19 @@ class Tabs(QObject):
         if self._in_sight:
             dock.show()
             dock.raise_()
+
+
+def sees_all(viewer: Any) -> bool:
+    """Whether a viewer shows its layers about as its home button does, in two dimensions."""
+    if viewer is None or not viewer.layers or viewer.dims.ndisplay != 2:
+        return False
+    camera = getattr(viewer, "scene", viewer).camera  # before napari 0.9 it was the viewer's own
+    center, zoom = camera.center, camera.zoom
+    viewer.reset_view()
+    # napari fits a first layer before it knows how wide the controls beside it are.
+    same = math.isclose(zoom, camera.zoom, rel_tol=0.1)
+    for one, other in zip(center[-2:], camera.center[-2:], strict=True):
+        same = same and abs(one - other) * zoom < _NEAR
+    if not same:
+        camera.center, camera.zoom = center, zoom
+    return same

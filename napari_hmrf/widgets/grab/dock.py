@@ -57,7 +57,7 @@ class GrabAndPull(Container):
         super().__init__(labels=False)
         put_scrolled(self, self.form, _WIDTH)
         self._life = Life(self.native, self._on_closed)
-        Tabs(self)
+        Tabs(self, self._viewer)
         self._docked = self._started = self._sized = False
         self._status = self._step = ""
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)

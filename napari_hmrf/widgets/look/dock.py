@@ -54,7 +54,7 @@ class LookAtResult(LookControls):
         self._followed: Any = None
         self._events: list[tuple[Any, Any]] = []
         self._life = Life(self.native, self._on_closed)
-        Tabs(self)
+        Tabs(self, self._viewer)
         self._connect()
         self._on_theme()
         self._choose_newest()
