@@ -5,7 +5,7 @@ import pytest
 from npe2 import PluginManifest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QDockWidget
+from qtpy.QtWidgets import QApplication, QDockWidget, QLabel
 
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.errors import HmrfError
@@ -120,6 +120,12 @@ def test_a_view_that_somebody_chose_stays_beside_a_dock(window, qtbot):
     dock(DeformTissue)
     qtbot.wait(150)
     assert (camera.zoom, camera.center) == chosen
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_dock_lists_its_keys(window, kind):
+    words = [label.text() for label in dock(kind).native.findChildren(QLabel)]
+    assert any("Ctrl+" in text and ":" in text for text in words)
 
 
 def test_a_tab_behind_comes_to_the_front_when_the_menu_chooses_it(window, choose):

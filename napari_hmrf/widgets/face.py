@@ -12,6 +12,7 @@ from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.widgets.energy_plot import EnergyPlot
 from napari_hmrf.widgets.footer import Footer
+from napari_hmrf.widgets.forms import Prose
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.sections import BoundarySection, Layers, Shown, TissueSection
@@ -27,6 +28,12 @@ _OUTPUTS: dict[Kind, tuple[str, str, bool]] = {
 }
 
 
+#: napari's own, for who paints.
+KEYS = (
+    "While painting: 2 paints, 1 erases, 3 draws an outline, 4 fills; [ and ]: size of the brush; "
+    "hold Space: move the view. Ctrl+Z, Ctrl+Shift+Z: undo and redo. "
+    "Ctrl+Shift+P: all commands, by their words."
+)
 #: Of the dock, in pixels: enough for the widest table.
 _WIDTH = 430
 
@@ -76,6 +83,7 @@ class Face:
         self.energy = EnergyPlot()
         self.tissue.choice.changed.connect(self.model.tissue_is)
         self.model.energy.changed.connect(self._on_energy)
+        self.keys = Prose()
         self._assemble(outer)
 
     @property
@@ -129,7 +137,8 @@ class Face:
         advanced = QCollapsible("Advanced", expandedIcon="▾", collapsedIcon="▸")
         advanced.addWidget(self.settings.native)
         layout = body.native.layout()
-        for part in (advanced, self.energy):
+        self.keys.say(KEYS)
+        for part in (advanced, self.energy, self.keys.native):
             layout.addWidget(part)
         layout.setSpacing(4)
         layout.addStretch()

@@ -11,7 +11,7 @@ from napari_hmrf.layers.outputs import ARROWS
 from napari_hmrf.widgets.energy_plot import EnergyPlot
 from napari_hmrf.widgets.forms import Prose, put_scrolled
 from napari_hmrf.widgets.layer_choice import LayerChoice
-from napari_hmrf.widgets.look.words import COLOURS_TIP, NOTHING, POINT, colour_choices
+from napari_hmrf.widgets.look.words import COLOURS_TIP, KEYS, NOTHING, POINT, colour_choices
 
 Layers = Callable[[], list[Any]]
 Accept = Callable[[Any], bool]
@@ -104,6 +104,8 @@ class LookFace:
             "displacement, before and after, grid, Jacobian, strain and energy",
         )
         self.status = Prose()
+        self.keys = Prose()
+        self.keys.say(KEYS)
         self._assemble(outer)
 
     def _assemble(self, outer: Container) -> None:
@@ -122,6 +124,7 @@ class LookFace:
                 self.point,
                 self.save,
                 self.status,
+                self.keys,
             ],
             labels=False,
         )
@@ -130,7 +133,7 @@ class LookFace:
                 part.margins = (2, 2, 2, 2)
         layout = body.native.layout()
         layout.setSpacing(4)
-        layout.insertWidget(layout.count() - 2, self.energy)
+        layout.insertWidget(layout.count() - 3, self.energy)
         layout.addStretch()
         put_scrolled(outer, body, _WIDTH)
 

@@ -18,6 +18,9 @@ NO_IMAGE = (
     "made from; colours, grid and arrows are here all the same."
 )
 POINT = "Point at the tissue to read its displacement, area change and stiffness."
+KEYS = (
+    "Over the image: hold Shift+B to see it as it was. Ctrl+Shift+P: all commands, by their words."
+)
 NO_TISSUE = "No tissue here."
 NOTHING: str = "nothing"
 SAVING = "Saving pictures ..."
