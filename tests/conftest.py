@@ -32,6 +32,15 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason="napari needs a display; make test brings one"))
 
 
+@pytest.fixture(autouse=True)
+def _no_memory(tmp_path_factory):
+    """Nothing is remembered from the person at this machine, from test to test, or for either."""
+    from qtpy.QtCore import QSettings
+
+    folder = tmp_path_factory.mktemp("settings")
+    QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(folder))
+
+
 @pytest.fixture
 def widget(qtbot):
     """*Deform tissue* beside a viewer without a window, set to be quick."""

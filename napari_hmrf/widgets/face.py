@@ -15,6 +15,7 @@ from napari_hmrf.widgets.footer import Footer
 from napari_hmrf.widgets.forms import Prose
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.model import TissueModel
+from napari_hmrf.widgets.remembered import remember
 from napari_hmrf.widgets.sections import BoundarySection, Layers, Shown, TissueSection
 from napari_hmrf.widgets.settings import SolverSettings
 
@@ -84,6 +85,14 @@ class Face:
         self.tissue.choice.changed.connect(self.model.tissue_is)
         self.model.energy.changed.connect(self._on_energy)
         self.keys = Prose()
+        remember(
+            "deform",
+            {
+                **{str(kind): check for kind, check in self._checks.items()},
+                "preview": self.boundary.preview,
+                "device": self.settings.device,
+            },
+        )
         self._assemble(outer)
 
     @property

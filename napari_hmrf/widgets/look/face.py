@@ -12,6 +12,7 @@ from napari_hmrf.widgets.energy_plot import EnergyPlot
 from napari_hmrf.widgets.forms import Prose, put_scrolled
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.look.words import COLOURS_TIP, KEYS, NOTHING, POINT, colour_choices
+from napari_hmrf.widgets.remembered import remember
 
 Layers = Callable[[], list[Any]]
 Accept = Callable[[Any], bool]
@@ -106,6 +107,8 @@ class LookFace:
         self.status = Prose()
         self.keys = Prose()
         self.keys.say(KEYS)
+        shown = {"arrows": self.arrows, "grid": self.grid, "count": self.count}
+        remember("look", {**shown, "length": self.length})
         self._assemble(outer)
 
     def _assemble(self, outer: Container) -> None:

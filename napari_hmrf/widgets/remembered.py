@@ -1,0 +1,41 @@
+"""What outlasts a session: how results are shown, and where they are computed.
+
+Never what is computed: whoever opens a dock has the paper's model, whatever was tried last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from magicgui.widgets.bases import ValueWidget
+from qtpy.QtCore import QSettings
+
+
+def remember(dock: str, widgets: Mapping[str, ValueWidget[Any]]) -> None:
+    """Give fields the values that they had last, and keep those that they get.
+
+    Parameters
+    ----------
+    dock : str
+        Whose fields they are; one word.
+    widgets : mapping of str to ValueWidget
+        By the name under which each is kept.
+    """
+    store = QSettings(
+        QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
+    )
+    for name, widget in widgets.items():
+        key = f"{dock}/{name}"
+        if store.contains(key):
+            _restore(widget, store.value(key))
+        widget.changed.connect(lambda value, key=key: store.setValue(key, value))
+
+
+def _restore(widget: ValueWidget[Any], kept: Any) -> None:
+    """Set a value that was kept as text, unless it means nothing any more."""
+    kind = type(widget.value)
+    try:
+        widget.value = str(kept).lower() == "true" if kind is bool else kind(kept)
+    except (TypeError, ValueError):
+        return  # another version's, or written by hand

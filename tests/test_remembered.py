@@ -1,0 +1,60 @@
+"""What a dock remembers from one session to the next."""
+
+from qtpy.QtCore import QSettings
+
+from napari_hmrf.priors import SeilerPrior
+
+
+def another(qtbot):
+    from napari.components import ViewerModel
+
+    from napari_hmrf.widgets.deform import DeformTissue
+
+    made = DeformTissue(ViewerModel())
+    qtbot.addWidget(made.native)
+    return made
+
+
+def test_what_is_shown_and_the_device_are_remembered(qtbot):
+    first = another(qtbot)
+    assert "grid" not in first.outputs
+    first.outputs = (*first.outputs, "grid")
+    first.settings.device.value = "cpu"
+    second = another(qtbot)
+    assert second.outputs == first.outputs
+    assert second.settings.backend == "cpu"
+
+
+def test_what_is_computed_begins_with_the_paper_each_time(qtbot):
+    first = another(qtbot)
+    first.model.energy.value = "elastic"
+    first.settings.accuracy.value = 1e-4
+    second = another(qtbot)
+    assert second.settings.prior == SeilerPrior()
+    assert second.settings.is_the_papers
+
+
+def test_how_arrows_look_is_remembered(qtbot):
+    from napari.components import ViewerModel
+
+    from napari_hmrf.widgets.look.dock import LookAtResult
+
+    first, second = None, None
+    for _ in range(2):
+        made = LookAtResult(ViewerModel())
+        qtbot.addWidget(made.native)
+        first, second = second, made
+        if first is None:
+            made._face.count.value, made._face.length.value, made._face.grid.value = 50, 2.5, True
+    assert (second._face.count.value, second._face.length.value) == (50, 2.5)
+    assert second._face.grid.value is True
+
+
+def test_nonsense_in_the_file_is_left_alone(qtbot):
+    store = QSettings(
+        QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
+    )
+    store.setValue("deform/device", "abacus")
+    store.setValue("look/count", "many")
+    store.sync()
+    assert another(qtbot).settings.backend == "auto"
