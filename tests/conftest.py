@@ -61,9 +61,10 @@ def docked(make_napari_viewer):
 
 
 def quick(widget):
-    """A few sweeps on the CPU, without waiting for a compiler of shaders."""
+    """A few sweeps on the CPU, when told to, without waiting for a compiler of shaders."""
     widget.settings.device.value = "cpu"
     widget.settings.sweeps.value = 3
+    widget.live = False
     return widget
 
 

@@ -402,3 +402,26 @@ def test_an_image_that_is_removed_takes_its_steps_along(pulling, qtbot):
     assert not widget.form.undo.enabled
     widget.undo()
     assert widget.status == "There is nothing to take back."
+
+
+def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
+    person, widget = open_window()
+    viewer = person.viewer
+    viewer.layers.clear()
+    viewer.open_sample("napari-hmrf", "mass-effect")
+    _, other = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    assert widget.start()
+    settle(widget)
+    before = widget._puller.ground.m.max()
+    rows = other.materials
+    other.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
+    settle_ground(widget, person, 2 * before)
+    widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
+    widget.undo()
+    widget.undo()
+    assert other.materials == rows, "one order of steps for both docks"
+    settle_ground(widget, person, before)
+
+
+def settle_ground(widget, person, stiffest):
+    person._qtbot.waitUntil(lambda: widget._puller.ground.m.max() == stiffest, timeout=30_000)

@@ -18,6 +18,8 @@ from napari_hmrf.layers.view import View, unit_factor
 
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
 DRAWING = "drawing"
+#: And that with the curve of a layer of stiffness.
+CURVE = "curve"
 
 #: Keys, and what they do.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}

@@ -12,16 +12,11 @@ from qtpy.QtCore import QTimer
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.inputs import Request, copy_layers
-from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.naming import LayerError
-from napari_hmrf.optimizers import Optimizer
-from napari_hmrf.priors import Prior
-from napari_hmrf.solution import Solution
-from napari_hmrf.widgets.chooser import Chooser
+from napari_hmrf.layers.steps import steps_of
+from napari_hmrf.widgets.dock_steps import DockSteps
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
-from napari_hmrf.widgets.latest import Latest
-from napari_hmrf.widgets.life import Life
-from napari_hmrf.widgets.results import ResultLayers
+from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
@@ -34,7 +29,6 @@ from napari_hmrf.widgets.words import (
     WELCOME,
     refusal,
 )
-from napari_hmrf.widgets.words import details as details_of
 from napari_hmrf.widgets.words import progress as progress_of
 
 #: How often a running job is asked how it is getting on, in milliseconds.
@@ -42,7 +36,7 @@ _POLL = 30
 _log = logging.getLogger("napari_hmrf")
 
 
-class DeformTissue(Chooser):
+class DeformTissue(ResultDock):
     """Paint tissue and boundary beside an image, and see how the tissue moves.
 
     Everything the user can do a script can do too: choose layers (`image`, `tissue`, `boundary`,
@@ -63,16 +57,12 @@ class DeformTissue(Chooser):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._life = Life(self.native, self._on_closed)
         Tabs(self, self._viewer)
-        self._docked = False
         self._request: Request | None = None
-        self._status = ""
-        self._latest = Latest()
         self._solving_with: tuple[Any, ...] = ()
         self._stage = ("", 0.0)
-        self._results = ResultLayers(self._viewer)
         self._watch = Watch(self, self._viewer, self._face)
+        self._steps = DockSteps(self, self._face, steps_of(self._viewer))
         self._poll = QTimer(self.native)
         self._poll.setInterval(_POLL)
         self._poll.timeout.connect(self._on_poll)
@@ -87,36 +77,15 @@ class DeformTissue(Chooser):
         self.choose_by_role(list(self._viewer.layers))
         self._say(self._invitation())
 
-    # What there is to see
-
-    @property
-    def idle(self) -> bool:
-        """Whether nothing is being computed for this widget."""
-        return self._life.job is None
-
-    @property
-    def away(self) -> bool:
-        """Whether the window is gone, or the dock was closed."""
-        return self._life.over or (self._docked and self.native.parent() is None)
-
-    @property
-    def status(self) -> str:
-        """The sentence at the bottom."""
-        return self._status
-
-    @property
-    def details(self) -> str:
-        """What ran to make the latest result, how long and how well."""
-        done = self._latest.done
-        return "" if done is None else details_of(done)
-
-    @property
-    def solution(self) -> Solution | None:
-        """Of the latest result."""
-        done = self._latest.done
-        return None if done is None else done.outputs.solution
-
     # What can be done
+
+    def undo(self) -> None:
+        """Take back what was done last, in this dock or another of ours."""
+        self._steps.steps.undo()
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._steps.steps.redo()
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer to paint on, on the pixels of the image."""
@@ -154,6 +123,7 @@ class DeformTissue(Chooser):
     def cancel(self, why: str = CANCELLED) -> None:
         """Stop; nothing is changed, and the widget is idle at once, whatever the thread does."""
         if self._life.job is None:
+            self._live.cancel()
             return
         self._life.job.cancel()
         self._set_idle(why)
@@ -165,25 +135,17 @@ class DeformTissue(Chooser):
         if not self.away:
             super().reset_choices()
 
-    def say(self, status: str) -> None:
-        """Say something at the bottom, unless there is something more important going on."""
-        if self.idle:
-            self._say(status)
-
-    def note(self, found: str) -> None:
-        """Say what was found in the paint, until the next result."""
-        self._latest.note = found
-        self.say(found)
-
     def hand_brush(self, layer: Any) -> None:
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""
         if layer not in self._viewer.layers:
             return
-        hidden = self._results.set_aside()
+        hidden = not self._live.begun and self._results.set_aside()
         self._viewer.layers.selection.active = layer
         layer.visible = True
         layer.mode = "paint"
         note = " What was deformed is hidden meanwhile." if hidden else ""
+        if self._live.begun:
+            note = " The tissue follows; paint lies where it was before it moved."
         self.say(f"Painting label {layer.selected_label} in '{layer.name}'.{note}")
 
     # How it goes on
@@ -204,12 +166,8 @@ class DeformTissue(Chooser):
         if self._latest.fresh and self._latest.lacks(self.outputs):
             self._face.footer.start("Drawing the result ...")
             self._start(self.request(), drawing(self._latest.done, self.outputs))
-        elif news:
+        elif news and (self._latest.fresh or not self._live.begun):
             self._say(*self._latest.words)
-
-    @property
-    def _solver(self) -> tuple[Prior, Optimizer]:
-        return self.settings.prior, self.settings.optimizer
 
     def _start(self, request: Request, work: Work) -> None:
         self._request, self._life.job = request, Job(work)
@@ -247,15 +205,12 @@ class DeformTissue(Chooser):
         assert request is not None
         self._latest.done, self._latest.settings = done, self._solving_with
         self._latest.compare(self.request, self._solver)
-        for made in outputs.layers.values():
-            made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
-        self._watch.preview.hide()
-        shown = self._results.show(outputs, request.layers[0])
-        if request.image is not None and ("image" in shown or "labels" in shown):
+        self._put(outputs, request.layers[0])
+        if request.image is not None and {"image", "labels"} & set(outputs.layers):
             request.tissue.visible = False  # it would tint what was deformed
-        self._face.energy.show_solution(outputs.solution)
         self._set_idle("")
         self._say(*self._latest.words)
+        self._live.result_shown(done.snapshot, self._solving_with, request.layers[0])
         self.finished.emit(outputs)
 
     def _set_idle(self, status: str) -> None:
@@ -279,10 +234,6 @@ class DeformTissue(Chooser):
         else:
             self.say(success)
 
-    def _say(self, status: str, details: str = "") -> None:
-        self._status = status
-        self._face.footer.say(status, details)
-
     def _invitation(self) -> str:
         if self.tissue is not None and self.boundary is not None:
             return READY
@@ -302,16 +253,25 @@ class DeformTissue(Chooser):
             return
         if self.native.parent() is not None:
             self._docked = True
+            self._steps.come()
             self.reset_choices()
         elif self._docked:
             self.cancel()
+            self._live.leave()
+            self._steps.leave()
 
     def layer_removed(self, layer: Any) -> None:
         """A layer is gone: so is what was to be computed from it."""
+        self._live.layer_removed(layer)
         if self._request is not None and layer in self._request.layers:
             self.cancel(f"Cancelled: '{layer.name}' was removed.")
+
+    def _hide_preview(self) -> None:
+        self._watch.preview.hide()
 
     def _on_closed(self) -> None:
         """The dock or the viewer is gone: listen to nothing any more."""
         self._watch.release()
+        self._live.release()
+        self._steps.leave()
         self._face.release()

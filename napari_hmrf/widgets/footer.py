@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from magicgui.widgets import Container, PushButton
+from magicgui.widgets import CheckBox, Container, PushButton
 from napari.utils import progress as napari_progress
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import (
@@ -17,6 +17,8 @@ from qtpy.QtWidgets import (
     QVBoxLayout,
     QWidget,
 )
+
+from napari_hmrf.widgets.step_buttons import StepButtons
 
 #: Lines of text that are seen without scrolling.
 _LINES = 6
@@ -37,6 +39,14 @@ class Footer:
             widgets=[self.deform, self.cancel], layout="horizontal", labels=False
         )
         self._buttons.margins = (2, 2, 2, 2)
+        self.live = CheckBox(text="Live", value=True)
+        self.steps = StepButtons()
+        self._follow = Container(
+            widgets=[self.live, self.steps.undo, self.steps.redo],
+            layout="horizontal",
+            labels=False,
+        )
+        self._follow.margins = (2, 0, 2, 0)
         self._bar = QProgressBar()
         self._bar.setTextVisible(True)
         self._status, self._details = QLabel(), QLabel()
@@ -49,6 +59,7 @@ class Footer:
         layout = QVBoxLayout(footer)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
+        layout.addWidget(self._follow.native)
         layout.addWidget(self._buttons.native)
         policy = self._bar.sizePolicy()
         policy.setRetainSizeWhenHidden(True)
@@ -112,6 +123,11 @@ class Footer:
                 activity.close()
         elif done > self._activity.n:
             self._activity.update(done - self._activity.n)
+
+    def following(self, slowly: bool) -> None:
+        """Show that an edit is being followed, and takes a while; or that it is not."""
+        if self.deform.enabled and self.cancel.enabled != slowly:
+            self.cancel.enabled = slowly
 
     def stop(self) -> None:
         """Show that nothing is going on."""

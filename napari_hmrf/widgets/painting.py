@@ -52,6 +52,8 @@ class PaintedLabels:
         self._layer: Any = None
         self._loading = False
         self._active = False
+        #: Whether rows are being added for what was painted, by nobody's hand.
+        self.by_itself = False
         self._timer = QTimer(table)
         self._timer.setSingleShot(True)
         self._timer.setInterval(_PAUSE)
@@ -104,7 +106,9 @@ class PaintedLabels:
         if self._role == BOUNDARY:
             labels = {label for label in labels if label > 0}
         new = sorted(labels - set(self._table.labels))
+        self.by_itself = True
         self._table.ensure(new)
+        self.by_itself = False
         if new and not quietly:
             said = " and ".join(f"label {label} ({self._table.words(label)})" for label in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")

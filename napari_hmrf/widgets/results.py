@@ -81,6 +81,33 @@ class ResultLayers:
         self._aside.clear()
         return shown
 
+    def show_picture(self, source: Any, where: str, data: Any) -> bool:
+        """Show another picture in the *deformed image* there is; whether there is one.
+
+        All that is not the picture is that of an earlier result, and hidden until it is shown
+        anew; a picture that was hidden stays so.
+
+        Parameters
+        ----------
+        source : napari.layers.Layer
+            What was deformed.
+        where : str
+            The slice, as in the layers' metadata.
+        data : ndarray
+            As the layer takes it.
+        """
+        known = self._layers.get(source, {})
+        layer = self._existing(known.get(("image", where)))
+        if layer is None or layer.data.shape != data.shape:
+            return False
+        layer.data = data
+        for (kind, _), made in known.items():
+            other = self._existing(made)
+            if kind != "image" and other is not None and other.visible:
+                other.visible = False
+                self._aside.append(made.reference)
+        return True
+
     def set_aside(self) -> bool:
         """Hide what covers the image, until the next result; whether there was anything.
 

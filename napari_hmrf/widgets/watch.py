@@ -97,6 +97,7 @@ class Watch:
     def _check_soon(self, *_: Any) -> None:
         if not self._widget.away:
             self._checking.start()
+            self._widget.choose_live()
 
     def _on_inserted(self, event: Any) -> None:
         widget = self._widget

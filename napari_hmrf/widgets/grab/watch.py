@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.steps import Slot, steps_of
+from napari_hmrf.widgets.pixels import Pixels
 
 if TYPE_CHECKING:
     from napari_hmrf.widgets.grab.dock import GrabAndPull
 
 #: How long after the last change of a layer it is read again, in milliseconds.
 _PAUSE = 200
-#: The events after which a layer's pixels, or their place, are others.
-_PIXELS = ("data", "labels_update", "paint", "scale", "translate", "rotate", "shear", "affine")
 
 
 class GrabWatch:
@@ -31,7 +31,8 @@ class GrabWatch:
         self._widget = widget
         self._viewer = viewer
         self._looking = timer(widget.native, _PAUSE, self._look)
-        self._layers: list[Any] = []
+        self._pixels = Pixels(self._on_pixels)
+        steps_of(viewer).edits.changed.connect(self._on_table)
         form = widget.form
         form.image.changed.connect(self._on_choice)
         form.tissue.changed.connect(self._on_choice)
@@ -77,28 +78,18 @@ class GrabWatch:
         for event, answer in self._events:
             event.disconnect(answer)
         self._events = []
-        self._listen_to([])
+        self._pixels.release()
+        steps_of(self._viewer).edits.changed.disconnect(self._on_table, missing_ok=True)
 
     def _look(self) -> None:
         if not self._widget.away:
             self._widget.look()
 
-    def _listen_to(self, layers: list[Any]) -> None:
-        for layer in self._layers:
-            for name in _PIXELS:
-                if hasattr(layer.events, name):
-                    getattr(layer.events, name).disconnect(self._on_pixels)
-        self._layers = layers
-        for layer in layers:
-            for name in _PIXELS:
-                if hasattr(layer.events, name):
-                    getattr(layer.events, name).connect(self._on_pixels)
-
     def _on_choice(self, *_: Any) -> None:
         widget = self._widget
         if widget.away:
             return
-        self._listen_to(
+        self._pixels.listen_to(
             [layer for layer in (widget.image, widget.tissue, widget.boundary) if layer is not None]
         )
         self._looking.start(0)
@@ -106,6 +97,13 @@ class GrabWatch:
     def _on_pixels(self, *_: Any) -> None:
         if not self._widget.away:
             self._looking.start(_PAUSE)
+
+    def _on_table(self, slot: Any, _: Any) -> None:
+        """The table of a layer says something else, in whichever dock that was done."""
+        widget = self._widget
+        of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
+        if of_ours and slot.layer in (widget.tissue, widget.boundary):
+            self._on_pixels()
 
     def _on_slice(self, *_: Any) -> None:
         widget = self._widget

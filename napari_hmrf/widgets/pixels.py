@@ -1,0 +1,50 @@
+"""Hearing of every change of what layers hold, and of where they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+#: The events after which a layer's pixels, or their place, are others.
+_EVENTS = ("data", "labels_update", "paint", "scale", "translate", "rotate", "shear", "affine")
+
+
+class Pixels:
+    """Listens to layers, other ones whenever it is told.
+
+    Parameters
+    ----------
+    answer : callable
+        A method, called without arguments.
+    refreshed : bool
+        Whether to hear, too, that a layer draws itself anew, as it does when a script has changed
+        its array in place; but for many other reasons as well.
+    """
+
+    def __init__(self, answer: Callable[[], None], refreshed: bool = False) -> None:
+        self._answer = answer
+        self._names = (*_EVENTS, "set_data") if refreshed else _EVENTS
+        self._layers: list[Any] = []
+
+    def listen_to(self, layers: Iterable[Any]) -> None:
+        """Listen to these layers and no others."""
+        wanted = list(layers)
+        if [id(layer) for layer in wanted] == [id(layer) for layer in self._layers]:
+            return
+        for layer in self._layers:
+            for event in self._events(layer):
+                event.disconnect(self._on_event)
+        self._layers = wanted
+        for layer in wanted:
+            for event in self._events(layer):
+                event.connect(self._on_event)
+
+    def release(self) -> None:
+        """Listen no more."""
+        self.listen_to(())
+
+    def _on_event(self, *_: Any) -> None:
+        self._answer()
+
+    def _events(self, layer: Any) -> list[Any]:
+        return [getattr(layer.events, name) for name in self._names if hasattr(layer.events, name)]

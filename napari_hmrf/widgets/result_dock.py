@@ -1,0 +1,183 @@
+"""The part of *Deform tissue* that shows results, and says what there is to say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from psygnal import Signal
+
+from napari_hmrf.layers.inputs import Snapshot
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.outputs import Outputs
+from napari_hmrf.optimizers import Optimizer
+from napari_hmrf.priors import Prior
+from napari_hmrf.solution import Solution
+from napari_hmrf.widgets.chooser import Chooser
+from napari_hmrf.widgets.footer import Footer
+from napari_hmrf.widgets.job import Done
+from napari_hmrf.widgets.latest import Latest
+from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.live_job import News
+from napari_hmrf.widgets.live_mode import LiveMode
+from napari_hmrf.widgets.results import ResultLayers
+from napari_hmrf.widgets.words import details as details_of
+
+
+class ResultDock(Chooser):
+    """What came out last, in layers and in words; what is asked for, and when, comes on top.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    followed : Signal(object)
+        Emitted with `Outputs` when the result has followed an edit, in live mode.
+    """
+
+    followed = Signal(object)
+
+    def __init__(self, napari_viewer: Any) -> None:
+        super().__init__(napari_viewer)
+        self._life = Life(self.native, self._on_closed)
+        self._docked = False
+        self._status = ""
+        self._latest = Latest()
+        self._results = ResultLayers(self._viewer)
+        self._live = LiveMode(self, self._face.footer.live)
+
+    # What there is to see
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being computed for this widget."""
+        return self._life.job is None
+
+    @property
+    def away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+        return self._life.over or (self._docked and self.native.parent() is None)
+
+    @property
+    def status(self) -> str:
+        """The sentence at the bottom."""
+        return self._status
+
+    @property
+    def details(self) -> str:
+        """What ran to make the latest result, how long and how well."""
+        done = self._latest.done
+        return "" if done is None else details_of(done)
+
+    @property
+    def solution(self) -> Solution | None:
+        """Of the latest result."""
+        done = self._latest.done
+        return None if done is None else done.outputs.solution
+
+    @property
+    def live(self) -> bool:
+        """Whether the result follows every edit, once there is one; to set it true begins at once.
+
+        By default it does unless the image is large.
+        """
+        return self._live.on
+
+    @live.setter
+    def live(self, on: bool) -> None:
+        self._live.turn(on)
+
+    @property
+    def following(self) -> bool:
+        """Whether an edit is being followed that is not shown yet."""
+        return self._live.busy
+
+    @property
+    def shown(self) -> tuple[Snapshot, tuple[Any, ...]] | None:
+        """What the latest result was made from, and prior and optimizer."""
+        done = self._latest.done
+        return None if done is None else (done.snapshot, self._latest.settings)
+
+    @property
+    def footer(self) -> Footer:
+        """What always stays in sight."""
+        return self._face.footer
+
+    @property
+    def dims(self) -> Any:
+        """Which slice is shown."""
+        return self._viewer.dims
+
+    @property
+    def solver(self) -> tuple[Prior, Optimizer, str]:
+        """What a deformation is computed with."""
+        return (*self._solver, self.settings.backend)
+
+    # What is said and shown
+
+    def say(self, status: str) -> None:
+        """Say something at the bottom, unless there is something more important going on."""
+        if self.idle:
+            self._say(status)
+
+    def note(self, found: str) -> None:
+        """Say what was found in the paint, until the next result."""
+        self._latest.note = found
+        self.say(found)
+
+    def show_live(self, done: Done, source: Any) -> None:
+        """The result has followed an edit."""
+        if source not in self._viewer.layers:
+            return
+        self._latest.done, self._latest.settings = done, self._solver
+        self._latest.compare(self.request, self._solver)
+        self._put(done.outputs, source)
+        if self._latest.fresh:
+            self.say_result()
+        self.followed.emit(done.outputs)
+
+    def show_picture(self, news: News, source: Any) -> bool:
+        """Show at once how the image has followed an edit; whether there was a place for it."""
+        here = source in self._viewer.layers and "image" in self.outputs
+        if not here or news.picture is None:
+            return False
+        frame = news.snapshot.frame
+        data = frame.put_image(news.picture)
+        return self._results.show_picture(source, frame.slice_name, data)
+
+    def choose_live(self) -> None:
+        """Layers, tables, settings or the slice may be others: follow them."""
+        self._live.choose()
+
+    def outdate(self) -> None:
+        """The result is not that of the layers."""
+        self._latest.outdate()
+
+    def say_result(self) -> None:
+        """Say what came out."""
+        if self.idle:
+            words, small = self._latest.words
+            self._say(f"{words} {self._latest.note}".rstrip(), small)
+            self._latest.note = ""
+
+    def _put(self, outputs: Outputs, source: Any) -> None:
+        for made in outputs.layers.values():
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
+        self._hide_preview()
+        self._results.show(outputs, source)
+        self._face.energy.show_solution(outputs.solution)
+
+    @property
+    def _solver(self) -> tuple[Prior, Optimizer]:
+        return self.settings.prior, self.settings.optimizer
+
+    def _say(self, status: str, details: str = "") -> None:
+        self._status = status
+        self._face.footer.say(status, details)
+
+    def _hide_preview(self) -> None:
+        """Make way for a result."""
+
+    def _on_closed(self) -> None:
+        """The dock or the viewer is gone."""

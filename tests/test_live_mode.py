@@ -1,0 +1,500 @@
+"""Live mode of *Deform tissue*: whatever is edited, the newest edit is what is seen in the end."""
+
+import numpy as np
+import pytest
+from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
+from qtpy.QtGui import QMouseEvent
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf import Multigrid, solve
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.layers.inputs import read_layers
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.widgets import live_mode
+
+LEFT, PLAIN = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+CTRL = Qt.KeyboardModifier.ControlModifier
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+def names(widget):
+    return [layer.name for layer in viewer_of(widget).layers]
+
+
+def by_name(widget, name):
+    return viewer_of(widget).layers[name]
+
+
+def cold(widget):
+    """What a script finds for the same layers."""
+    prior, optimizer, _ = widget.solver
+    inputs = read_layers(widget.request(), prior, optimizer)
+    near = Multigrid(1e-4) if isinstance(optimizer, Multigrid) else optimizer
+    return solve(inputs.problem, inputs.prior, near, "cpu")
+
+
+def assert_newest(widget):
+    """What is seen is what the layers say now."""
+    found, expected = widget.solution, cold(widget)
+    assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
+    for layer in viewer_of(widget).layers:
+        known = known_of(layer)
+        here = known.get("slice") == widget._latest.done.snapshot.frame.slice_name
+        if known.get("kind") == "arrows" and here:
+            assert known["solution"].displacement is found.displacement
+            assert not known["inputs_changed"]
+
+
+@pytest.fixture
+def settle(qtbot):
+    """Wait until the last edit is shown."""
+
+    def wait(widget):
+        qtbot.wait(10)
+        qtbot.waitUntil(lambda: not widget.following, timeout=120_000)
+        qtbot.wait(60)
+
+    return wait
+
+
+@pytest.fixture
+def living(widget, small_sample, run):
+    """*Deform tissue* with a result that follows, and the layers it follows."""
+    layers = small_sample(viewer_of(widget))
+    widget.model.energy.value = "elastic"
+    run(widget)
+    widget.live = True
+    return widget, layers
+
+
+def paint(layer, places, label):
+    layer.data_setitem(tuple(np.array(places).T), label)
+
+
+def test_paint_tables_and_model_are_followed_without_a_button(living, settle):
+    widget, (_, tissue, boundary) = living
+    before = widget.solution
+    layers = [id(layer) for layer in viewer_of(widget).layers]
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    settle(widget)
+    assert widget.solution is not before
+    assert np.abs(widget.solution.displacement[10, 12]).max() < 1e-3, "it is held there now"
+    assert_newest(widget)
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(2.0, 1.0)))
+    settle(widget)
+    assert widget.solution.displacement[10, -3] == pytest.approx((2.0, 1.0), abs=0.02)
+    assert_newest(widget)
+    paint(tissue, [(row, col) for row in range(4, 9) for col in range(14, 19)], 2)
+    settle(widget)
+    widget.materials = (*widget.materials[:2], Material(2, "lump", 900.0))
+    settle(widget)
+    assert_newest(widget)
+    widget.model.poisson.value = 0.1
+    widget.model.plane.value = "strain"
+    settle(widget)
+    assert_newest(widget)
+    assert [id(layer) for layer in viewer_of(widget).layers] == layers, "in place"
+    assert widget.status.startswith("Tissue moved up to")
+
+
+@pytest.mark.parametrize("schedule", ["paper", "converged"])
+def test_the_papers_energy_is_followed_too(widget, small_sample, run, settle, schedule):
+    _, _, boundary = small_sample(viewer_of(widget))
+    widget.model.schedule.value = schedule
+    run(widget)
+    widget.live = True
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    settle(widget)
+    assert widget.solution.displacement[10, 12] == pytest.approx((0, 0), abs=0.01)
+    assert_newest(widget)
+
+
+def test_a_stiffness_image_that_is_replaced_is_followed(living, settle):
+    widget, (_, tissue, _) = living
+    stiff = np.where(tissue.data > 0, 5.0, 0.0).astype(np.float32)
+    widget.tissue = viewer_of(widget).add_image(stiff, name="E")
+    settle(widget)
+    before = widget.solution
+    changed = stiff.copy()
+    changed[5:15, 4:10] *= 50
+    widget.tissue.data = changed
+    settle(widget)
+    assert widget.solution is not before
+    assert_newest(widget)
+    widget.tissue.data[5:15, 12:16] *= 20  # in place, as a script may
+    widget.tissue.refresh()
+    settle(widget)
+    assert_newest(widget)
+
+
+def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, qtbot):
+    widget, (_, _, boundary) = living
+    seen = []
+    widget.followed.connect(seen.append)
+    for col in range(5, 20):
+        boundary.data[...] = np.where(boundary.data == 3, 0, boundary.data)
+        paint(boundary, [(row, col) for row in range(8, 12)], 3)
+        widget.rules = (*widget.rules[:2], BoundaryRule(3, "move", vector=(1.0, col / 10)))
+        if col % 3 == 0:
+            qtbot.wait(col)
+    settle(widget)
+    assert 1 <= len(seen) < 15
+    assert_newest(widget)
+
+
+def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkeypatch):
+    widget, (_, _, boundary) = living
+    popups, said = [], []
+    monkeypatch.setattr("napari_hmrf.widgets.deform.show_error", popups.append)
+    footer = widget.footer
+    say = footer.say
+    monkeypatch.setattr(footer, "say", lambda *words: (said.append(words[0]), say(*words)))
+    before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
+    painted = boundary.data.copy()
+    for _ in range(3):
+        boundary.data = np.zeros_like(painted)
+        settle(widget)
+    assert widget.solution is before
+    assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
+    assert sum(sentence.startswith("Not yet: Nothing is painted") for sentence in said) == 1
+    assert widget.status.endswith("The last result stays.")
+    assert not popups, "nobody asked for anything"
+    boundary.data = painted
+    settle(widget)
+    assert widget.status.startswith("Tissue moved up to")
+    assert_newest(widget)
+
+
+def test_what_the_solver_refuses_names_the_layer(living, settle):
+    widget, (_, _, boundary) = living
+    before = widget.solution
+    data = np.zeros_like(boundary.data)
+    data[10, 10] = 1
+    boundary.data = data
+    settle(widget)
+    assert widget.solution is before
+    assert "'Boundary'" in widget.status
+    assert "could still move" in widget.status
+
+
+def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, busy_thread, qtbot):
+    widget, (_, _, boundary) = living
+    before = widget.solution
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    qtbot.waitUntil(lambda: widget.footer.cancel.enabled, timeout=5000)
+    assert widget.status.startswith("Following the last edit")
+    widget.cancel()
+    assert widget.status == "Cancelled; the last result stays."
+    assert not widget.footer.cancel.enabled
+    busy_thread.set()
+    settle(widget)
+    assert widget.solution is before
+    paint(boundary, [(row, 14) for row in range(6, 14)], 1)
+    settle(widget)
+    assert_newest(widget)
+
+
+def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, settle):
+    widget, (_, _, boundary) = living
+    widget.live = False
+    before = widget.solution
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    settle(widget)
+    assert widget.solution is before
+    widget.live = True
+    settle(widget)
+    assert_newest(widget)
+
+
+def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
+    widget, small_sample, settle, qtbot
+):
+    _, _, boundary = small_sample(viewer_of(widget))
+    widget._live._wanted = None
+    widget.footer.live.native.setChecked(False)
+    widget._live._wanted = None
+    widget._live.choose()
+    assert widget.live, "by itself, for a small image"
+    paint(boundary, [(10, 10)], 1)
+    qtbot.wait(300)
+    assert widget.solution is None, "but nothing is computed that nobody asked for"
+    widget.live = True
+    settle(widget)
+    assert_newest(widget)
+    assert "MR deformed" in names(widget)
+
+
+def test_for_a_large_image_it_is_off_and_the_reason_is_shown(widget, small_sample, monkeypatch):
+    monkeypatch.setattr(live_mode, "LARGEST", 300)
+    widget._live._wanted = None
+    small_sample(viewer_of(widget))
+    check = widget.footer.live
+    assert not widget.live
+    assert check.text == "Live: off, slow at 20 x 24"
+    check.native.click()
+    assert widget.live, "who wants it may have it"
+    assert check.text == "Live: follow every edit"
+    viewer_of(widget).layers.clear()
+    assert widget.live
+
+
+def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(living, settle, busy_thread, qtbot):
+    widget, (image, tissue, boundary) = living
+    viewer = viewer_of(widget)
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    qtbot.wait(60)
+    boundary.name, image.name = "Walls", "T1"
+    viewer.layers.remove("MR arrows, elastic")
+    busy_thread.set()
+    settle(widget)
+    assert_newest(widget)
+    assert "MR arrows, elastic" in names(widget), "it is made again"
+    paint(boundary, [(row, 15) for row in range(6, 14)], 1)
+    viewer.layers.remove(boundary)
+    settle(widget)
+    assert "No boundary layer is chosen" in widget.status
+    widget.boundary = viewer.add_labels(
+        boundary.data.copy(), name="again", metadata=dict(boundary.metadata)
+    )
+    settle(widget)
+    assert_newest(widget)
+    assert tissue in viewer.layers
+
+
+def test_the_image_removed_in_mid_edit_is_not_shown_any_more(living, settle, busy_thread, qtbot):
+    widget, (image, _, boundary) = living
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    qtbot.wait(60)
+    viewer_of(widget).layers.remove(image)
+    before = names(widget)
+    busy_thread.set()
+    settle(widget)
+    assert "MR" not in names(widget)
+    assert [name for name in names(widget) if name in before] == before
+
+
+def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
+    widget, small_sample, run, settle, qtbot
+):
+    _, _, boundary = small_sample(viewer_of(widget), (3, 20, 24))
+    boundary.data[0] = 0
+    dims = viewer_of(widget).dims
+    dims.set_current_step(0, 1)
+    widget.model.energy.value = "elastic"
+    run(widget)
+    widget.live = True
+    first = widget.solution
+    dims.set_current_step(0, 2)
+    settle(widget)
+    assert widget.solution is not first
+    assert sum("deformed" in name for name in names(widget)) == 2
+    assert "= 2" in widget.status
+    dims.set_current_step(0, 0)
+    settle(widget)
+    assert "has no paint in this slice" in widget.status
+    dims.set_current_step(0, 1)
+    boundary.data_setitem((np.full(8, 1), np.arange(6, 14), np.full(8, 12)), 1)
+    settle(widget)
+    assert_newest(widget)
+    assert sum("deformed" in name for name in names(widget)) == 2
+
+
+def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
+    living, settle, busy_thread, qtbot
+):
+    widget, (_, _, boundary) = living
+    widget.deform()
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    qtbot.wait(50)
+    busy_thread.set()
+    qtbot.waitUntil(lambda: widget.idle, timeout=60_000)
+    settle(widget)
+    assert_newest(widget)
+
+
+def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, run):
+    from conftest import quick
+
+    docks = []
+    for _ in range(2):
+        viewer = make_napari_viewer()
+        small_sample(viewer)
+        _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+        quick(dock).model.energy.value = "elastic"
+        run(dock)
+        dock.live = True
+        docks.append(dock)
+    one, other = docks
+    untouched = other.solution
+    paint(by_name(one, "Boundary"), [(row, 12) for row in range(6, 14)], 1)
+    settle(one)
+    settle(other)
+    assert_newest(one)
+    assert other.solution is untouched
+
+
+def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, qtbot):
+    viewer = viewer_of(docked)
+    _, _, boundary = small_sample(viewer)
+    run(docked)
+    docked.live = True
+    settle(docked)
+    before = docked.solution
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    viewer.window.remove_dock_widget(docked.native)
+    paint(boundary, [(row, 15) for row in range(6, 14)], 1)
+    qtbot.wait(200)
+    assert docked.solution is before
+
+
+# With a real mouse
+
+
+@pytest.fixture
+def at_work(make_napari_viewer, small_sample, run, qtbot):
+    """A person with a brush before a real window, and a result that follows."""
+    from conftest import quick
+
+    viewer = make_napari_viewer(show=True)
+    small_sample(viewer, (48, 64))
+    _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    quick(dock).model.energy.value = "elastic"
+    run(dock)
+    dock.live = True
+    qtbot.wait(50)
+    return viewer, dock
+
+
+def where(viewer, row, col):
+    view = viewer.window._qt_viewer.canvas.view
+    x, y = (view.transform * view.scene.transform).map([col, row])[:2]
+    return QPoint(round(x), round(y))
+
+
+def stroke(viewer, places, between=lambda: None):
+    """Press, move and release the left button."""
+    native = viewer.window._qt_viewer.canvas.native
+    QTest.mousePress(native, LEFT, PLAIN, where(viewer, *places[0]))
+    for place in places[1:]:
+        at = QPointF(where(viewer, *place))
+        there = QPointF(native.mapToGlobal(at.toPoint()))
+        move = QMouseEvent(QEvent.Type.MouseMove, at, there, Qt.MouseButton.NoButton, LEFT, PLAIN)
+        QApplication.sendEvent(native, move)
+        between()
+    QTest.mouseRelease(native, LEFT, PLAIN, where(viewer, *places[-1]))
+
+
+def test_tissue_follows_while_the_brush_is_down(at_work, settle, qtbot):
+    viewer, dock = at_work
+    boundary = viewer.layers["Boundary"]
+    dock._face.boundary.table.cellClicked.emit(0, 1)
+    assert viewer.layers.selection.active is boundary
+    assert (boundary.mode, boundary.selected_label) == ("paint", 1)
+    boundary.brush_size = 5
+    deformed = viewer.layers["MR deformed, elastic"]
+    assert deformed.visible, "it is watched"
+    pictures = []
+    deformed.events.data.connect(lambda: pictures.append(np.array(deformed.data)))
+    stroke(viewer, [(row, 32) for row in range(14, 34, 2)], lambda: qtbot.wait(40))
+    during = len(pictures)
+    assert during > 1, "while the button is down"
+    settle(dock)
+    assert (boundary.data == 1).sum() > 100
+    assert_newest(dock)
+    assert np.abs(dock.solution.displacement[24, 32]).max() < 1e-3
+    assert viewer.layers.selection.active is boundary, "the brush stays in the hand"
+    # Labels' own undo is followed as well.
+    native = viewer.window._qt_viewer.canvas.native
+    native.setFocus()
+    QTest.keyClick(native, Qt.Key.Key_Z, CTRL)
+    settle(dock)
+    assert np.abs(dock.solution.displacement[24, 32]).max() > 0.5
+    assert_newest(dock)
+
+
+# Undo
+
+
+def test_tables_are_undone_and_followed(living, settle):
+    widget, (_, _, boundary) = living
+    footer = widget.footer
+    assert not footer.steps.undo.enabled
+    rules, materials = widget.rules, widget.materials
+    widget._face.boundary.table.item(1, 4).setText("5")
+    assert footer.steps.undo.tooltip == (
+        "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
+    )
+    widget._face.tissue.table.item(1, 2).setText("33")
+    settle(widget)
+    assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
+    footer.steps.undo.native.click()
+    assert widget.materials == materials
+    assert widget.status == "Took back: changed the stiffness of label 1 in 'Tissue'."
+    footer.steps.undo.native.click()
+    settle(widget)
+    assert widget.rules == rules
+    assert boundary.metadata[METADATA]["rules"][1]["vector"] == (0.0, 3.0)
+    assert_newest(widget)
+    assert not footer.steps.undo.enabled
+    footer.steps.redo.native.click()
+    settle(widget)
+    assert_newest(widget)
+    assert widget.rules != rules
+
+
+def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
+    widget, (_, tissue, _) = living
+    paint(tissue, [(8, 8)], 5)
+    settle(widget)
+    widget._face.tissue.painted.look()
+    assert 5 in [row.label for row in widget.materials]
+    assert not widget.footer.steps.undo.enabled
+    widget._face.tissue.table.add()
+    assert "added label 6 to 'Tissue'" in widget.footer.steps.undo.tooltip
+    widget.undo()
+    assert [row.label for row in widget.materials] == [0, 1, 5]
+
+
+def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
+    widget, (_, _, boundary) = living
+    table = widget._face.boundary.table
+    before = widget.rules
+    table.item(1, 4).setText("5")
+    QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
+    assert widget.rules == before
+    QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
+    assert widget.rules != before
+    viewer_of(widget).layers.remove(boundary)
+    assert not widget.footer.steps.undo.enabled
+
+
+def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
+    widget, (_, tissue, _) = living
+    before = widget.materials
+    widget._face.tissue.table.item(1, 2).setText("33")
+    widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
+    widget.undo()
+    assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness
+    widget.tissue = tissue
+    assert widget.materials == before
+
+
+def test_a_curve_is_undone_with_its_layer(widget, small_sample):
+    small_sample(viewer_of(widget))
+    widget.make_from_intensity()
+    curve = widget._face.tissue.curve
+    before, stiff = curve.curve, widget.tissue.data.copy()
+    editor = curve.editor
+    editor.plot.select(1)
+    editor.stiffness.setValue(editor.stiffness.value() * 3)
+    assert curve.curve != before
+    assert "changed the curve" in widget.footer.steps.undo.tooltip
+    widget.undo()
+    assert curve.curve == before
+    assert np.array_equal(widget.tissue.data, stiff)
+    widget.redo()
+    assert curve.curve != before
