@@ -186,7 +186,7 @@ def tumour(_: dict[str, Path]) -> None:
     person.write(table, 1, 5, "10")
     wait(0.5)
     keep(person, "tumour-table", table, face.boundary.choice)
-    deformed(person, dock)
+    wait_until(lambda: not dock.following)
     keep(person, "tumour-more")
     print(dock.status)
     person.viewer.close()
