@@ -498,3 +498,20 @@ def test_a_curve_is_undone_with_its_layer(widget, small_sample):
     assert np.array_equal(widget.tissue.data, stiff)
     widget.redo()
     assert curve.curve != before
+
+
+def test_what_is_looked_at_is_the_result_that_has_followed(living, settle, qtbot, wait_for):
+    from napari_hmrf.widgets.look.dock import LookAtResult
+
+    widget, (_, _, boundary) = living
+    look = LookAtResult(viewer_of(widget))
+    qtbot.addWidget(look.native)
+    wait_for(lambda: look.idle)
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    settle(widget)
+    wait_for(lambda: look.idle and look.result is not None)
+    qtbot.wait(200)
+    wait_for(lambda: look.idle)
+    shown = look._scene.shown.result
+    assert shown.solution.displacement is widget.solution.displacement
+    assert_newest(widget)
