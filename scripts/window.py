@@ -21,6 +21,9 @@ PLAIN = Qt.KeyboardModifier.NoModifier
 #: The pointer, in pixels from its tip.
 _POINTER = [(0, 0), (0, 17), (4, 13), (7, 20), (10, 19), (7, 12), (12, 12)]
 
+#: How many of the most frequent colours of a picture are kept exactly.
+_FREQUENT = 24
+
 
 def wait(seconds: float) -> None:
     """Let Qt work for a while."""
@@ -243,6 +246,11 @@ def palette_of(pictures: Sequence[Image.Image], greys: int, colours: int) -> Ima
     row = Image.fromarray(coloured[None] if len(coloured) else pixels[None, :1])
     found = row.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     values = found.getpalette() or []
+    # What the window is mostly made of, as it is.
+    packed = pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+    different, counts = np.unique(packed, return_counts=True)
+    for colour in different[np.argsort(counts)[-_FREQUENT:]].tolist():
+        values += [colour >> 16, (colour >> 8) & 255, colour & 255]
     for grey in np.linspace(0, 255, greys).round().astype(int).tolist():
         values += [grey] * 3
     palette = Image.new("P", (1, 1))

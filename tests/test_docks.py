@@ -175,6 +175,9 @@ def test_commands_do_what_they_say(window, choose, qtbot):
     choose("grab_now")
     assert not grab.active
     assert in_front(window) == [GrabAndPull]
+    before = dock(DeformTissue).live
+    choose("live")
+    assert dock(DeformTissue).live != before
     choose("deform_now")
     assert "tissue" in dock(DeformTissue).status
 
@@ -200,6 +203,7 @@ def test_the_palette_offers_each_command_that_needs_no_file(window):
     [
         ("deform tissue", "deform"),
         ("deform now", "deform_now"),
+        ("live mode", "live"),
         ("pull tissue", "grab_now"),
         ("grab", "grab"),
         ("look result", "look"),

@@ -59,6 +59,12 @@ def deform_now() -> None:
     dock(DeformTissue).deform()
 
 
+def live() -> None:
+    """Have the result follow every edit, or no longer."""
+    deform = dock(DeformTissue)
+    deform.live = not deform.live
+
+
 def grab_and_pull() -> None:
     """Have the mouse pull tissue, or move the view again."""
     grab = dock(GrabAndPull)
