@@ -231,6 +231,15 @@ def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):
     assert "two dimensions" in widget.status
 
 
+def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbot):
+    person, widget = pulling
+    person.viewer.dims.ndisplay = 3
+    qtbot.wait(100)
+    assert "two dimensions" in widget.status
+    person.viewer.dims.ndisplay = 2
+    qtbot.waitUntil(lambda: widget.active, timeout=5_000)
+
+
 def test_void_cannot_be_taken_hold_of(open_window, settle):
     person, widget = open_window()
     labels = np.zeros((64, 64), np.uint8)

@@ -100,7 +100,8 @@ def arrow_layer(frame: Frame, shape: tuple[int, int]) -> LayerData:
         "metadata": {METADATA: {"kind": "drawing", "slice": frame.slice_name}},
     }
     # napari cannot tell how many axes no arrows have.
-    return LayerData(np.zeros((0, 2, frame.ndim)), {**attributes, "ndim": frame.ndim}, "vectors")
+    none = frame.put_vectors(np.zeros((0, 2, 2)))
+    return LayerData(none, {**attributes, "ndim": frame.ndim}, "vectors")
 
 
 def _cross(at: npt.NDArray[np.float64], arms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -177,7 +177,13 @@ class Frame:
         return np.ascontiguousarray(np.expand_dims(picture, others) if others else picture)
 
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes."""
+        """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes.
+
+        Without any, a two-dimensional layer gets one of no length, which is not seen: an empty one
+        napari cannot draw in three dimensions.
+        """
+        if not len(arrows) and self.ndim == 2:
+            arrows = np.zeros((1, 2, 2))
         placed = np.zeros((len(arrows), 2, self.ndim), dtype=np.float32)
         placed[:, 0] = self.index
         placed[:, :, list(self.plane)] = arrows
