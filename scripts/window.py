@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import napari
 import numpy as np
 from PIL import Image, ImageDraw
-from qtpy.QtCore import QEvent, QPoint, QPointF, QRect, Qt
+from qtpy.QtCore import QEvent, QPoint, QPointF, QRect, QSettings, Qt
 from qtpy.QtGui import QImage, QMouseEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
@@ -53,6 +54,11 @@ class Person:
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
+        # Pictures show what somebody finds who has never been here, and leave nothing behind.
+        self._settings = tempfile.TemporaryDirectory()
+        QSettings.setPath(
+            QSettings.Format.IniFormat, QSettings.Scope.UserScope, self._settings.name
+        )
         self.viewer = napari.Viewer(title="napari")
         self.viewer.window.resize(*size)
         self.window: Any = self.viewer.window._qt_window
@@ -109,15 +115,17 @@ class Person:
     def choose(self, combo: Any, words: str) -> None:
         """Choose from a list that opens."""
         native = getattr(combo, "native", combo)
-        self.click(native)
-        wait(0.3)
-        view = native.view()
         row = native.findText(words)
         if row < 0:
             raise LookupError(words)
+        self.click(native)
+        view = native.view()
+        wait_until(
+            view.isVisible, rest=0.5
+        )  # a list that has just opened takes a click for its own
         view.scrollTo(native.model().index(row, 0))
         self.click(view.viewport(), view.visualRect(native.model().index(row, 0)).center())
-        wait(0.2)
+        wait_until(lambda: native.currentText() == words, seconds=5, rest=0.2)
 
     def write(self, table: Any, row: int, column: int, text: str) -> None:
         """Write into the cell of a table."""
