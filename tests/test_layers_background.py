@@ -32,6 +32,19 @@ def test_colours_and_holes_in_the_numbers_do_not_matter():
     np.testing.assert_array_equal(background_of(picture), ~inside)
 
 
+def test_fat_beneath_the_skin_is_no_air():
+    # A CT in Hounsfield units: air, a rim of fat, organs.
+    picture, inside = head(np.int16, -1000, 60)
+    row, col = np.indices(inside.shape)
+    rim = inside & (np.hypot(row - 30, col - 40) > 18)
+    picture[rim] = -100 + picture[rim] % 7
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+    # Stretched for the screen, as in a PNG, fat is dark as well.
+    shown = np.clip((picture.astype(float) + 250) / 2, 0, 255).astype(np.uint8)
+    shown[rim] = 70
+    np.testing.assert_array_equal(background_of(shown), ~inside)
+
+
 def test_the_sample_brain_lies_in_air():
     found = background_of(sample("mass-effect").image)
     void = ~sample("mass-effect").problem.tissue

@@ -8,12 +8,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+# Of how far what is bright is from air, so much must what is dark be apart to be two things.
+_APART = 0.35
+# And each of them so much of the surroundings.
+_PART = 0.02
+
 
 def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     """Tell the dark surroundings of a picture from what is in it.
 
     Dark is what Otsu's threshold says; surroundings are what hangs together with the edge of the
-    picture, so that dark places inside stay tissue.
+    picture, so that dark places inside stay tissue. Where those are clearly of two kinds, as air
+    and fat are in a CT, only the darker one is air.
 
     Parameters
     ----------
@@ -30,8 +36,26 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     values = grey[np.isfinite(grey)] if grey.dtype.kind == "f" else grey
     if not values.size or values.min() == values.max():
         return np.zeros(grey.shape, dtype=bool)
-    dark = ~(grey > threshold_otsu(values))  # what is no number is dark
+    threshold = threshold_otsu(values)
+    found = _surroundings(grey, threshold)
+    around = grey[found & np.isfinite(grey)].astype(np.float64)
+    if around.size and around.min() < around.max():
+        below = threshold_otsu(around)
+        air, rest, bright = (
+            around[around <= below],
+            around[around > below],
+            values[values > threshold],
+        )
+        apart = rest.mean() - air.mean() > _APART * (bright.mean() - air.mean())
+        if apart and min(len(air), len(rest)) > _PART * len(around):
+            found = _surroundings(grey, below)
+    return found
+
+
+def _surroundings(grey: npt.NDArray[Any], threshold: float) -> npt.NDArray[np.bool_]:
+    """What is dark and hangs together with the edge."""
+    dark = ~(grey > threshold)  # what is no number is dark
     # A ring around the picture joins all that reaches its edge.
     pieces, _ = ndimage.label(np.pad(dark, 1, constant_values=True))
-    background: npt.NDArray[np.bool_] = (pieces == pieces[0, 0])[1:-1, 1:-1]
-    return background
+    found: npt.NDArray[np.bool_] = (pieces == pieces[0, 0])[1:-1, 1:-1]
+    return found
