@@ -327,7 +327,7 @@ def test_the_preview_follows_the_table(widget, small_sample, wait_for):
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(2.0, 0.0)))
     wait_for(lambda: bool((preview.data[:, 1] == (2, 0)).all()))
     widget.rules = (widget.rules[0], BoundaryRule(2, "fixed"))
-    wait_for(lambda: len(preview.data) == 0)
+    wait_for(lambda: not preview.data[:, 1].any())
     widget._face.boundary.preview.value = False
     wait_for(lambda: "boundary preview" not in names(viewer))
 
