@@ -526,6 +526,19 @@ def test_air_around_the_image_can_be_made_no_tissue(widget):
     assert not (widget.tissue.data == background.label).any()
 
 
+def test_air_is_marked_on_a_hidden_layer_too_and_is_then_seen(widget):
+    viewer = viewer_of(widget)
+    head = np.zeros((30, 40))
+    head[5:25, 8:32] = 1
+    viewer.add_image(head, name="head")
+    widget.make_layers()
+    widget.tissue.visible = False
+    viewer.dims.ndisplay = 3
+    widget.mark_background()
+    np.testing.assert_array_equal(widget.tissue.data > 0, head == 0)
+    assert widget.tissue.visible
+
+
 def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
     _, tissue, _ = small_sample(viewer_of(widget))
     tissue.paint((8, 8), 5)

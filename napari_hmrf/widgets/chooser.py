@@ -246,6 +246,9 @@ class Chooser(Container):
         label = void[0] if void else max([0, *(row.label for row in self.materials)]) + 1
         if not void:
             self.materials = (*self.materials, Material(label, "background", 0.0))
+        # What is painted is to be seen; and on a hidden layer napari may paint nothing, for want of
+        # a slice that it has looked at.
+        tissue.visible = True
         tissue.data_setitem(indices, label)
         return int(empty.sum())
 
