@@ -1,7 +1,7 @@
 """How many times a second the tissue follows a patch that is dragged.
 
     python benchmarks/live.py [size ...]
-    python benchmarks/live.py --napari [size ...] [grey] [colour] [stack]
+    python benchmarks/live.py --napari [size ...] [grey] [colour] [stack] [pin] [move] [tissue]
 
 The first without a window, the second in a napari window with *Grab and pull*: see
 `live_window.py`. What other processes took of the machine meanwhile is printed, too.

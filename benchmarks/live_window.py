@@ -30,8 +30,10 @@ from napari_hmrf.warper import Warper
 from napari_hmrf.widgets.grab.arrows import ArrowsLayer
 from napari_hmrf.widgets.grab.live_layers import LiveLayers
 
-#: What the pictures are, beside grey: in colours, or a slice of a stack.
-KINDS = ("grey", "colour", "stack")
+#: What is painted with a brush, instead of pulled.
+BRUSHES = ("pin", "move", "tissue")
+#: What the pictures are, beside grey: in colours, or a slice of a stack; brushes paint on grey ones.
+KINDS = ("grey", "colour", "stack", *BRUSHES)
 _WINDOW = (1500, 950)
 _MOUSE = 100.0  # events a second
 _ASKING = 0.003  # seconds between questions to the window
@@ -44,7 +46,7 @@ class Window:
     """A window with a picture of tissue, and somebody who drags it."""
 
     def __init__(self, size: int, kind: str) -> None:
-        self._size = size
+        self._size, self._kind = size, kind
         self.costs: dict[str, list[float]] = defaultdict(list)
         self.late: list[float] = []
         self.viewer = napari.Viewer(show=False)
@@ -119,6 +121,9 @@ class Window:
     def start(self) -> None:
         """Begin to pull, as the button does, and wait for what has to be compiled."""
         self._widget.start()
+        if self._kind in BRUSHES:
+            self._widget.tool = self._kind
+            self._widget.form.fields.by_col.value = 0.02 * self._size
         self.settle()
 
     def first(self) -> float:
