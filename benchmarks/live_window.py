@@ -32,7 +32,7 @@ from napari_hmrf.widgets.grab.live_layers import LiveLayers
 
 #: What is painted with a brush, instead of pulled.
 BRUSHES = ("pin", "move", "tissue")
-#: What the pictures are, beside grey: in colours, or a slice of a stack; brushes paint on grey ones.
+#: What the pictures are: grey, in colours, or a slice of a stack; what is painted is grey.
 KINDS = ("grey", "colour", "stack", *BRUSHES)
 _WINDOW = (1500, 950)
 _MOUSE = 100.0  # events a second
