@@ -8,6 +8,7 @@ from conftest import quick
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
 from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import ICM, SeilerPrior
@@ -793,3 +794,15 @@ def test_the_kinds_of_result_layers(widget, small_sample, run):
     run(widget)
     kinds = [type(layer) for layer in results_of(widget)]
     assert kinds == [Image, Image, Labels, Vectors, Vectors]
+
+
+def test_delete_in_a_table_deletes_nothing_in_a_layer(docked, small_sample, qtbot):
+    viewer = viewer_of(docked)
+    small_sample(viewer)
+    points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
+    points.selected_data = {0, 1}
+    table = docked._face.tissue.table
+    table.selectRow(0)
+    QTest.keyClick(table, Qt.Key.Key_Delete)
+    qtbot.wait(50)
+    assert len(points.data) == 2

@@ -122,7 +122,11 @@ class LabelTable(QTableWidget):
             self.selectRow(row)
 
     def keyPressEvent(self, event: Any) -> None:
-        """The arrow keys pick rows as the mouse does."""
+        """The arrow keys pick rows as the mouse does; Delete goes no further."""
+        if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
+            # The window would give it to the active layer, which would lose its selected points.
+            event.accept()
+            return
         before = self.currentRow()
         super().keyPressEvent(event)
         if self.currentRow() != before:
