@@ -43,6 +43,14 @@ def stage(request) -> str:
     return request.param
 
 
+@pytest.fixture
+def visited_alike(monkeypatch):
+    """Levels too small to be worth a second visit by shaders get it all the same."""
+    from napari_hmrf.backends.opengl import relaxing
+
+    monkeypatch.setattr(relaxing, "WORTH_AGAIN", 0)
+
+
 def example(shape, prior=PRIORS[0], spacing=(1.0, 1.0), ratio=4.0) -> Example:
     return random_example(shape, prior, spacing, ratio)
 
@@ -182,7 +190,7 @@ def test_sums_and_largest_values_take_in_every_site(stage, shape):
         assert numbers == (count, count - 8, 7)
 
 
-def test_a_whole_cycle_is_the_same_everywhere(stage):
+def test_a_whole_cycle_is_the_same_everywhere(stage, visited_alike):
     given = example((70, 55), PRIORS[1], (1.0, 1.5))
     loops, shaders = cycles(stage, given, STRETCHING)
     assert_same(shaders, loops, 3e-5)
@@ -202,7 +210,7 @@ def test_a_whole_cycle_is_the_same_everywhere(stage):
         (ElasticPrior(0.499, "strain"), 1.0, (1.0, 1.0)),
     ],
 )
-def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing):
+def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing, visited_alike):
     problem = torn(ratio=ratio, spacing=spacing)
     loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
@@ -214,7 +222,7 @@ def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing):
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_a_phantom_moves_alike_everywhere(stage, name):
+def test_a_phantom_moves_alike_everywhere(stage, name, visited_alike):
     problem = phantom(name, 150).problem
     loops = solve(problem, ElasticPrior(), backend="cpu")
     shaders = solve(problem, ElasticPrior(), backend=f"opengl:{stage}")

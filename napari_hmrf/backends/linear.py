@@ -50,6 +50,11 @@ class LinearLevel(Protocol):
     #: What `descend` and `ascend` change.
     correction: Any
 
+    @property
+    def worth_again(self) -> bool:
+        """Whether another visit within a cycle gains more than its passes cost."""
+        ...
+
     def descend(self, steps: Steps, coarse: Any | None, again: bool = False) -> None:
         """Smooth from a correction of zero, and make what is left of the load `coarse`'s load.
 

@@ -18,8 +18,8 @@ class Smoothing(NamedTuple):
     coarsest_part, coarsest_sweeps : float, int
         The same, for the coarsest level.
     visits : int
-        How often a cycle visits the second level, and from there all below: what V-cycles lose
-        with every level, that wins back, for a fifth more work.
+        How often a cycle visits the second level, and from there all below, if that is worth it
+        there: what V-cycles lose with every level, that wins back, for a fifth more work.
     """
 
     part: float
@@ -83,7 +83,8 @@ class Cycle:
         if not rest:
             level.finish(self._steps, self._coarsest)
             return
-        for visit in range(self._smoothing.visits if number == 1 else 1):
+        again = number == 1 and level.worth_again
+        for visit in range(self._smoothing.visits if again else 1):
             level.descend(self._steps, rest[0], again=visit > 0)
             self._visit(number + 1)
             level.ascend(self._steps, rest[0])

@@ -40,6 +40,8 @@ class CpuLevel:
     weight: Vector | None
     #: Whether `finish` visits all coarser levels, too.
     takes_rest: bool = False
+    #: Whether another visit within a cycle gains more than it costs.
+    worth_again: bool = True
 
     def __init__(self, grid: tuple[int, ...], memory: Iterator[Vector] | None = None) -> None:
         self.grid = grid

@@ -25,6 +25,9 @@ Float64Array = npt.NDArray[np.float64]
 _FEW_VALUES = 128
 _FEW_STEPS = 2
 
+#: A level of fewer sites, with all that is below it, is visited once in a cycle.
+WORTH_AGAIN = 40_000
+
 # A step that changes nothing.
 _NO_STEP = (0.0, 0.0)
 
@@ -94,6 +97,11 @@ class RelaxingLevel(GLLevel):
 
     #: Each level is visited by itself.
     takes_rest = False
+
+    @property
+    def worth_again(self) -> bool:
+        """Starting the passes of all coarser levels takes its time, however small they are."""
+        return math.prod(self.grid) >= WORTH_AGAIN
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Relax from zero as the coarsest level."""
