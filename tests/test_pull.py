@@ -239,7 +239,7 @@ def test_grounds_are_the_same_until_something_is_painted():
 
 
 def test_only_the_newest_result_reaches_the_window(qtbot):
-    from napari_hmrf.widgets.grab.newest import Newest
+    from napari_hmrf.widgets.newest import Newest
 
     answered = []
     newest = Newest(lambda value: answered.append((value, threading.current_thread())))

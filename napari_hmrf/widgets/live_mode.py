@@ -12,8 +12,8 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.inputs import Snapshot, copy_layers
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.view import layer_extents
-from napari_hmrf.widgets.grab.newest import Newest
 from napari_hmrf.widgets.live_job import LiveJob, News
+from napari_hmrf.widgets.newest import Newest
 from napari_hmrf.widgets.pixels import Pixels
 from napari_hmrf.widgets.words import progress, refusal
 

@@ -20,10 +20,10 @@ from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Solution
 from napari_hmrf.warper import Picture, Warper
-from napari_hmrf.widgets.grab.newest import Newest
 from napari_hmrf.widgets.grab.rehearsal import rehearse, rehearse_the_rest
 from napari_hmrf.widgets.grab.repainted import Repainted
 from napari_hmrf.widgets.grab.seen import Painted, Seen
+from napari_hmrf.widgets.newest import Newest
 
 _log = logging.getLogger("napari_hmrf")
 
