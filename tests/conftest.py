@@ -136,6 +136,14 @@ def wait_for(qtbot):
 
 
 @pytest.fixture
+def every_pass_a_batch(monkeypatch):
+    """How often shaders look whether to go on does not depend on how busy the machine is."""
+    from napari_hmrf.backends.opengl import pace
+
+    monkeypatch.setattr(pace, "BATCH_SECONDS", 0.0)
+
+
+@pytest.fixture
 def made(monkeypatch):
     """Every texture and framebuffer that is made; `left` of it says how many OpenGL still has."""
     import moderngl

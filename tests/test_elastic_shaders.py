@@ -337,13 +337,15 @@ def _batches(stage: str, stop_at: int | None = None) -> int:
 
 
 @pytest.mark.parametrize("where", [0.0, 0.1, 0.5, 0.999])
-def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where):
+def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+    stage, made, where, every_pass_a_batch
+):
     backend = f"opengl:{stage}"
     before = solve(torn(1e4), ElasticPrior(), backend=backend)
-    assert _batches(stage) >= before.iterations  # one in every cycle at least
-    # How many there are beyond that depends on how busy the machine is.
+    looks = _batches(stage)
+    assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
-        _batches(stage, stop_at=int(where * before.iterations))
+        _batches(stage, stop_at=int(where * looks))
     assert left(made) == 0
     after = solve(torn(1e4), ElasticPrior(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)

@@ -198,7 +198,9 @@ def _batches(stage: str, stop_at: int | None = None) -> int:
 
 
 @pytest.mark.parametrize("where", [0.0, 0.03, 0.2, 0.5, 0.8, 0.999])
-def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, ledger, where):
+def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+    stage, ledger, where, every_pass_a_batch
+):
     before = solve(body(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     looks = _batches(stage)
     assert looks > len(levels((45, 61)))

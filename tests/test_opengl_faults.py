@@ -30,7 +30,9 @@ compute_thread.submit(job).result()
 _SOLVE = """
 import numpy as np
 from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, solve
+from napari_hmrf.backends.opengl import relaxing
 
+relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
 random = np.random.default_rng(0)
 m = np.ones((14, 11)); m[4:8, 3:7] = 3; m[0, :4] = 0
 held = np.zeros((14, 11, 2)); held[[0, -1]] = 1
@@ -112,8 +114,7 @@ def test_nothing_above_opengl_3_3_is_needed():
     said = run(_SOLVE, GALLIUM_DRIVER="softpipe")
     assert said.count("opengl:fragment softpipe") == 3
     elastic = next(line.split() for line in said.splitlines() if line.startswith("elastic"))
-    # Loops visit small levels twice, shaders once: each ends within 1e-3 px of the same field.
-    assert float(elastic[1]) < 2e-3
+    assert float(elastic[1]) < 1e-4
     assert int(elastic[2]) > 1
     offs = [float(line.split()[1]) for line in said.splitlines() if line.startswith("off")]
     closed_form, candidates = offs

@@ -294,13 +294,15 @@ def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
 
 @readings
 @pytest.mark.parametrize("where", [0.0, 0.5, 0.999])
-def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(stage, made, where, prior):
+def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+    stage, made, where, prior, every_pass_a_batch
+):
     backend = f"opengl:{stage}"
     before = solve(torn(20.0), prior, Multigrid(), backend=backend)
-    assert _batches(stage, prior) >= before.iterations  # one in every cycle at least
-    # How many there are beyond that depends on how busy the machine is.
+    looks = _batches(stage, prior)
+    assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
-        _batches(stage, prior, stop_at=int(where * before.iterations))
+        _batches(stage, prior, stop_at=int(where * looks))
     assert left(made) == 0
     after = solve(torn(20.0), prior, Multigrid(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
