@@ -200,13 +200,14 @@ class _Scene:
         """The picture, and what is painted, where a solution takes them."""
         picture = self.ground.pictures.image
         assert picture is not None
-        shown, paint = [Picture(picture, fill=emptiness(picture))], self._painted
-        if paint is not None:
-            shown.append(Picture(paint, order=0))
+        paint = self._painted
         if solution is None:
             moved = [picture, *([] if paint is None else [paint.copy()])]
         else:
             if self._warper is None:
+                shown = [Picture(picture, fill=emptiness(picture))]
+                if paint is not None:
+                    shown.append(Picture(paint, order=0))
                 self._warper = Warper(shown, solution.spacing)
             moved = self._warper(solution.displacement, solution.tissue)
         if paint is None or self._rendering is None or not paint.any():
