@@ -72,7 +72,6 @@ class DeformTissue(ResultDock):
         face.tissue.background.clicked.connect(self._on_background)
         face.footer.deform.changed.connect(self.deform)
         face.footer.cancel.changed.connect(self._on_cancel)
-        self.native_parent_changed.connect(self._on_parent)
         self.reset_choices()
         self.choose_by_role(list(self._viewer.layers))
         self._say(self._invitation())
@@ -247,19 +246,6 @@ class DeformTissue(ResultDock):
     def _on_background(self, *_: Any) -> None:
         self.mark_background()
 
-    def _on_parent(self, *_: Any) -> None:
-        """Napari closes a dock by taking the widget out of it."""
-        if self._life.over:
-            return
-        if self.native.parent() is not None:
-            self._docked = True
-            self._steps.come()
-            self.reset_choices()
-        elif self._docked:
-            self.cancel()
-            self._live.leave()
-            self._steps.leave()
-
     def layer_removed(self, layer: Any) -> None:
         """A layer is gone: so is what was to be computed from it."""
         self._live.layer_removed(layer)
@@ -269,8 +255,17 @@ class DeformTissue(ResultDock):
     def _hide_preview(self) -> None:
         self._watch.preview.hide()
 
+    def _on_opened(self) -> None:
+        self._steps.come()
+        self.reset_choices()
+
     def _on_closed(self) -> None:
-        """The dock or the viewer is gone: listen to nothing any more."""
+        self.cancel()
+        self._live.leave()
+        self._steps.leave()
+
+    def _on_end(self) -> None:
+        """Listen to nothing any more."""
         self._watch.release()
         self._live.release()
         self._steps.leave()

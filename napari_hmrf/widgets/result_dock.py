@@ -40,8 +40,7 @@ class ResultDock(Chooser):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._life = Life(self.native, self._on_closed)
-        self._docked = False
+        self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         self._status = ""
         self._latest = Latest()
         self._results = ResultLayers(self._viewer)
@@ -57,7 +56,7 @@ class ResultDock(Chooser):
     @property
     def away(self) -> bool:
         """Whether the window is gone, or the dock was closed."""
-        return self._life.over or (self._docked and self.native.parent() is None)
+        return self._life.away
 
     @property
     def status(self) -> str:
@@ -179,5 +178,11 @@ class ResultDock(Chooser):
     def _hide_preview(self) -> None:
         """Make way for a result."""
 
+    def _on_opened(self) -> None:
+        """There is a dock around this."""
+
     def _on_closed(self) -> None:
-        """The dock or the viewer is gone."""
+        """The dock was closed."""
+
+    def _on_end(self) -> None:
+        """The window is gone."""

@@ -56,9 +56,9 @@ class GrabAndPull(Container):
         self.form = GrabForm(lambda: list(self._viewer.layers))
         super().__init__(labels=False)
         put_scrolled(self, self.form, _WIDTH)
-        self._life = Life(self.native, self._on_closed)
+        self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         Tabs(self, self._viewer)
-        self._docked = self._started = self._sized = False
+        self._started = self._sized = False
         self._status = self._step = ""
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)
         self._resting = timer(self.native, _REST, self._on_rest)
@@ -66,7 +66,6 @@ class GrabAndPull(Container):
         self._connect()
         self._watch = GrabWatch(self, self._viewer)
         StepKeys(self.native, self._puller.steps)
-        self.native_parent_changed.connect(self._on_parent)
         self.reset_choices()
         self._watch.choose_by_role(list(self._viewer.layers))
         self.say(START if self.image is not None else WELCOME)
@@ -128,7 +127,7 @@ class GrabAndPull(Container):
     @property
     def away(self) -> bool:
         """Whether the window is gone, or the dock was closed."""
-        return self._life.over or (self._docked and self.native.parent() is None)
+        return self._life.away
 
     @property
     def status(self) -> str:
@@ -304,22 +303,18 @@ class GrabAndPull(Container):
         else:
             self._puller.complete()
 
-    def _on_parent(self, *_: Any) -> None:
-        """Napari closes a dock by taking the widget out of it."""
-        if self._life.over:
-            return
-        if self.native.parent() is not None:
-            self._docked = True
-            self._puller.steps.bind_keys(self._puller.answers)
-            self.reset_choices()
-        elif self._docked:
-            self._resting.stop()
-            self._toolbox.release()
-            self._puller.steps.unbind_keys(self._puller.answers)
-            self._puller.leave()
+    def _on_opened(self) -> None:
+        self._puller.steps.bind_keys(self._puller.answers)
+        self.reset_choices()
 
     def _on_closed(self) -> None:
-        """Listen to nothing any more: the dock or the viewer is gone."""
+        self._resting.stop()
+        self._toolbox.release()
+        self._puller.steps.unbind_keys(self._puller.answers)
+        self._puller.leave()
+
+    def _on_end(self) -> None:
+        """Listen to nothing any more: the window is gone."""
         self._watch.release()
         self._puller.steps.unbind_keys(self._puller.answers)
         self._puller.end()

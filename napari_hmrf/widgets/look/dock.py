@@ -46,14 +46,13 @@ class LookAtResult(LookControls):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._docked = False
         self._settling = QTimer(self.native)
         self._settling.setSingleShot(True)
         self._settling.setInterval(_SETTLED)
         self._settling.timeout.connect(self._on_settled)
         self._followed: Any = None
         self._events: list[tuple[Any, Any]] = []
-        self._life = Life(self.native, self._on_closed)
+        self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         Tabs(self, self._viewer)
         self._connect()
         self._on_theme()
@@ -114,12 +113,11 @@ class LookAtResult(LookControls):
         for event, answer in self._events:
             event.connect(answer)
         self._bind_key()
-        self.native_parent_changed.connect(self._on_parent)
 
     @property
     def away(self) -> bool:
         """Whether the window is gone, or the dock was closed."""
-        return self._life.over or (self._docked and self.native.parent() is None)
+        return self._life.away
 
     def _choose_newest(self) -> None:
         self._face.result.refresh()
@@ -223,22 +221,18 @@ class LookAtResult(LookControls):
         yield
         self.before = False
 
-    def _on_parent(self, *_: Any) -> None:
-        """Napari closes a dock by taking the widget out of it."""
-        if self._life.over:
-            return
-        if self.native.parent() is not None:
-            self._docked = True
-            self._bind_key()
-            self._choose_newest()
-            self._take()
-        elif self._docked:
-            self._unbind_key()
-            self._scene.rest()
-            self._face.point.say(POINT)
+    def _on_opened(self) -> None:
+        self._bind_key()
+        self._choose_newest()
+        self._take()
 
     def _on_closed(self) -> None:
-        """The dock or the viewer is gone: listen to nothing any more."""
+        self._unbind_key()
+        self._scene.rest()
+        self._face.point.say(POINT)
+
+    def _on_end(self) -> None:
+        """Listen to nothing any more: the window is gone."""
         self._follow(None)
         for event, answer in self._events:
             event.disconnect(answer)
