@@ -8,7 +8,6 @@ from typing import Any
 
 from napari.utils.notifications import show_error
 from psygnal import Signal
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.inputs import Request, copy_layers
@@ -18,6 +17,7 @@ from napari_hmrf.widgets.dock_steps import DockSteps
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.tabs import Tabs
+from napari_hmrf.widgets.timers import repeating
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
     CANCELLED,
@@ -63,9 +63,7 @@ class DeformTissue(ResultDock):
         self._stage = ("", 0.0)
         self._watch = Watch(self, self._viewer, self._face)
         self._steps = DockSteps(self, self._face, steps_of(self._viewer))
-        self._poll = QTimer(self.native)
-        self._poll.setInterval(_POLL)
-        self._poll.timeout.connect(self._on_poll)
+        self._poll = repeating(self.native, _POLL, self._on_poll)
         face = self._face
         face.make.changed.connect(self.make_layers)
         face.intensity.changed.connect(self.make_from_intensity)

@@ -6,8 +6,6 @@ import time
 import weakref
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtCore import QTimer
-
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.inputs import Snapshot, copy_layers
 from napari_hmrf.layers.naming import LayerError
@@ -15,6 +13,7 @@ from napari_hmrf.layers.view import layer_extents
 from napari_hmrf.widgets.live_job import LiveJob, News
 from napari_hmrf.widgets.newest import Newest
 from napari_hmrf.widgets.pixels import Pixels
+from napari_hmrf.widgets.timers import repeating, single_shot
 from napari_hmrf.widgets.words import progress, refusal
 
 if TYPE_CHECKING:
@@ -64,9 +63,9 @@ class LiveMode:
         self._since = 0.0
         self._said = ""
         self._pixels = Pixels(self.touch, refreshed=True)
-        self._looking = self._timer(0, self._look, single=True)
-        self._resting = self._timer(_REST, self._complete, single=True)
-        self._poll = self._timer(_POLL, self._on_poll)
+        self._looking = single_shot(widget.native, 0, self._look)
+        self._resting = single_shot(widget.native, _REST, self._complete)
+        self._poll = repeating(widget.native, _POLL, self._on_poll)
         check.changed.connect(self._on_check)
 
     # What there is to see
@@ -260,10 +259,3 @@ class LiveMode:
             self._job.forget()
         self._widget.footer.following(False)
         return was
-
-    def _timer(self, milliseconds: int, answer: Any, single: bool = False) -> QTimer:
-        timer = QTimer(self._widget.native)
-        timer.setSingleShot(single)
-        timer.setInterval(milliseconds)
-        timer.timeout.connect(answer)
-        return timer

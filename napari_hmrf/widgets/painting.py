@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 from psygnal import Signal
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.label_images import labels_present
@@ -18,6 +17,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known
 from napari_hmrf.layers.reading import copy_slice
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.label_table import LabelTable
+from napari_hmrf.widgets.timers import single_shot
 
 #: How long after the last brush stroke the labels are looked at, in milliseconds.
 _PAUSE = 150
@@ -54,10 +54,7 @@ class PaintedLabels:
         self._active = False
         #: Whether rows are being added for what was painted, by nobody's hand.
         self.by_itself = False
-        self._timer = QTimer(table)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(_PAUSE)
-        self._timer.timeout.connect(self.look)
+        self._timer = single_shot(table, _PAUSE, self.look)
         table.edited.connect(self._on_edited)
         table.picked.connect(self._on_picked)
 

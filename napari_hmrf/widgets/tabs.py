@@ -7,8 +7,10 @@ import weakref
 from typing import Any
 
 from magicgui.widgets import Container
-from qtpy.QtCore import QEvent, QObject, QTimer
+from qtpy.QtCore import QEvent, QObject
 from qtpy.QtWidgets import QDockWidget, QMainWindow
+
+from napari_hmrf.widgets.timers import single_shot
 
 #: Qt's property by which a widget of ours is known.
 _OURS = "napari_hmrf_dock"
@@ -37,12 +39,8 @@ class Tabs(QObject):
         widget.native.setProperty(_OURS, True)
         self._dock: Any = None
         self._behind = self._hidden = False
-        self._raising = QTimer(self)
-        self._raising.setSingleShot(True)
-        self._raising.timeout.connect(self._raise)
-        self._fitting = QTimer(self)
-        self._fitting.setSingleShot(True)
-        self._fitting.timeout.connect(self._fit)
+        self._raising = single_shot(self, 0, self._raise)
+        self._fitting = single_shot(self, _LAID_OUT, self._fit)
         widget.native.installEventFilter(self)
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
@@ -55,10 +53,10 @@ class Tabs(QObject):
             # chooses what is not seen wants to see it.
             self._hidden = not self._behind
             if self._behind:
-                self._raising.start(0)
+                self._raising.start()
         elif event.type() == QEvent.Type.Show and self._hidden:
             self._hidden = False
-            self._raising.start(0)
+            self._raising.start()
         return False
 
     @property
@@ -96,9 +94,9 @@ class Tabs(QObject):
         ]
         if others:
             window.tabifyDockWidget(others[-1], dock)
-            self._raising.start(0)
+            self._raising.start()
         elif window.isVisible() and sees_all(self._viewer()):
-            self._fitting.start(_LAID_OUT)
+            self._fitting.start()
 
     def _on_seen(self, seen: bool) -> None:
         """Qt tells of a tab, too, whether it is in front."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtCore import QTimer
-
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import role_of
@@ -14,6 +12,7 @@ from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.preview import BoundaryPreview
 from napari_hmrf.widgets.sections import NO_PREVIEW, PREVIEW
+from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import READY
 
 if TYPE_CHECKING:
@@ -43,9 +42,9 @@ class Watch:
         self._face = face
         self.preview = BoundaryPreview(viewer)
         self._undrawn = ""
-        self._drawing = _timer(widget.native, 0, self._draw_preview)
-        self._fitting = _timer(widget.native, 50, self._fit_view)
-        self._checking = _timer(widget.native, _PAUSE, widget.check)
+        self._drawing = single_shot(widget.native, 0, self._draw_preview)
+        self._fitting = single_shot(widget.native, 50, self._fit_view)
+        self._checking = single_shot(widget.native, _PAUSE, widget.check)
         face.image.changed.connect(self._on_image)
         face.boundary.edited.connect(self._on_edited)
         face.tissue.edited.connect(self._on_edited)
@@ -165,11 +164,3 @@ class Watch:
             if self._undrawn and self._undrawn == widget.status:
                 widget.say(READY)
             self._undrawn = ""
-
-
-def _timer(parent: Any, milliseconds: int, answer: Any) -> QTimer:
-    timer = QTimer(parent)
-    timer.setSingleShot(True)
-    timer.setInterval(milliseconds)
-    timer.timeout.connect(answer)
-    return timer

@@ -8,7 +8,6 @@ from typing import Any
 
 from napari.layers import Image, Layer
 from psygnal import Signal
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.intensity import STIFFNESSES, StiffnessCurve
@@ -24,6 +23,7 @@ from napari_hmrf.layers.stiffness import (
 )
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.curve.editor import CurveEditor
+from napari_hmrf.widgets.timers import single_shot
 
 #: Shown until there is a layer with a curve of its own.
 _NOTHING = StiffnessCurve(tuple(zip((0.0, 0.5, 1.0), STIFFNESSES, strict=True)))
@@ -64,10 +64,7 @@ class TissueCurve:
         self._looked_at: Any = None
         self.editor = CurveEditor(_NOTHING)
         # Qt may report many moves of the mouse at a time; only the last of them is computed.
-        self._following = QTimer(self.editor)
-        self._following.setSingleShot(True)
-        self._following.setInterval(0)
-        self._following.timeout.connect(self._follow)
+        self._following = single_shot(self.editor, 0, self._follow)
         self.editor.changed.connect(self._on_changed)
         self.editor.settled.connect(self._on_settled)
         self.editor.refused.connect(self.refused.emit)

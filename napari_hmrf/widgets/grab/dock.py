@@ -17,11 +17,12 @@ from napari_hmrf.widgets.forms import put_scrolled
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.toolbox import Toolbox
-from napari_hmrf.widgets.grab.watch import GrabWatch, timer
+from napari_hmrf.widgets.grab.watch import GrabWatch
 from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.tabs import Tabs
+from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import WELCOME
 
 #: Of the dock, in pixels: enough for the row of tools.
@@ -61,7 +62,7 @@ class GrabAndPull(Container):
         self._started = self._sized = False
         self._status = self._step = ""
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)
-        self._resting = timer(self.native, _REST, self._on_rest)
+        self._resting = single_shot(self.native, _REST, self._on_rest)
         self._toolbox = Toolbox(self, self.form, self._puller, self._viewer, self.say)
         self._connect()
         self._watch = GrabWatch(self, self._viewer)

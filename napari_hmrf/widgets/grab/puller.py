@@ -21,8 +21,8 @@ from napari_hmrf.widgets.grab.hands import Hands
 from napari_hmrf.widgets.grab.histories import Histories
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
-from napari_hmrf.widgets.grab.watch import timer
 from napari_hmrf.widgets.grab.words import OFF, OPEN
+from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import COMPILING, refusal
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
@@ -73,8 +73,8 @@ class Puller:
         self.answers = Answers(self)
         self.display = Display(viewer, self.answers)
         self.follower = Follower(self._on_seen)
-        self._drawing_waits = timer(None, _AHEAD, self.draw)
-        self._compiling = timer(None, _LONG, self._on_long)
+        self._drawing_waits = single_shot(None, _AHEAD, self.draw)
+        self._compiling = single_shot(None, _LONG, self._on_long)
         self._image: Any = None
         self._working = self._warned = self._in_error = False
         self._histories = Histories(viewer)

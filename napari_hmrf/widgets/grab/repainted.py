@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, QTimer
+from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt
+
+from napari_hmrf.widgets.timers import single_shot
 
 
 class Repainted(QObject):
@@ -25,9 +27,7 @@ class Repainted(QObject):
 
     def __init__(self, answer: Callable[[], None]) -> None:
         super().__init__()
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.timeout.connect(answer)
+        self._timer = single_shot(self, 0, answer)
         self._released = False
 
     def ask(self) -> None:
@@ -38,7 +38,7 @@ class Repainted(QObject):
         """What was asked for has been painted."""
         if event is not None and event.type() == self._KIND:
             if not self._released:
-                self._timer.start(0)
+                self._timer.start()
             return True
         return bool(super().event(event))
 

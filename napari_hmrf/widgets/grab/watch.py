@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
-
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
 from napari_hmrf.widgets.pixels import Pixels
+from napari_hmrf.widgets.timers import single_shot
 
 if TYPE_CHECKING:
     from napari_hmrf.widgets.grab.dock import GrabAndPull
@@ -30,7 +28,7 @@ class GrabWatch:
     def __init__(self, widget: GrabAndPull, viewer: Any) -> None:
         self._widget = widget
         self._viewer = viewer
-        self._looking = timer(widget.native, _PAUSE, self._look)
+        self._looking = single_shot(widget.native, _PAUSE, self._look)
         self._pixels = Pixels(self._on_pixels)
         steps_of(viewer).edits.changed.connect(self._on_table)
         form = widget.form
@@ -125,12 +123,3 @@ class GrabWatch:
     def _on_active(self, *_: Any) -> None:
         if not self._widget.away:
             self._widget.active_changed()
-
-
-def timer(parent: Any, milliseconds: int, answer: Callable[[], None]) -> QTimer:
-    """A timer that rings once, so long after it was started last."""
-    made = QTimer(parent)
-    made.setSingleShot(True)
-    made.setInterval(milliseconds)
-    made.timeout.connect(answer)
-    return made

@@ -8,7 +8,6 @@ from typing import Any
 
 from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
-from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.layers.found import result_of
@@ -18,6 +17,7 @@ from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
 from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
 from napari_hmrf.widgets.tabs import Tabs
+from napari_hmrf.widgets.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
 #: How long a result has to stand still before it is looked at anew, in milliseconds.
@@ -46,10 +46,7 @@ class LookAtResult(LookControls):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._settling = QTimer(self.native)
-        self._settling.setSingleShot(True)
-        self._settling.setInterval(_SETTLED)
-        self._settling.timeout.connect(self._on_settled)
+        self._settling = single_shot(self.native, _SETTLED, self._on_settled)
         self._followed: Any = None
         self._events: list[tuple[Any, Any]] = []
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)

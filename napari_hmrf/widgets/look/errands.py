@@ -7,9 +7,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-from qtpy.QtCore import QTimer
-
 from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.widgets.timers import repeating
 
 #: How often the thread is asked whether it is done, in milliseconds.
 _POLL = 8
@@ -38,9 +37,7 @@ class Errands:
         self._refused = refused
         self._waiting: dict[str, _Errand] = {}
         self._under_way: dict[str, tuple[Future[Any], Callable[[Any], None]]] = {}
-        self._timer = QTimer(parent)
-        self._timer.setInterval(_POLL)
-        self._timer.timeout.connect(self._on_timer)
+        self._timer = repeating(parent, _POLL, self._on_timer)
 
     def send(self, kind: str, work: Callable[[], Any], answer: Callable[[Any], None]) -> None:
         """Have work done; `answer` is called with what it returns, unless newer work replaces it.

@@ -10,10 +10,10 @@ from functools import partial
 from typing import Any
 
 from psygnal import Signal
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.moving import Moment, Motion
 from napari_hmrf.widgets.look.errands import Errands
+from napari_hmrf.widgets.timers import repeating
 
 #: All of the deformation in one direction, in seconds.
 SECONDS = 2.0
@@ -50,9 +50,7 @@ class Player:
         self._draw = draw
         self._motion: Motion | None = None
         self._kept: OrderedDict[int, Moment] = OrderedDict()
-        self._timer = QTimer(parent)
-        self._timer.setInterval(_TICK)
-        self._timer.timeout.connect(self._on_tick)
+        self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
         self._wanted = 100
 

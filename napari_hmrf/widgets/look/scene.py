@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from napari.layers import Labels
-from qtpy.QtCore import QTimer
 
 from napari_hmrf.deformation import magnitude
 from napari_hmrf.errors import HmrfError
@@ -42,6 +41,7 @@ from napari_hmrf.widgets.look.work import (
     grid_of,
     unmoved,
 )
+from napari_hmrf.widgets.timers import single_shot
 
 #: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
 _TURN = 10
@@ -71,10 +71,7 @@ class Scene:
         self._longest = 0.0
         self._moment: Moment | None = None
         # Lines take napari as long as the image: each has a turn of its own.
-        self._lines = QTimer(widget.native)
-        self._lines.setSingleShot(True)
-        self._lines.setInterval(_TURN)
-        self._lines.timeout.connect(self._draw_lines)
+        self._lines = single_shot(widget.native, _TURN, self._draw_lines)
         face.colours.changed.connect(self._on_colours)
         face.grid.changed.connect(self._on_grid)
 
