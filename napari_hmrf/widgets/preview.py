@@ -15,7 +15,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.observations import PREVIEW_LARGEST, preview_arrows
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.view import View, layer_extents
-from napari_hmrf.widgets.results import same_selection, update_layer
+from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 NAME = "boundary preview"
 
@@ -36,8 +36,7 @@ class BoundaryPreview:
     @property
     def layer(self) -> Any:
         """The Vectors layer, if there is one in the viewer."""
-        there = self._layer is not None and self._layer in self._viewer.layers
-        return self._layer if there else None
+        return still_there(self._viewer, self._layer)
 
     @staticmethod
     def too_large(boundary: Any) -> bool:

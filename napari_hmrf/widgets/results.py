@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from napari.layers import Layer
 
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import FILLING, Kind, LayerData, Outputs
-
-_PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 
 class _Shown(NamedTuple):
@@ -122,8 +119,7 @@ class ResultLayers:
         return bool(self._aside)
 
     def _existing(self, made: _Shown | None) -> Any:
-        layer = None if made is None else made.reference()
-        return layer if layer is not None and layer in self._viewer.layers else None
+        return still_there(self._viewer, None if made is None else made.reference())
 
 
 def _rename(layer: Any, meant: str, before: _Shown) -> _Shown:
@@ -139,23 +135,3 @@ def _fits(layer: Any, made: LayerData) -> bool:
         layer.ndim == len(made.attributes["scale"])
         and getattr(layer, "rgb", False) == made.attributes.get("rgb", False)
     )
-
-
-def update_layer(layer: Any, made: LayerData) -> None:
-    """Give a layer other data and place; how the user had it drawn stays."""
-    layer.data = made.data
-    for name in _PLACE:
-        setattr(layer, name, made.attributes[name])
-    layer.metadata = made.attributes["metadata"]
-    if made.attributes["metadata"][METADATA]["kind"] == "magnitude":
-        layer.contrast_limits = made.attributes["contrast_limits"]
-
-
-@contextmanager
-def same_selection(viewer: Any) -> Iterator[None]:
-    """Add layers without taking the brush out of the user's hand."""
-    selected, active = set(viewer.layers.selection), viewer.layers.selection.active
-    yield
-    viewer.layers.selection = {layer for layer in selected if layer in viewer.layers}
-    if active in viewer.layers:
-        viewer.layers.selection.active = active

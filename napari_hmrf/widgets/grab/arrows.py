@@ -16,7 +16,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.widgets.grab.keys import Listener, bind_keys
 from napari_hmrf.widgets.grab.quick import Hush, overwrite, spare_compiling
-from napari_hmrf.widgets.results import same_selection
+from napari_hmrf.widgets.viewer_layers import same_selection, still_there
 
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
 _NEAR = 8.0
@@ -48,8 +48,7 @@ class ArrowsLayer:
     @property
     def layer(self) -> Any:
         """The layer, if it is in the viewer."""
-        there = self._layer is not None and self._layer in self._viewer.layers
-        return self._layer if there else None
+        return still_there(self._viewer, self._layer)
 
     @property
     def former(self) -> Any:

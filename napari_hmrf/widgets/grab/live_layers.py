@@ -13,7 +13,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.widgets.grab.quick import overwrite
 from napari_hmrf.widgets.grab.seen import Seen
-from napari_hmrf.widgets.results import same_selection, update_layer
+from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 PICTURE, ARROWS = "Deformed image", "Displacement"
 
@@ -40,12 +40,12 @@ class LiveLayers:
     @property
     def picture(self) -> Any:
         """The *Deformed image*, if there is one in the viewer."""
-        return self._there(self._picture)
+        return still_there(self._viewer, self._picture)
 
     @property
     def arrows(self) -> Any:
         """The *Displacement*, if there is one in the viewer."""
-        return self._there(self._arrows)
+        return still_there(self._viewer, self._arrows)
 
     def show(self, seen: Seen, image: Any, quick: bool = False) -> None:
         """Bring the layers up to date.
@@ -113,6 +113,3 @@ class LiveLayers:
         with same_selection(self._viewer):
             self._viewer.layers.insert(at, layer)
         return layer
-
-    def _there(self, layer: Any) -> Any:
-        return layer if layer is not None and layer in self._viewer.layers else None

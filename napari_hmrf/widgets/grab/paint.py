@@ -15,7 +15,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import number_of, painted_layer
 from napari_hmrf.widgets.grab.quick import overwrite
-from napari_hmrf.widgets.results import same_selection, update_layer
+from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 
 class PaintedLayer:
@@ -39,8 +39,7 @@ class PaintedLayer:
     @property
     def layer(self) -> Any:
         """The layer, if it is in the viewer."""
-        there = self._layer is not None and self._layer in self._viewer.layers
-        return self._layer if there else None
+        return still_there(self._viewer, self._layer)
 
     def show(
         self,

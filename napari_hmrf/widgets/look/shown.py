@@ -12,7 +12,7 @@ from napari_hmrf.layers.found import FoundResult, companion
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.moving import Moment
 from napari_hmrf.layers.outputs import Kind, LayerData
-from napari_hmrf.widgets.results import same_selection, update_layer
+from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 #: The layers that take the pixels of a moment.
 _MOVING = ("image", "labels", "colours")
@@ -49,8 +49,8 @@ class ShownLayers:
         if kind == "arrows":
             return self.arrows
         reference = self._made.get(self.arrows, {}).get(kind)
-        made = None if reference is None else reference()
-        if made is not None and made in self._viewer.layers:
+        made = still_there(self._viewer, None if reference is None else reference())
+        if made is not None:
             return made
         kinds: dict[str, Kind] = {"image": "image", "labels": "labels", "grid": "grid"}
         found = kinds.get(kind)
@@ -111,10 +111,8 @@ class ShownLayers:
         """Put back what `remember` kept, where nobody else has drawn since."""
         full, self._full = self._full, []
         for reference, data, percent in full:
-            layer = reference()
-            if layer is None or layer not in self._viewer.layers:
-                continue
-            if layer.data is not self._drawn.get(layer):
+            layer = still_there(self._viewer, reference())
+            if layer is None or layer.data is not self._drawn.get(layer):
                 continue
             layer.data = data
             known = layer.metadata.get(METADATA)
@@ -137,7 +135,7 @@ class ShownLayers:
         for layer in self._of_result():
             self._hidden.append((weakref.ref(layer), layer.visible))
             layer.visible = False
-        if self.source is not None and self.source in self._viewer.layers:
+        if still_there(self._viewer, self.source) is not None:
             self._hidden.append((weakref.ref(self.source), self.source.visible))
             self.source.visible = True
 
