@@ -12,6 +12,8 @@ from scipy import ndimage
 _APART = 0.35
 # And each of them so much of the surroundings.
 _PART = 0.02
+# What is dark surrounds something from this part of the picture's edge on.
+_AROUND = 0.75
 
 
 def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
@@ -50,6 +52,18 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
         if apart and min(len(air), len(rest)) > _PART * len(around):
             found = _surroundings(grey, below)
     return found
+
+
+def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
+    """Whether what is dark in a picture surrounds something: in a photograph it is a shadow.
+
+    Parameters
+    ----------
+    dark : ndarray of bool, shape (H, W)
+        Of `background_of`.
+    """
+    edge = np.concatenate([dark[0], dark[-1], dark[:, 0], dark[:, -1]])
+    return bool(edge.mean() >= _AROUND)
 
 
 def _surroundings(grey: npt.NDArray[Any], threshold: float) -> npt.NDArray[np.bool_]:

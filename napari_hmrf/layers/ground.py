@@ -16,7 +16,7 @@ from scipy import ndimage
 from napari_hmrf.annotation import Material, boundary_images, poisson_image, stiffness_image
 from napari_hmrf.drawing import Canvas
 from napari_hmrf.label_images import labels_present
-from napari_hmrf.layers.background import background_of
+from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
@@ -35,8 +35,6 @@ FloatArray = npt.NDArray[np.float32]
 #: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
 #: enough to hinder nothing, and still tissue, so that there always is something that holds.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
-#: Of the edge of a picture: from which part on what is dark there surrounds something.
-_AROUND = 0.75
 #: K of eq. 19 where some confidence is below 1: what is held with confidence c slips where it would
 #: take more than what strains the stiffest tissue by c.
 _PENALTY = 1.0
@@ -227,10 +225,9 @@ def _pieces_of(there: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[Any], int]:
 
 
 def _surroundings(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    """The dark background, where it really surrounds something: in a photograph it is a shadow."""
+    """The dark background, where it really surrounds something."""
     dark = background_of(picture)
-    edge = np.concatenate([dark[0], dark[-1], dark[:, 0], dark[:, -1]])
-    return dark if edge.mean() >= _AROUND else np.zeros_like(dark)
+    return dark if surrounds(dark) else np.zeros_like(dark)
 
 
 def _stiffness(

@@ -10,18 +10,16 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.intensity import StiffnessCurve, luminance
-from napari_hmrf.layers.background import background_of
+from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.colours import stiffness_colours
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA, TISSUE, known_of
 from napari_hmrf.layers.naming import LayerError, full_resolution
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.reading import copy_slice
+from napari_hmrf.layers.transform import place_of
 from napari_hmrf.layers.view import View
 
-PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
-#: Of the edge of a picture: from which part on what is dark there surrounds something.
-_AROUND = 0.75
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
 _ABOVE = 0.01
 #: A picture of more values than this is computed where it is looked at, as stacks are.
@@ -125,9 +123,8 @@ def first_curve(image: Any, view: View | None = None) -> StiffnessCurve:
     """
     picture = intensities_of(image, view)
     around = background_of(picture)
-    edge = np.concatenate([around[0], around[-1], around[:, 0], around[:, -1]])
     void_below = None
-    if edge.mean() >= _AROUND and not around.all():
+    if surrounds(around) and not around.all():
         dark, rest = (part[np.isfinite(part)] for part in (picture[around], picture[~around]))
         if dark.size and rest.size:
             # Just above nearly all of it: dark places inside, such as fluid, stay tissue.
@@ -166,7 +163,7 @@ def stiffness_layer(image: Any, curve: StiffnessCurve) -> LayerData:
         "opacity": 0.5,
         "rgb": False,
         "multiscale": False,
-        **{name: getattr(image, name) for name in PLACE},
+        **place_of(image),
     }
     return LayerData(_data(image, curve), attributes, "image")
 

@@ -1,4 +1,4 @@
-"""The numbers of a layer's transform: as a value, and checked where they come from a file."""
+"""What says where a layer lies: as a value, and checked where it comes from a file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,16 @@ import numpy.typing as npt
 
 Matrix = tuple[tuple[float, ...], ...]
 
+#: The attributes of a layer, and keyword arguments of a new one, that say where it lies.
+PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+
 #: Slices beyond this are nobody's.
 _FARTHEST = 2**31
+
+
+def place_of(layer: Any) -> dict[str, Any]:
+    """Keyword arguments that make a layer of the same axes lie where this one does."""
+    return {name: getattr(layer, name) for name in PLACE}
 
 
 def floats(values: Any) -> tuple[float, ...]:

@@ -13,12 +13,12 @@ from napari_hmrf.layers.colours import boundary_colours
 from napari_hmrf.layers.defaults import UNPAINTED
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.transform import place_of
 from napari_hmrf.layers.view import View, layer_extents
 from napari_hmrf.presets import PRESETS
 
 #: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
 _LARGEST = 2**30
-_PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 
 
 def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
@@ -42,7 +42,7 @@ def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
     """
     frame = Frame.of(image, view)
     shape = layer_extents(image)
-    place = {name: getattr(image, name) for name in _PLACE}
+    place = place_of(image)
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
         place = frame.placement(image=True)

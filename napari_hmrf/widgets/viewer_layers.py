@@ -8,8 +8,7 @@ from typing import Any
 
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
-
-_PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+from napari_hmrf.layers.transform import PLACE
 
 
 def still_there(viewer: Any, layer: Any) -> Any:
@@ -20,7 +19,7 @@ def still_there(viewer: Any, layer: Any) -> Any:
 def update_layer(layer: Any, made: LayerData) -> None:
     """Give a layer other data and place; how the user had it drawn stays."""
     layer.data = made.data
-    for name in _PLACE:
+    for name in PLACE:
         setattr(layer, name, made.attributes[name])
     layer.metadata = made.attributes["metadata"]
     if made.attributes["metadata"][METADATA]["kind"] == "magnitude":
