@@ -11,7 +11,6 @@ from psygnal import Signal
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.inputs import Request, copy_layers
-from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.widgets.dock_steps import DockSteps
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
@@ -27,6 +26,7 @@ from napari_hmrf.widgets.words import (
     PAINT_BOUNDARY,
     READY,
     WELCOME,
+    in_short,
     refusal,
 )
 from napari_hmrf.widgets.words import progress as progress_of
@@ -220,7 +220,7 @@ class DeformTissue(ResultDock):
         self._set_idle(refusal(error))
         self._latest.outdate()
         self._watch.settle()
-        show_error(error.sentence if isinstance(error, LayerError) else self._status)
+        show_error(in_short(error))
 
     def _try(self, action: Any, success: str) -> None:
         try:

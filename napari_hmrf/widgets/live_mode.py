@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.inputs import Snapshot, copy_layers
-from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.view import layer_extents
 from napari_hmrf.widgets.live_job import LiveJob, News
 from napari_hmrf.widgets.newest import Newest
 from napari_hmrf.widgets.pixels import Pixels
 from napari_hmrf.widgets.timers import repeating, single_shot
-from napari_hmrf.widgets.words import progress, refusal
+from napari_hmrf.widgets.words import in_short, progress
 
 if TYPE_CHECKING:
     from napari_hmrf.widgets.deform import DeformTissue
@@ -240,8 +239,7 @@ class LiveMode:
         """Say why there is no answer, once; the last result stays."""
         self._widget.outdate()
         stays = f" {STAYS}" if self._widget.solution is not None else ""
-        why = error.sentence if isinstance(error, LayerError) else refusal(error)
-        self._tell(f"Not yet: {why}{stays}")
+        self._tell(f"Not yet: {in_short(error)}{stays}")
 
     def _tell(self, sentence: str) -> None:
         if sentence != self._said or self._widget.status != sentence:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.models import Model, Schedule, in_words, is_multigrid
 from napari_hmrf.optimizers import Monitor
@@ -112,6 +113,11 @@ def refusal(error: Exception) -> str:
     if isinstance(error, HmrfError | ValueError):
         return str(error)
     return f"The deformation failed: {type(error).__name__}: {error}"
+
+
+def in_short(error: Exception) -> str:
+    """The same, without the technical details of a layer that is at fault."""
+    return error.sentence if isinstance(error, LayerError) else refusal(error)
 
 
 def details(done: Done) -> str:

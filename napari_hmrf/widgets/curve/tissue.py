@@ -24,6 +24,7 @@ from napari_hmrf.layers.stiffness import (
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.curve.editor import CurveEditor
 from napari_hmrf.widgets.timers import single_shot
+from napari_hmrf.widgets.words import in_short
 
 #: Shown until there is a layer with a curve of its own.
 _NOTHING = StiffnessCurve(tuple(zip((0.0, 0.5, 1.0), STIFFNESSES, strict=True)))
@@ -195,7 +196,7 @@ class TissueCurve:
             update_stiffness(self._layer, self._source(), curve)
         except ProblemError as error:
             self.editor.curve = curve_of(self._layer) or curve
-            self.refused.emit(error.sentence if isinstance(error, LayerError) else str(error))
+            self.refused.emit(in_short(error))
             return
         self.changed.emit(curve)
 
@@ -213,7 +214,7 @@ class TissueCurve:
         try:
             self.curve = first_curve(self._source(), self._view())
         except ProblemError as error:
-            self.refused.emit(error.sentence if isinstance(error, LayerError) else str(error))
+            self.refused.emit(in_short(error))
         else:
             assert self.curve is not None
             self.settled.emit(self.curve)

@@ -10,7 +10,6 @@ from psygnal import Signal
 from napari_hmrf.drawing import Drawing, History
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.ground import read_ground
-from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.painted import tissue_colours
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.forms import put_scrolled
@@ -23,7 +22,7 @@ from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.timers import single_shot
-from napari_hmrf.widgets.words import WELCOME
+from napari_hmrf.widgets.words import WELCOME, in_short
 
 #: Of the dock, in pixels: enough for the row of tools.
 _WIDTH = 350
@@ -186,7 +185,7 @@ class GrabAndPull(Container):
         except (HmrfError, ValueError) as error:
             self._puller.stand_on(None)
             self.show_toggle()
-            self.say(error.sentence if isinstance(error, LayerError) else str(error))
+            self.say(in_short(error))
             return False
         before = self._puller.ground
         if before is None or not before.same_as(ground):

@@ -15,7 +15,7 @@ from napari_hmrf.widgets.grab.badge import Badge
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
-from napari_hmrf.widgets.words import refusal
+from napari_hmrf.widgets.words import in_short, refusal
 
 if TYPE_CHECKING:
     from napari_hmrf.widgets.grab.dock import GrabAndPull
@@ -83,7 +83,7 @@ class Toolbox:
         try:
             found = landmarks_of(where, should, ground.frame, ground.shape, radius, sure)
         except LayerError as error:
-            self._say(error.sentence)
+            self._say(in_short(error))
             return False
         drawing = Drawing((*puller.history.drawing.marks, *found))
         puller.set_drawing(drawing, f"took {len(found)} landmarks from points")
