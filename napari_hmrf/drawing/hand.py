@@ -35,9 +35,6 @@ class Hand:
         The number of the mark made or taken hold of last.
     """
 
-    #: What it makes, with its article, for the words of the steps.
-    thing = "a mark"
-
     def __init__(self, history: History, spacing: Sequence[float] = (1.0, 1.0)) -> None:
         self._history = history
         self._spacing = (float(spacing[0]), float(spacing[1]))

@@ -34,34 +34,26 @@ class News:
     ----------
     snapshot : Snapshot
         What was solved.
-    number : int
-        Which edit it was.
     picture : ndarray, optional
         The image moved with the tissue: what can be shown at once.
     done : Done, optional
         All layers; once an edit has come to rest.
     error : Exception, optional
         Why there is nothing new, in words of the layers.
-    seconds : float
-        Since the edit.
     """
 
     snapshot: Snapshot
-    number: int
     picture: npt.NDArray[Any] | None = None
     done: Done | None = None
     error: Exception | None = None
-    seconds: float = 0.0
 
 
 class _Solved(NamedTuple):
     """The newest solution, and what it was made from."""
 
-    number: int
     snapshot: Snapshot
     inputs: Inputs
     solution: Solution
-    seconds: float
 
 
 class LiveJob:
@@ -100,9 +92,9 @@ class LiveJob:
         """What is going on."""
         return self._monitor
 
-    def submit(self, snapshot: Snapshot, prior: Prior) -> int:
-        """Have this solved instead of whatever waits; which edit it is."""
-        return self._live.submit(lambda: self._problem(snapshot, prior))
+    def submit(self, snapshot: Snapshot, prior: Prior) -> None:
+        """Have this solved instead of whatever waits."""
+        self._live.submit(lambda: self._problem(snapshot, prior))
 
     def complete(self, kinds: Collection[Kind]) -> None:
         """Have all layers drawn of the newest solution, unless there is a newer edit then."""
@@ -128,15 +120,13 @@ class LiveJob:
     def _deliver(self, update: Update) -> None:
         assert self._read is not None
         snapshot, inputs = self._read
-        number, seconds = update.number, update.seconds
         if update.solution is None or inputs is None:
-            error = _named(update.error, snapshot)
-            self._tell(News(snapshot, number, error=error, seconds=seconds))
+            self._tell(News(snapshot, error=_named(update.error, snapshot)))
             return
         solution = update.solution
-        self._solved = _Solved(number, snapshot, inputs, solution, seconds)
+        self._solved = _Solved(snapshot, inputs, solution)
         picture = self._moved(solution, inputs.pictures.image)
-        self._tell(News(snapshot, number, picture, seconds=seconds))
+        self._tell(News(snapshot, picture))
 
     def _moved(self, solution: Solution, image: npt.NDArray[Any] | None) -> npt.NDArray[Any] | None:
         if image is None:
@@ -161,10 +151,10 @@ class LiveJob:
             return
         except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
             _log.exception("a live result could not be drawn")
-            self._tell(News(solved.snapshot, solved.number, error=error))
+            self._tell(News(solved.snapshot, error=error))
             return
         done = Done(outputs, solved.snapshot, inputs.ignored, inputs.notes)
-        self._tell(News(solved.snapshot, solved.number, done=done, seconds=solved.seconds))
+        self._tell(News(solved.snapshot, done=done))
 
     def _checkpoint(self) -> None:
         if self.busy:

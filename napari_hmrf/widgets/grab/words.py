@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from napari_hmrf.widgets.grab.tools import BY_NAME
-
 START = "Press 'Grab and pull', then drag tissue in the image."
-ON = BY_NAME["pull"].how
 OFF = "Paused: press 'Grab and pull', or choose the layer 'Arrows', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
 ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
