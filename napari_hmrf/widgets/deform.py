@@ -14,7 +14,9 @@ from napari_hmrf.layers.inputs import Request, copy_layers
 from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.widgets.dock_steps import DockSteps
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
+from napari_hmrf.widgets.live_mode import LiveMode
 from napari_hmrf.widgets.result_dock import ResultDock
+from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.timers import repeating
 from napari_hmrf.widgets.watch import Watch
@@ -61,18 +63,46 @@ class DeformTissue(ResultDock):
         self._request: Request | None = None
         self._solving_with: tuple[Any, ...] = ()
         self._stage = ("", 0.0)
-        self._watch = Watch(self, self._viewer, self._face)
-        self._steps = DockSteps(self, self._face, steps_of(self._viewer))
-        self._poll = repeating(self.native, _POLL, self._on_poll)
         face = self._face
+        self._live = LiveMode(self, face.footer.live)
+        self._watch = Watch(
+            self,
+            self._viewer,
+            face,
+            edited=self._live.choose,
+            rested=self.check,
+            removed=self._on_layer_removed,
+        )
+        self._steps = DockSteps(face, steps_of(self._viewer), self._life, self.say)
+        StepKeys(self.native, self._steps.steps)
+        self._poll = repeating(self.native, _POLL, self._on_poll)
         face.make.changed.connect(self.make_layers)
         face.intensity.changed.connect(self.make_from_intensity)
+        face.tissue.painted.picked.connect(self.hand_brush)
+        face.boundary.painted.picked.connect(self.hand_brush)
         face.tissue.background.clicked.connect(self._on_background)
         face.footer.deform.changed.connect(self.deform)
         face.footer.cancel.changed.connect(self._on_cancel)
         self.reset_choices()
         self.choose_by_role(list(self._viewer.layers))
         self._say(self._invitation())
+
+    @property
+    def live(self) -> bool:
+        """Whether the result follows every edit, once there is one; to set it true begins at once.
+
+        By default it does unless the image is large.
+        """
+        return self._live.on
+
+    @live.setter
+    def live(self, on: bool) -> None:
+        self._live.turn(on)
+
+    @property
+    def following(self) -> bool:
+        """Whether an edit is being followed that is not shown yet."""
+        return self._live.busy
 
     # What can be done
 
@@ -244,8 +274,8 @@ class DeformTissue(ResultDock):
     def _on_background(self, *_: Any) -> None:
         self.mark_background()
 
-    def layer_removed(self, layer: Any) -> None:
-        """A layer is gone: so is what was to be computed from it."""
+    def _on_layer_removed(self, layer: Any) -> None:
+        """What was to be computed from it is gone, too."""
         self._live.layer_removed(layer)
         if self._request is not None and layer in self._request.layers:
             self.cancel(f"Cancelled: '{layer.name}' was removed.")

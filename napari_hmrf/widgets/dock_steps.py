@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.steps import DRAWING, Slot, ViewerSteps
 from napari_hmrf.widgets.face import Face
-from napari_hmrf.widgets.step_buttons import StepKeys
+from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.table_steps import CurveSteps, TableSteps
-
-if TYPE_CHECKING:
-    from napari_hmrf.widgets.deform import DeformTissue
 
 
 class DockSteps:
@@ -19,15 +17,20 @@ class DockSteps:
 
     Parameters
     ----------
-    widget : DeformTissue
     face : Face
-        Of the widget.
+        Of the dock.
     steps : ViewerSteps
         Of the viewer.
+    life : Life
+        Of the dock.
+    say : callable
+        Called with what was done.
     """
 
-    def __init__(self, widget: DeformTissue, face: Face, steps: ViewerSteps) -> None:
-        self._widget, self._buttons, self.steps = widget, face.footer.steps, steps
+    def __init__(
+        self, face: Face, steps: ViewerSteps, life: Life, say: Callable[[str], None]
+    ) -> None:
+        self._buttons, self.steps, self._life, self._say = face.footer.steps, steps, life, say
         tissue, boundary = face.tissue, face.boundary
         self._tables = (
             TableSteps(TISSUE, tissue.painted, tissue.table, steps),
@@ -39,7 +42,6 @@ class DockSteps:
         self._buttons.redo.changed.connect(steps.redo)
         steps.edits.moved.connect(self._show)
         steps.said.connect(self._on_said)
-        StepKeys(widget.native, steps)
         self._show()
 
     def come(self) -> None:
@@ -55,9 +57,9 @@ class DockSteps:
         return False
 
     def _show(self) -> None:
-        if not self._widget.away:
+        if not self._life.away:
             self._buttons.show(self.steps)
 
     def _on_said(self, sentence: str, slot: Any) -> None:
-        if not (isinstance(slot, Slot) and slot.what == DRAWING) and not self._widget.away:
-            self._widget.say(sentence)
+        if not (isinstance(slot, Slot) and slot.what == DRAWING) and not self._life.away:
+            self._say(sentence)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.inputs import Snapshot, copy_layers
@@ -12,11 +12,9 @@ from napari_hmrf.layers.view import layer_extents
 from napari_hmrf.widgets.live_job import LiveJob, News
 from napari_hmrf.widgets.newest import Newest
 from napari_hmrf.widgets.pixels import Pixels
+from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.timers import repeating, single_shot
 from napari_hmrf.widgets.words import in_short, progress
-
-if TYPE_CHECKING:
-    from napari_hmrf.widgets.deform import DeformTissue
 
 #: So many pixels are followed without being asked. On two cores and no GPU the picture follows an
 #: edit of 1200 x 1200 pixels in 0.4 s (elastic) to 1.4 s, and one of 2048 x 2048 in 1.6 to 5 s.
@@ -42,12 +40,13 @@ class LiveMode:
 
     Parameters
     ----------
-    widget : DeformTissue
+    widget : ResultDock
+        Which shows what comes of it.
     check : CheckBox
         Which turns it on and off.
     """
 
-    def __init__(self, widget: DeformTissue, check: Any) -> None:
+    def __init__(self, widget: ResultDock, check: Any) -> None:
         self._widget = widget
         self._check = check
         #: Whether somebody ticked or unticked the box; None while the size decides.

@@ -18,7 +18,6 @@ from napari_hmrf.widgets.job import Done
 from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.live_job import News
-from napari_hmrf.widgets.live_mode import LiveMode
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.words import details as details_of
 
@@ -44,7 +43,6 @@ class ResultDock(Chooser):
         self._status = ""
         self._latest = Latest()
         self._results = ResultLayers(self._viewer)
-        self._live = LiveMode(self, self._face.footer.live)
 
     # What there is to see
 
@@ -74,23 +72,6 @@ class ResultDock(Chooser):
         """Of the latest result."""
         done = self._latest.done
         return None if done is None else done.outputs.solution
-
-    @property
-    def live(self) -> bool:
-        """Whether the result follows every edit, once there is one; to set it true begins at once.
-
-        By default it does unless the image is large.
-        """
-        return self._live.on
-
-    @live.setter
-    def live(self, on: bool) -> None:
-        self._live.turn(on)
-
-    @property
-    def following(self) -> bool:
-        """Whether an edit is being followed that is not shown yet."""
-        return self._live.busy
 
     @property
     def shown(self) -> tuple[Snapshot, tuple[Any, ...]] | None:
@@ -144,10 +125,6 @@ class ResultDock(Chooser):
         frame = news.snapshot.frame
         data = frame.put_image(news.picture)
         return self._results.show_picture(source, frame.slice_name, data)
-
-    def choose_live(self) -> None:
-        """Layers, tables, settings or the slice may be others: follow them."""
-        self._live.choose()
 
     def outdate(self) -> None:
         """The result is not that of the layers."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
@@ -11,12 +12,10 @@ from napari_hmrf.layers.metadata import role_of
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.preview import BoundaryPreview
+from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.sections import NO_PREVIEW, PREVIEW
 from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import READY
-
-if TYPE_CHECKING:
-    from napari_hmrf.widgets.deform import DeformTissue
 
 #: How long after the last change it is asked what that means for the result, in milliseconds.
 _PAUSE = 300
@@ -30,21 +29,35 @@ class Watch:
 
     Parameters
     ----------
-    widget : DeformTissue
+    widget : ResultDock
     viewer : napari.Viewer or ViewerModel
     face : Face
         Of the widget.
+    edited, rested : callable
+        Called when anything has changed that a result depends on, and when that is over.
+    removed : callable
+        Called with a layer that is gone.
     """
 
-    def __init__(self, widget: DeformTissue, viewer: Any, face: Face) -> None:
+    def __init__(
+        self,
+        widget: ResultDock,
+        viewer: Any,
+        face: Face,
+        *,
+        edited: Callable[[], None],
+        rested: Callable[[], None],
+        removed: Callable[[Any], None],
+    ) -> None:
         self._widget = widget
+        self._edited, self._removed = edited, removed
         self._viewer = viewer
         self._face = face
         self.preview = BoundaryPreview(viewer)
         self._undrawn = ""
         self._drawing = single_shot(widget.native, 0, self._draw_preview)
         self._fitting = single_shot(widget.native, 50, self._fit_view)
-        self._checking = single_shot(widget.native, _PAUSE, widget.check)
+        self._checking = single_shot(widget.native, _PAUSE, rested)
         face.image.changed.connect(self._on_image)
         face.boundary.edited.connect(self._on_edited)
         face.tissue.edited.connect(self._on_edited)
@@ -53,7 +66,6 @@ class Watch:
         for check in face.checks:
             check.changed.connect(self._check_soon)
         for section in (face.tissue, face.boundary):
-            section.painted.picked.connect(widget.hand_brush)
             section.painted.found.connect(widget.note)
             section.table.refused.connect(widget.say)
         face.tissue.menu.said.connect(widget.say)
@@ -96,7 +108,7 @@ class Watch:
     def _check_soon(self, *_: Any) -> None:
         if not self._widget.away:
             self._checking.start()
-            self._widget.choose_live()
+            self._edited()
 
     def _on_inserted(self, event: Any) -> None:
         widget = self._widget
@@ -123,7 +135,7 @@ class Watch:
         if was_image:
             widget.choose_another()
         self._check_soon()
-        widget.layer_removed(event.value)
+        self._removed(event.value)
 
     def _on_active(self, *_: Any) -> None:
         if not self._widget.away:

@@ -62,9 +62,11 @@ class GrabAndPull(Container):
         self._status = self._step = ""
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)
         self._resting = single_shot(self.native, _REST, self._on_rest)
-        self._toolbox = Toolbox(self, self.form, self._puller, self._viewer, self.say)
+        self._toolbox = Toolbox(
+            self.form, self._puller, self._viewer, self.say, start=self.start, stop=self.stop
+        )
         self._connect()
-        self._watch = GrabWatch(self, self._viewer)
+        self._watch = GrabWatch(self, self.form, self._viewer)
         StepKeys(self.native, self._puller.steps)
         self.reset_choices()
         self._watch.choose_by_role(list(self._viewer.layers))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from napari_hmrf.drawing import Drawing
 from napari_hmrf.errors import HmrfError
@@ -17,32 +17,33 @@ from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 from napari_hmrf.widgets.words import in_short, refusal
 
-if TYPE_CHECKING:
-    from napari_hmrf.widgets.grab.dock import GrabAndPull
-
 
 class Toolbox:
     """Has buttons, keys and fields choose the tool and how it draws.
 
     Parameters
     ----------
-    dock : GrabAndPull
     form : GrabForm
     puller : Puller
     viewer : napari.Viewer or ViewerModel
     say : callable
         Called with what there is to say.
+    start, stop : callable
+        Have the mouse pull, and have it move the view again.
     """
 
     def __init__(
         self,
-        dock: GrabAndPull,
         form: GrabForm,
         puller: Puller,
         viewer: Any,
         say: Callable[[str], None],
+        *,
+        start: Callable[[], object],
+        stop: Callable[[], None],
     ) -> None:
-        self._dock, self._form, self._puller, self._say = dock, form, puller, say
+        self._form, self._puller, self._say = form, puller, say
+        self._start, self._stop = start, stop
         self._badge = Badge(viewer)
         for name, button in form.tools.items():
             button.native.clicked.connect(partial(self._on_button, name))
@@ -103,13 +104,13 @@ class Toolbox:
     def _on_button(self, name: str, *_: Any) -> None:
         """The button of a tool takes it, and puts it down again."""
         if self._puller.active and self._puller.tool.name == name:
-            self._dock.stop()
+            self._stop()
             return
         self.take(name)
         if self._puller.active:
             self.show()
         else:
-            self._dock.start()
+            self._start()
 
     def _on_size(self, factor: float) -> None:
         radius = self._form.radius

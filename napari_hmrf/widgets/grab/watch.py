@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
+from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.pixels import Pixels
 from napari_hmrf.widgets.timers import single_shot
 
-if TYPE_CHECKING:
-    from napari_hmrf.widgets.grab.dock import GrabAndPull
-
 #: How long after the last change of a layer it is read again, in milliseconds.
 _PAUSE = 200
+
+
+class Watched(Protocol):
+    """The dock, as far as it is told of what happens."""
+
+    native: Any
+
+    @property
+    def away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+
+    def reset_choices(self) -> None:
+        """There are other layers."""
+
+    def look(self) -> object:
+        """What is read may say something else."""
+
+    def let_go(self) -> None:
+        """Another slice is shown."""
+
+    def active_changed(self) -> None:
+        """Another layer feels the mouse."""
+
+    def layer_gone(self, layer: Any) -> None:
+        """A layer was removed."""
 
 
 class GrabWatch:
@@ -21,17 +44,18 @@ class GrabWatch:
 
     Parameters
     ----------
-    widget : GrabAndPull
+    widget : Watched
+    form : GrabForm
+        Of the widget.
     viewer : napari.Viewer or ViewerModel
     """
 
-    def __init__(self, widget: GrabAndPull, viewer: Any) -> None:
-        self._widget = widget
+    def __init__(self, widget: Watched, form: GrabForm, viewer: Any) -> None:
+        self._widget, self._form = widget, form
         self._viewer = viewer
         self._looking = single_shot(widget.native, _PAUSE, self._look)
         self._pixels = Pixels(self._on_pixels)
         steps_of(viewer).edits.changed.connect(self._on_table)
-        form = widget.form
         form.image.changed.connect(self._on_choice)
         form.tissue.changed.connect(self._on_choice)
         form.boundary.changed.connect(self._on_choice)
@@ -56,19 +80,18 @@ class GrabWatch:
 
     def choose_by_role(self, layers: list[Any]) -> None:
         """Choose an image and its tissue as they come, and the first image if there is none yet."""
-        widget = self._widget
+        image, tissue = self._form.image, self._form.tissue
         for layer in layers:
             role = role_of(layer)
             if role == TISSUE:
-                widget.tissue = layer
-            elif layer in widget.form.image.offered and (role == IMAGE or widget.image is None):
-                widget.image = layer
+                tissue.choose(layer)
+            elif layer in image.offered and (role == IMAGE or image.value is None):
+                image.choose(layer)
 
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""
-        widget = self._widget
         for layer in self._viewer.layers:
-            if layer in (widget.tissue, widget.boundary) or role_of(layer) in (TISSUE, BOUNDARY):
+            if layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY):
                 layer.visible = False
 
     def release(self) -> None:
@@ -79,17 +102,20 @@ class GrabWatch:
         self._pixels.release()
         steps_of(self._viewer).edits.changed.disconnect(self._on_table, missing_ok=True)
 
+    @property
+    def _painted(self) -> tuple[Any, Any]:
+        """The layers that say what is tissue and what holds it."""
+        return self._form.tissue.value, self._form.boundary.value
+
     def _look(self) -> None:
         if not self._widget.away:
             self._widget.look()
 
     def _on_choice(self, *_: Any) -> None:
-        widget = self._widget
-        if widget.away:
+        if self._widget.away:
             return
-        self._pixels.listen_to(
-            [layer for layer in (widget.image, widget.tissue, widget.boundary) if layer is not None]
-        )
+        chosen = (self._form.image.value, *self._painted)
+        self._pixels.listen_to([layer for layer in chosen if layer is not None])
         self._looking.start(0)
 
     def _on_pixels(self, *_: Any) -> None:
@@ -98,9 +124,8 @@ class GrabWatch:
 
     def _on_table(self, slot: Any, _: Any) -> None:
         """The table of a layer says something else, in whichever dock that was done."""
-        widget = self._widget
         of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
-        if of_ours and slot.layer in (widget.tissue, widget.boundary):
+        if of_ours and slot.layer in self._painted:
             self._on_pixels()
 
     def _on_slice(self, *_: Any) -> None:
