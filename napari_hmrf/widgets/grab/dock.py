@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from magicgui.widgets import Container
 from psygnal import Signal
 
-from napari_hmrf.drawing import Drawing, History
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.painted import tissue_colours
 from napari_hmrf.layers.view import View, unit_symbol
-from napari_hmrf.widgets.forms import put_scrolled
-from napari_hmrf.widgets.grab.form import GrabForm
-from napari_hmrf.widgets.grab.puller import Puller
+from napari_hmrf.widgets.grab.controls import GrabControls
 from napari_hmrf.widgets.grab.toolbox import Toolbox
 from napari_hmrf.widgets.grab.watch import GrabWatch
 from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
@@ -24,13 +20,11 @@ from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import WELCOME, in_short
 
-#: Of the dock, in pixels: enough for the row of tools.
-_WIDTH = 350
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
 _REST = 300
 
 
-class GrabAndPull(Container):
+class GrabAndPull(GrabControls):
     """Pull tissue with the mouse and see all of it follow.
 
     Everything the mouse can do a script can do too: choose `image` and `tissue`, `start()`, set
@@ -42,8 +36,6 @@ class GrabAndPull(Container):
 
     Attributes
     ----------
-    form : GrabForm
-        The fields and buttons.
     seen : Signal(object)
         Emitted with what is `Seen` from now on.
     """
@@ -51,16 +43,11 @@ class GrabAndPull(Container):
     seen = Signal(object)
 
     def __init__(self, napari_viewer: Any) -> None:
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
-        self.form = GrabForm(lambda: list(self._viewer.layers))
-        super().__init__(labels=False)
-        put_scrolled(self, self.form, _WIDTH)
+        super().__init__(napari_viewer)
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         Tabs(self, self._viewer)
         self._started = self._sized = False
         self._status = self._step = ""
-        self._puller = Puller(self._viewer, lambda: self.form.fields.how)
         self._resting = single_shot(self.native, _REST, self._on_rest)
         self._toolbox = Toolbox(
             self.form, self._puller, self._viewer, self.say, start=self.start, stop=self.stop
@@ -73,52 +60,6 @@ class GrabAndPull(Container):
         self.say(START if self.image is not None else WELCOME)
 
     # What there is to see
-
-    @property
-    def image(self) -> Any:
-        """The image whose tissue is pulled, or None."""
-        return self.form.image.value
-
-    @image.setter
-    def image(self, layer: Any) -> None:
-        self.form.image.choose(layer)
-
-    @property
-    def tissue(self) -> Any:
-        """How stiff tissue is: a Labels layer with its table, an image of stiffness, or None."""
-        return self.form.tissue.value
-
-    @tissue.setter
-    def tissue(self, layer: Any) -> None:
-        self.form.tissue.choose(layer)
-
-    @property
-    def boundary(self) -> Any:
-        """A Labels layer of what holds and moves beside what is drawn, or None."""
-        return self.form.boundary.value
-
-    @boundary.setter
-    def boundary(self, layer: Any) -> None:
-        self.form.boundary.choose(layer)
-
-    @property
-    def drawing(self) -> Drawing:
-        """What is drawn on the slice that is shown."""
-        return self.history.drawing
-
-    @drawing.setter
-    def drawing(self, drawing: Drawing) -> None:
-        self._puller.set_drawing(drawing, "took over a drawing")
-
-    @property
-    def history(self) -> History:
-        """Of the slice that is shown."""
-        return self._puller.history
-
-    @property
-    def active(self) -> bool:
-        """Whether the mouse pulls tissue."""
-        return self._puller.active
 
     @property
     def busy(self) -> bool:
@@ -197,22 +138,6 @@ class GrabAndPull(Container):
             self.form.fields.show_unit(unit_symbol(ground.frame.unit))
             self.show_toggle()
         return True
-
-    def undo(self) -> None:
-        """Take back what was done last."""
-        self._puller.answers.undo()
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
-        self._puller.answers.redo()
-
-    def remove(self) -> None:
-        """Remove what is selected."""
-        self._puller.answers.remove()
-
-    def clear(self) -> None:
-        """Remove all that is drawn."""
-        self._puller.set_drawing(Drawing(), "removed all")
 
     def take_points(self, where: Any, should: Any) -> bool:
         """Draw landmarks from the points of two layers, paired by their order; whether it could."""
