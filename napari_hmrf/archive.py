@@ -11,12 +11,9 @@ import errno
 import io
 import json
 import os
-import secrets
-import time
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
@@ -25,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.whole_file import write_whole
 
 T = TypeVar("T")
 Header = Mapping[str, Any]
@@ -38,8 +36,6 @@ _MAX_RATIO = 100
 
 _HEADER = "header"
 _HEADER_BYTES = 2**20
-_TEMPORARY = ".napari-hmrf-"
-_ABANDONED_AFTER = 3600.0
 
 # What zipfile, zlib, NumPy and JSON raise on bytes that are not what they claim to be.
 _DAMAGE = (
@@ -92,8 +88,7 @@ class Format(Generic[T]):
 def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays: Arrays) -> Path:
     """Write a file that is complete or not there.
 
-    It is written beside its destination, read back, and only then given its name. A file that was
-    there before survives until that moment.
+    As by `write_whole`: a file that was there before survives until the new one is complete.
 
     Parameters
     ----------
@@ -124,27 +119,7 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
         target = target.with_name(target.name + ".npz")
     if target.is_dir():
         raise IsADirectoryError(f"cannot save {target.name!r}: it is a folder")
-    content = _packed(form, header, arrays)
-    temporary = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp")
-    try:
-        _remove_abandoned(target.parent)
-        with open(temporary, "xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        if temporary.read_bytes() != content:
-            raise OSError(f"cannot save {target.name!r}: the disk did not keep what was written")
-        _rename(temporary, target)
-        _sync_folder(target.parent)
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise type(error)(
-            error.errno, f"cannot save the result: {error.strerror}", str(target)
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    write_whole(target, _packed(form, header, arrays))
     return target
 
 
@@ -290,35 +265,3 @@ def _peek(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any], int]:
     if any(length < 0 for length in shape):
         raise Invalid(f"it claims a shape of {shape}")
     return shape, dtype, stream.tell()
-
-
-def _rename(temporary: Path, target: Path) -> None:
-    """Replace in one step; on Windows whoever has the old file open makes that fail for a while."""
-    for attempt in range(6):
-        try:
-            os.replace(temporary, target)
-            return
-        except PermissionError:
-            if attempt == 5:
-                raise
-            time.sleep(0.1)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Have the new name itself on disk, where the system knows how."""
-    if os.name != "posix":
-        return
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove what a process that was killed while saving left behind."""
-    for path in folder.glob(f"{_TEMPORARY}*.tmp"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _ABANDONED_AFTER:
-                path.unlink()

@@ -20,6 +20,7 @@ from napari_hmrf import (
     is_solution_file,
     phantom,
     solve,
+    whole_file,
 )
 from napari_hmrf.optimizers.base import LevelRun
 
@@ -181,7 +182,7 @@ def disk_full(*_):
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
-    monkeypatch.setattr(archive.os, step, disk_full)
+    monkeypatch.setattr(whole_file.os, step, disk_full)
     with pytest.raises(OSError, match=r"cannot save the result: No space left.*result\.npz"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
@@ -190,7 +191,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, mon
 
 
 def test_a_disk_that_does_not_keep_what_it_was_given_is_found_out(solution, path, monkeypatch):
-    monkeypatch.setattr(archive.Path, "read_bytes", lambda _: b"")
+    monkeypatch.setattr(whole_file.Path, "read_bytes", lambda _: b"")
     with pytest.raises(OSError, match=r"'result\.npz'.*did not keep"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
@@ -213,12 +214,12 @@ def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
             raise PermissionError(errno.EACCES, "Permission denied")
         rename(*names)
 
-    monkeypatch.setattr(archive.os, "replace", held)
-    monkeypatch.setattr(archive.time, "sleep", lambda _: None)
+    monkeypatch.setattr(whole_file.os, "replace", held)
+    monkeypatch.setattr(whole_file.time, "sleep", lambda _: None)
     other = made_up((5, 5))
     other.save(path)
     assert_same(Solution.load(path), other)
-    monkeypatch.setattr(archive.os, "replace", always_held)
+    monkeypatch.setattr(whole_file.os, "replace", always_held)
     with pytest.raises(PermissionError, match=r"cannot save the result: held.*result\.npz"):
         solution.save(path)
     assert_same(Solution.load(path), other)
