@@ -8,27 +8,21 @@ napari's Labels layers hold them; nothing here needs napari.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.label_images import labels_present, values_at
+from napari_hmrf.outlines import OpenLine, outward_normals
 from napari_hmrf.priors.elastic import POISSON_RANGE
 
 FloatArray = npt.NDArray[np.float32]
 Action = Literal["fixed", "move", "expand"]
 
-#: How far the outline of an expanding region is smoothed before its normal is taken, in pixels.
-_SMOOTHING = 1.5
-#: A part so many times longer than it is thick is a line, whatever the brush: it has no inside.
-_LINE = 8.0
-#: Pixels that touch at a corner belong together, as in a ring one pixel wide.
-_EIGHT = np.ones((3, 3), dtype=bool)
 #: The common choice for soft tissue, where nothing better is known.
 USUAL_POISSON = 0.45
 
@@ -206,79 +200,25 @@ def boundary_images(
         if rule.action == "move":
             y[painted] = rule.vector
         elif rule.action == "expand":
-            normals = _outward_normals(painted, spacing, rule)
+            normals = _normals(painted, spacing, rule)
             y[painted] = np.float32(rule.amount) * normals[painted]
             c[painted & ~normals.any(axis=-1)] = 0
     return y, c
 
 
-def _outward_normals(
+def _normals(
     painted: npt.NDArray[np.bool_], spacing: Sequence[float], rule: BoundaryRule
 ) -> FloatArray:
-    """Unit normals of each part's enclosing outline, at the outline's nearest pixel.
-
-    The outline is that of the filled part, and its normal the slope of the filled part blurred:
-    pixel steps average out, and a rim of one pixel needs no inside of its own. Deeper inside, many
-    pixels share a nearest one; a second blur, of the normals, undoes that.
-    """
-    sizes = np.asarray(spacing, dtype=float)
-    sigma = _SMOOTHING * sizes.max() / sizes
-    margin = tuple(math.ceil(4 * along) + 1 for along in sigma)
-    normals = np.zeros((*painted.shape, 2), dtype=np.float32)
-    for box, part in _parts(painted):
-        padded = np.pad(part, [(size, size) for size in margin])
-        filled = ndimage.binary_fill_holes(padded)
-        _refuse_open_line(filled, sizes, rule)
-        blurred = ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
-        slope = -np.stack(np.gradient(blurred, *sizes), axis=-1)
-        outline = filled & ~ndimage.binary_erosion(filled)
-        nearest = ndimage.distance_transform_edt(
-            ~outline, sampling=sizes, return_distances=False, return_indices=True
-        )
-        normal = _unit(slope[tuple(nearest)])
-        normal = _unit(ndimage.gaussian_filter(normal, (*sigma, 0.0), mode="nearest"))
-        inside = tuple(slice(size, -size) for size in margin)
-        normals[box][part] = normal[inside][part]
-    return normals
-
-
-def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Vectors of length 1, or 0 where there is no direction."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    units: npt.NDArray[np.float64] = np.divide(
-        vectors, length, out=np.zeros_like(vectors), where=length > 1e-6
-    )
-    return units
-
-
-def _parts(
-    painted: npt.NDArray[np.bool_],
-) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
-    """Each connected part, with the box that holds it."""
-    numbered, _ = ndimage.label(painted, structure=_EIGHT)
-    for number, box in enumerate(ndimage.find_objects(numbered), start=1):
-        yield box, numbered[box] == number
-
-
-def _refuse_open_line(
-    filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float64], rule: BoundaryRule
-) -> None:
-    area = float(filled.sum() * sizes.prod())
-    deepest = float(ndimage.distance_transform_edt(filled, sampling=sizes).max())
-    at_least = 2 * deepest - sizes.max()
-    if area <= _LINE * at_least**2:
-        return
-    # At half the pixel size even and odd widths both have a middle, and come out as they are.
-    fine = filled.repeat(2, axis=0).repeat(2, axis=1)
-    thickness = 2 * float(ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
-    length = area / thickness
-    if length > _LINE * thickness:
+    try:
+        return outward_normals(painted, spacing)
+    except OpenLine as line:
         raise ProblemError(
             "y",
-            f"lets {_quoted(rule)} expand, but a part of it is an open line (about {length:.3g} "
-            f"long and {thickness:.3g} thick), which has no outside: it would be torn along its "
-            "middle. Close the line to a ring, or let it move by a vector instead ('moves by').",
-        )
+            f"lets {_quoted(rule)} expand, but a part of it is an open line (about "
+            f"{line.length:.3g} long and {line.thickness:.3g} thick), which has no outside: it "
+            "would be torn along its middle. Close the line to a ring, or let it move by a vector "
+            "instead ('moves by').",
+        ) from None
 
 
 def _as_labels(field: str, labels: npt.ArrayLike) -> npt.NDArray[Any]:
