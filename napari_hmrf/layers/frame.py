@@ -10,18 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.layers.stored_place import stored_place
 from napari_hmrf.layers.transform import (
     Matrix,
     flat,
     floats,
     floats_or_rows,
     rows,
-    stored_indices,
-    stored_matrix,
-    stored_numbers,
-    stored_words,
 )
-from napari_hmrf.layers.view import View, is_unit, slice_shown, unit_factor
+from napari_hmrf.layers.view import View, slice_shown, unit_factor
 
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
 _TOLERANCE = 1e-3
@@ -251,40 +248,11 @@ class Frame:
             If it is not what `as_dict` made, or no layer can lie there.
         """
         try:
-            return cls._stored(values)
+            return cls(**stored_place(values))
         except KeyError as error:
             raise ValueError(f"not the place of a slice: it lacks {error}") from error
         except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(f"not the place of a slice: {error}") from error
-
-    @classmethod
-    def _stored(cls, values: Mapping[str, Any]) -> Frame:
-        index = stored_indices("index", values["index"])
-        plane = stored_indices("plane", values["plane"])
-        ndim = len(index)
-        if len(plane) != 2 or plane[0] == plane[1] or not all(0 <= axis < ndim for axis in plane):
-            raise ValueError(f"its plane is {plane} of {ndim} axes")
-        scale = floats(stored_numbers("scale", values["scale"], (ndim,)))
-        if 0 in scale:
-            raise ValueError(f"its scale is {scale}")
-        shear = values["shear"]
-        sheared = (ndim, ndim) if np.ndim(shear) == 2 else (ndim * (ndim - 1) // 2,)
-        units = stored_words("units", values["units"], ndim)
-        unknown = [unit for unit in units if not is_unit(unit)]
-        if unknown or np.isnan(unit_factor(units[plane[1]], units[plane[0]])):
-            raise ValueError(f"its units are {units}")
-        return cls(
-            plane=(plane[0], plane[1]),
-            index=index,
-            scale=scale,
-            translate=floats(stored_numbers("translate", values["translate"], (ndim,))),
-            rotate=stored_matrix("rotate", values["rotate"], ndim, homogeneous=False),
-            shear=floats_or_rows(stored_numbers("shear", shear, sheared)),
-            affine=stored_matrix("affine", values["affine"], ndim + 1, homogeneous=True),
-            units=units,
-            axis_labels=stored_words("axis labels", values["axis_labels"], ndim),
-            matrix=stored_matrix("matrix", values["matrix"], ndim + 1, homogeneous=True),
-        )
 
     @classmethod
     def of_pixels(cls, spacing: tuple[float, ...]) -> Frame:
