@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from magicgui.widgets import Container
 from napari.layers import Image, Labels, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
@@ -22,6 +21,7 @@ from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.view import View
 from napari_hmrf.material_files import load_materials, save_materials
 from napari_hmrf.presets import Preset
+from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.material_menu import materials_of
 from napari_hmrf.widgets.model import TissueModel
@@ -30,7 +30,7 @@ from napari_hmrf.widgets.settings import SolverSettings
 from napari_hmrf.widgets.words import WELCOME
 
 
-class Chooser(Container):
+class Chooser(Dock):
     """Choices of layers, tables, settings and outputs; what is done with them comes on top.
 
     Parameters
@@ -39,9 +39,7 @@ class Chooser(Container):
     """
 
     def __init__(self, napari_viewer: Any) -> None:
-        super().__init__(labels=False)
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
+        super().__init__(napari_viewer)
         self._face = Face(self, self._layers, self._view)
         #: Whether somebody chose an image, or no image: from then on that is nobody else's to do.
         self._image_chosen = False
@@ -282,9 +280,6 @@ class Chooser(Container):
             confidence=self.confidence if isinstance(self.boundary, Vectors) else None,
             view=self._view(),
         )
-
-    def _layers(self) -> list[Any]:
-        return list(self._viewer.layers)
 
     def _view(self) -> View:
         return View.of(self._viewer.dims)

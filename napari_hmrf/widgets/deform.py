@@ -17,7 +17,6 @@ from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
 from napari_hmrf.widgets.live_mode import LiveMode
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.step_buttons import StepKeys
-from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.timers import repeating
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
@@ -59,7 +58,6 @@ class DeformTissue(ResultDock):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        Tabs(self, self._viewer)
         self._request: Request | None = None
         self._solving_with: tuple[Any, ...] = ()
         self._stage = ("", 0.0)
@@ -293,7 +291,6 @@ class DeformTissue(ResultDock):
         self._steps.leave()
 
     def _on_end(self) -> None:
-        """Listen to nothing any more."""
         self._watch.release()
         self._live.release()
         self._steps.leave()

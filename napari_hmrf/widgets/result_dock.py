@@ -16,7 +16,6 @@ from napari_hmrf.widgets.chooser import Chooser
 from napari_hmrf.widgets.footer import Footer
 from napari_hmrf.widgets.job import Done
 from napari_hmrf.widgets.latest import Latest
-from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.live_job import News
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.words import details as details_of
@@ -39,7 +38,6 @@ class ResultDock(Chooser):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         self._status = ""
         self._latest = Latest()
         self._results = ResultLayers(self._viewer)
@@ -50,11 +48,6 @@ class ResultDock(Chooser):
     def idle(self) -> bool:
         """Whether nothing is being computed for this widget."""
         return self._life.job is None
-
-    @property
-    def away(self) -> bool:
-        """Whether the window is gone, or the dock was closed."""
-        return self._life.away
 
     @property
     def status(self) -> str:
@@ -154,12 +147,3 @@ class ResultDock(Chooser):
 
     def _hide_preview(self) -> None:
         """Make way for a result."""
-
-    def _on_opened(self) -> None:
-        """There is a dock around this."""
-
-    def _on_closed(self) -> None:
-        """The dock was closed."""
-
-    def _on_end(self) -> None:
-        """The window is gone."""

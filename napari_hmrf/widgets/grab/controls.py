@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from magicgui.widgets import Container
-
 from napari_hmrf.drawing import Drawing, History
+from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.forms import put_scrolled
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
@@ -15,7 +14,7 @@ from napari_hmrf.widgets.grab.puller import Puller
 _WIDTH = 350
 
 
-class GrabControls(Container):
+class GrabControls(Dock):
     """The layers that are chosen and what is drawn; when the mouse pulls comes on top.
 
     Parameters
@@ -29,10 +28,8 @@ class GrabControls(Container):
     """
 
     def __init__(self, napari_viewer: Any) -> None:
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
-        self.form = GrabForm(lambda: list(self._viewer.layers))
-        super().__init__(labels=False)
+        super().__init__(napari_viewer)
+        self.form = GrabForm(self._layers)
         put_scrolled(self, self.form, _WIDTH)
         self._puller = Puller(self._viewer, lambda: self.form.fields.how)
 

@@ -14,9 +14,7 @@ from napari_hmrf.widgets.grab.controls import GrabControls
 from napari_hmrf.widgets.grab.toolbox import Toolbox
 from napari_hmrf.widgets.grab.watch import GrabWatch
 from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
-from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.step_buttons import StepKeys
-from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import WELCOME, in_short
 
@@ -44,8 +42,6 @@ class GrabAndPull(GrabControls):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
-        Tabs(self, self._viewer)
         self._started = self._sized = False
         self._status = self._step = ""
         self._resting = single_shot(self.native, _REST, self._on_rest)
@@ -66,11 +62,6 @@ class GrabAndPull(GrabControls):
         """Whether tissue is still on its way."""
         read = not self._started or not self._watch.waiting
         return self._puller.follower.busy or self._resting.isActive() or not read
-
-    @property
-    def away(self) -> bool:
-        """Whether the window is gone, or the dock was closed."""
-        return self._life.away
 
     @property
     def status(self) -> str:
@@ -241,7 +232,6 @@ class GrabAndPull(GrabControls):
         self._puller.leave()
 
     def _on_end(self) -> None:
-        """Listen to nothing any more: the window is gone."""
         self._watch.release()
         self._puller.steps.unbind_keys(self._puller.answers)
         self._puller.end()

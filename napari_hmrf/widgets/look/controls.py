@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from magicgui.widgets import Container
-
 from napari_hmrf.layers.found import FoundResult, can_be_source, result_of
 from napari_hmrf.layers.quantity_layers import Quantity
+from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.look.face import LookFace
 from napari_hmrf.widgets.look.scene import Scene
 from napari_hmrf.widgets.look.words import NOTHING
 
 
-class LookControls(Container):
+class LookControls(Dock):
     """The choices; what follows from them comes on top.
 
     Parameters
@@ -22,9 +21,7 @@ class LookControls(Container):
     """
 
     def __init__(self, napari_viewer: Any) -> None:
-        super().__init__(labels=False)
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
+        super().__init__(napari_viewer)
         self._taken: FoundResult | None = None
         self._face = LookFace(self, self._layers, self._is_result, self._is_source)
         self._scene = Scene(self, self._viewer, self._face)
@@ -130,9 +127,6 @@ class LookControls(Container):
     def point(self) -> str:
         """What is said of the tissue under the cursor."""
         return str(self._face.point.value)
-
-    def _layers(self) -> list[Any]:
-        return list(self._viewer.layers)
 
     def _is_result(self, layer: Any) -> bool:
         return result_of(layer) is not None

@@ -12,11 +12,9 @@ from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.layers.found import result_of
 from napari_hmrf.layers.point import Probe
-from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
 from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
-from napari_hmrf.widgets.tabs import Tabs
 from napari_hmrf.widgets.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
@@ -49,8 +47,6 @@ class LookAtResult(LookControls):
         self._settling = single_shot(self.native, _SETTLED, self._on_settled)
         self._followed: Any = None
         self._events: list[tuple[Any, Any]] = []
-        self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
-        Tabs(self, self._viewer)
         self._connect()
         self._on_theme()
         self._choose_newest()
@@ -110,11 +106,6 @@ class LookAtResult(LookControls):
         for event, answer in self._events:
             event.connect(answer)
         self._bind_key()
-
-    @property
-    def away(self) -> bool:
-        """Whether the window is gone, or the dock was closed."""
-        return self._life.away
 
     def _choose_newest(self) -> None:
         self._face.result.refresh()
@@ -229,7 +220,6 @@ class LookAtResult(LookControls):
         self._face.point.say(POINT)
 
     def _on_end(self) -> None:
-        """Listen to nothing any more: the window is gone."""
         self._follow(None)
         for event, answer in self._events:
             event.disconnect(answer)
