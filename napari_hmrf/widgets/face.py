@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from magicgui.widgets import CheckBox, Container, Label, PushButton
-from napari.layers import Image
-from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
+from qtpy.QtWidgets import QSizePolicy
 from superqt import QCollapsible
 
-from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.widgets.energy_plot import EnergyPlot
 from napari_hmrf.widgets.footer import Footer
-from napari_hmrf.widgets.forms import Prose
-from napari_hmrf.widgets.layer_choice import LayerChoice
+from napari_hmrf.widgets.forms import Prose, put_scrolled
+from napari_hmrf.widgets.layer_choice import LayerChoice, is_picture
 from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.remembered import remember
 from napari_hmrf.widgets.sections import BoundarySection, Layers, Shown, TissueSection
@@ -53,11 +50,7 @@ class Face:
     def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
         self.image = LayerChoice(
             layers,
-            lambda layer: (
-                isinstance(layer, Image)
-                and "kind" not in known_of(layer)
-                and role_of(layer) != TISSUE
-            ),
+            is_picture,
             label="image",
             tooltip="The image to deform; of a stack, the slice that is shown",
         )
@@ -151,14 +144,7 @@ class Face:
             layout.addWidget(part)
         layout.setSpacing(4)
         layout.addStretch()
-        scroll = QScrollArea()
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setWidget(body.native)
-        scroll.setMinimumWidth(_WIDTH)
-        scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        outer.native.layout().addWidget(scroll)
+        put_scrolled(outer, body, _WIDTH)
         outer.native.layout().addWidget(self.footer.build())
         for button in (self.make, self.intensity):
             button.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)

@@ -6,6 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import ComboBox
+from napari.layers import Image
+
+from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+
+
+def is_picture(layer: Any) -> bool:
+    """Whether a layer is an image of something, and neither a result nor how stiff tissue is."""
+    own = isinstance(layer, Image) and "kind" not in known_of(layer)
+    return own and role_of(layer) != TISSUE
 
 
 class LayerChoice(ComboBox):

@@ -11,6 +11,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import role_of
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.face import Face
+from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.preview import BoundaryPreview
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.sections import NO_PREVIEW, PREVIEW
@@ -70,7 +71,7 @@ class Watch:
             section.table.refused.connect(widget.say)
         face.tissue.menu.said.connect(widget.say)
         face.tissue.curve.refused.connect(widget.say)
-        self._events = [
+        self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.events.renamed, widget.reset_choices),
@@ -80,16 +81,12 @@ class Watch:
             (viewer.dims.events.current_step, face.tissue.curve.look),
             (viewer.dims.events.order, face.tissue.curve.look),
             (viewer.events.theme, self._on_theme),
-        ]
-        for event, answer in self._events:
-            event.connect(answer)
+        )
         self._on_theme()
 
     def release(self) -> None:
         """Listen no more."""
-        for event, answer in self._events:
-            event.disconnect(answer)
-        self._events = []
+        self._events.release()
 
     def settle(self) -> None:
         """Forget what has changed so far: there is something else to read at the bottom."""

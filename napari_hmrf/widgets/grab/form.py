@@ -12,12 +12,12 @@ from magicgui.widgets import (
 )
 from napari.layers import Image, Labels, Points
 
-from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.steps import ViewerSteps
 from napari_hmrf.widgets.forms import Prose
 from napari_hmrf.widgets.grab.fields import ToolFields
 from napari_hmrf.widgets.grab.tools import BY_NAME, TOOLS, Tool
-from napari_hmrf.widgets.layer_choice import LayerChoice
+from napari_hmrf.widgets.layer_choice import LayerChoice, is_picture
 from napari_hmrf.widgets.step_buttons import StepButtons
 
 ABOUT = (
@@ -46,11 +46,7 @@ class GrabForm(Container):
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
         self.image = LayerChoice(
             layers,
-            lambda layer: (
-                isinstance(layer, Image)
-                and "kind" not in known_of(layer)
-                and role_of(layer) != TISSUE
-            ),
+            is_picture,
             label="image",
             tooltip="The image whose tissue is pulled; of a stack, the slice that is shown",
         )

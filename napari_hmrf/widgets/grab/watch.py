@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
 from napari_hmrf.widgets.grab.form import GrabForm
+from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.pixels import Pixels
 from napari_hmrf.widgets.timers import single_shot
 
@@ -61,7 +62,7 @@ class GrabWatch:
         form.boundary.changed.connect(self._on_choice)
         form.edge.changed.connect(self._on_choice)
         form.fields.preset.changed.connect(self._on_choice)
-        self._events = [
+        self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.events.renamed, widget.reset_choices),
@@ -69,9 +70,7 @@ class GrabWatch:
             (viewer.dims.events.current_step, self._on_slice),
             (viewer.dims.events.order, self._on_slice),
             (viewer.dims.events.ndisplay, self._on_slice),
-        ]
-        for event, answer in self._events:
-            event.connect(answer)
+        )
 
     @property
     def waiting(self) -> bool:
@@ -96,9 +95,7 @@ class GrabWatch:
 
     def release(self) -> None:
         """Listen no more."""
-        for event, answer in self._events:
-            event.disconnect(answer)
-        self._events = []
+        self._events.release()
         self._pixels.release()
         steps_of(self._viewer).edits.changed.disconnect(self._on_table, missing_ok=True)
 

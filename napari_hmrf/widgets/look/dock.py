@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.layers.found import result_of
 from napari_hmrf.layers.point import Probe
+from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
 from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
@@ -46,7 +47,6 @@ class LookAtResult(LookControls):
         super().__init__(napari_viewer)
         self._settling = single_shot(self.native, _SETTLED, self._on_settled)
         self._followed: Any = None
-        self._events: list[tuple[Any, Any]] = []
         self._connect()
         self._on_theme()
         self._choose_newest()
@@ -97,14 +97,12 @@ class LookAtResult(LookControls):
             signal.connect(partial(setattr, self, "before", hold))
         self._scene.player.moved.connect(self._on_moved)
         self._scene.player.playing_changed.connect(self._on_playing)
-        self._events = [
+        self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_layers),
             (viewer.layers.events.renamed, self._on_layers),
             (viewer.events.theme, self._on_theme),
-        ]
-        for event, answer in self._events:
-            event.connect(answer)
+        )
         self._bind_key()
 
     def _choose_newest(self) -> None:
@@ -221,8 +219,6 @@ class LookAtResult(LookControls):
 
     def _on_end(self) -> None:
         self._follow(None)
-        for event, answer in self._events:
-            event.disconnect(answer)
-        self._events = []
+        self._events.release()
         self._unbind_key()
         self._scene.release()
