@@ -8,6 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
+from napari_hmrf.layers.view import View
+
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
 _APART = 0.35
 # And each of them so much of the surroundings.
@@ -52,6 +57,39 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
         if apart and min(len(air), len(rest)) > _PART * len(around):
             found = _surroundings(grey, below)
     return found
+
+
+def unpainted_background(
+    image: Any, tissue: Any, view: View | None = None
+) -> tuple[npt.NDArray[Any], ...]:
+    """Find the dark surroundings in the slice that is shown, where nothing is painted yet.
+
+    Parameters
+    ----------
+    image : napari.layers.Image
+    tissue : napari.layers.Labels
+        In the image's place.
+    view : View, optional
+
+    Returns
+    -------
+    tuple of ndarray of int, shape (N,)
+        Of each axis of `tissue`: where the pixels lie.
+
+    Raises
+    ------
+    ProblemError
+        If there are none, or the layers do not lie on the same pixels.
+    """
+    frame, own = Frame.of(image, view), Frame.of(tissue, view)
+    labels = take_slice(tissue, own, image, frame, plane_shape(image, frame))
+    empty = background_of(copy_slice(image, frame)) & (labels == 0)
+    if not empty.any():
+        raise LayerError(image, "has no dark surroundings that are unpainted in this slice.")
+    pixels: list[Any] = list(own.index)
+    for axis, places in zip(own.plane, np.nonzero(empty), strict=True):
+        pixels[axis] = places
+    return tuple(np.broadcast_arrays(*pixels))
 
 
 def surrounds(dark: npt.NDArray[np.bool_]) -> bool:

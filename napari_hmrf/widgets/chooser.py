@@ -5,19 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from napari.layers import Image, Labels, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.intensity import StiffnessCurve
-from napari_hmrf.layers.background import background_of
-from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.background import unpainted_background
 from napari_hmrf.layers.inputs import Request
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
-from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.view import View
 from napari_hmrf.material_files import load_materials, save_materials
 from napari_hmrf.presets import Preset
@@ -228,18 +225,7 @@ class Chooser(Dock):
             raise HmrfError(WELCOME)
         if not isinstance(tissue, Labels):
             raise HmrfError("No tissue layer to paint on: press 'Make layers to paint on'.")
-        view = self._view()
-        frame = Frame.of(image, view)
-        shape = plane_shape(image, frame)
-        own = Frame.of(tissue, view)
-        labels = take_slice(tissue, own, image, frame, shape)
-        empty = background_of(copy_slice(image, frame)) & (labels == 0)
-        if not empty.any():
-            raise LayerError(image, "has no dark surroundings that are unpainted in this slice.")
-        pixels: list[Any] = list(own.index)
-        for axis, places in zip(own.plane, np.nonzero(empty), strict=True):
-            pixels[axis] = places
-        indices = tuple(np.broadcast_arrays(*pixels))
+        indices = unpainted_background(image, tissue, self._view())
         void = [row.label for row in self.materials if row.stiffness == 0 and row.label > 0]
         label = void[0] if void else max([0, *(row.label for row in self.materials)]) + 1
         if not void:
@@ -248,7 +234,7 @@ class Chooser(Dock):
         # a slice that it has looked at.
         tissue.visible = True
         tissue.data_setitem(indices, label)
-        return int(empty.sum())
+        return len(indices[0])
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
