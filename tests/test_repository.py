@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from graphlib import TopologicalSorter
 from importlib.metadata import metadata
 from pathlib import Path
 
@@ -94,6 +95,18 @@ def test_the_solver_knows_nothing_of_what_uses_it(module):
         return
     of_ours = {name.split(".")[1] for name in imports(module) if name.startswith("napari_hmrf.")}
     assert not of_ours & set(users)
+
+
+def test_no_imports_go_round_in_a_circle_not_even_those_for_types():
+    named = {
+        ".".join(module.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): module
+        for module in MODULES
+    }
+    needed = {}
+    for name, module in named.items():
+        found = {each if each in named else each.rpartition(".")[0] for each in imports(module)}
+        needed[name] = found & (named.keys() - {name})
+    TopologicalSorter(needed).prepare()
 
 
 def test_the_commands_start_without_napari():

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from napari_hmrf.drawing.marks import Point
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.words import (
     CANCELLED,
     HALF,
@@ -16,9 +15,6 @@ from napari_hmrf.widgets.grab.words import (
     OUTSIDE,
     PICKED,
 )
-
-if TYPE_CHECKING:
-    from napari_hmrf.widgets.grab.puller import Puller
 
 
 class Answers:
@@ -31,8 +27,6 @@ class Answers:
 
     def __init__(self, puller: Puller) -> None:
         self._puller = puller
-        #: Whether what is selected was picked up, and not just made.
-        self.picked = False
 
     def press(self, point: Point, reach: float) -> bool:
         """Take hold of tissue, or of an arrow, or put the brush down."""
@@ -42,7 +36,7 @@ class Answers:
         if puller.tool.is_brush and not seen.is_inside(point):
             puller.said.emit(OUTSIDE)
             return False
-        hand, self.picked = puller.hand, False
+        hand, puller.picked = puller.hand, False
         taken = hand.press(point, reach, puller.how(), seen.came_from)
         self._show_how()
         if not taken:
@@ -70,7 +64,7 @@ class Answers:
         if number is not None:
             puller.take_up(puller.tool_for(number))
         puller.hand.select(number)
-        self.picked = number is not None
+        puller.picked = number is not None
         self._show_how()
         puller.said.emit(PICKED if number is not None else NOTHING_DRAWN)
         puller.draw()

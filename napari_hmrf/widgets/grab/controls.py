@@ -7,6 +7,7 @@ from typing import Any
 from napari_hmrf.drawing import Drawing, History
 from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.forms import put_scrolled
+from napari_hmrf.widgets.grab.answers import Answers
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
 
@@ -31,7 +32,7 @@ class GrabControls(Dock):
         super().__init__(napari_viewer)
         self.form = GrabForm(self._layers)
         put_scrolled(self, self.form, _WIDTH)
-        self._puller = Puller(self._viewer, lambda: self.form.fields.how)
+        self._puller = Puller(self._viewer, lambda: self.form.fields.how, Answers)
 
     @property
     def image(self) -> Any:

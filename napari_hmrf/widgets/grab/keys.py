@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from napari_hmrf.drawing.marks import Point
-from napari_hmrf.layers.steps import KEYS
+from napari_hmrf.layers.steps import KEYS, Owner
 from napari_hmrf.widgets.grab.tools import TOOLS
 
 #: By how much a key makes the brush larger.
 _LARGER = 1.25
 
 
-class Listener(Protocol):
+class Listener(Owner, Protocol):
     """Who is told what the mouse and the keys do on the canvas."""
 
     def press(self, point: Point, reach: float) -> bool:

@@ -14,11 +14,11 @@ from napari_hmrf.drawing.hand import Hand
 from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.steps import ViewerSteps
-from napari_hmrf.widgets.grab.answers import Answers
 from napari_hmrf.widgets.grab.display import Display
 from napari_hmrf.widgets.grab.follow import Follower
 from napari_hmrf.widgets.grab.hands import Hands
 from napari_hmrf.widgets.grab.histories import Histories
+from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 from napari_hmrf.widgets.grab.words import OFF, OPEN
@@ -42,11 +42,15 @@ class Puller:
     viewer : napari.Viewer or ViewerModel
     how : callable
         How the tool in the hand draws.
+    answers : callable
+        Makes, of this, who answers the mouse and the keys: `Answers`.
 
     Attributes
     ----------
-    answers : Answers
+    answers : Listener
         What the mouse and the keys do.
+    picked : bool
+        Whether what is selected was picked up, and not just made.
     display : Display
         What is seen.
     """
@@ -65,12 +69,18 @@ class Puller:
     asked_for = Signal(str)
     asked_for_size = Signal(float)
 
-    def __init__(self, viewer: Any, how: Callable[[], Grip | Paint]) -> None:
+    def __init__(
+        self,
+        viewer: Any,
+        how: Callable[[], Grip | Paint],
+        answers: Callable[[Puller], Listener],
+    ) -> None:
         self.how = how
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
         self._hands = Hands(self.history)
-        self.answers = Answers(self)
+        self.picked = False
+        self.answers = answers(self)
         self.display = Display(viewer, self.answers)
         self.follower = Follower(self._on_seen)
         self._drawing_waits = single_shot(None, _AHEAD, self.draw)

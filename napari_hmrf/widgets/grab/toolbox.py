@@ -126,7 +126,7 @@ class Toolbox:
         self._puller.display.arrows.show_radius(how.radius)
         self.show()
         # A tissue is chosen for what is painted next; of the others the last is adjusted, too.
-        if self._puller.tool.name == "tissue" and not self._puller.answers.picked:
+        if self._puller.tool.name == "tissue" and not self._puller.picked:
             return
         try:
             self._puller.hand.change(**asdict(how))
