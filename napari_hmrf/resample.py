@@ -72,6 +72,15 @@ def resample(
     return moved
 
 
+def emptiness(picture: npt.NDArray[Any]) -> Any:
+    """What is seen where tissue has left: black, or the darkest there is (air in CT).
+
+    As Python's own number: a float cannot hold the largest integers.
+    """
+    finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
+    return 0 if picture.ndim == 3 or not finite.size else finite.min().item()
+
+
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
     """An image of (H, W) or (H, W, channels) that fits a grid, or say what does not."""
     picture = np.asarray(image)

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.deformation import deformation_grid
-from napari_hmrf.layers.outputs import LINES, emptiness
+from napari_hmrf.layers.outputs import LINES
+from napari_hmrf.resample import emptiness
 from napari_hmrf.solution import Solution
 from napari_hmrf.warper import Picture, Warper
 

@@ -19,7 +19,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.models import in_words, short_name
-from napari_hmrf.resample import resample
+from napari_hmrf.resample import emptiness, resample
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import inverse_map_and_overlaps
 
@@ -163,15 +163,6 @@ def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[n
     pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
     chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
     return found[chosen], pixels / 8
-
-
-def emptiness(picture: npt.NDArray[Any]) -> Any:
-    """What is seen where tissue has left: black, or the darkest there is (air in CT).
-
-    As Python's own number: a float cannot hold the largest integers.
-    """
-    finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
-    return 0 if picture.ndim == 3 or not finite.size else finite.min().item()
 
 
 class _Maker:

@@ -14,11 +14,12 @@ from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.inputs import Inputs, Snapshot, prepare
 from napari_hmrf.layers.naming import naming
-from napari_hmrf.layers.outputs import Kind, emptiness, result_layers
+from napari_hmrf.layers.outputs import Kind, result_layers
 from napari_hmrf.live import LiveSolver, Update
 from napari_hmrf.optimizers import Monitor, Optimizer
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
+from napari_hmrf.resample import emptiness
 from napari_hmrf.solution import Solution
 from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.job import Done

@@ -13,11 +13,12 @@ import numpy.typing as npt
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.drawing import Drawing, Rendering, Stroke
 from napari_hmrf.layers.ground import Ground
-from napari_hmrf.layers.outputs import RESTORED, emptiness, result_layers
+from napari_hmrf.layers.outputs import RESTORED, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
 from napari_hmrf.live import LiveSolver, Update
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
+from napari_hmrf.resample import emptiness
 from napari_hmrf.solution import Solution
 from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.grab.rehearsal import rehearse, rehearse_the_rest

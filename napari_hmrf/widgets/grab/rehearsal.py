@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from napari_hmrf.layers.ground import Ground
-from napari_hmrf.layers.outputs import emptiness
 from napari_hmrf.live import TOLERANCE
 from napari_hmrf.optimizers import Multigrid
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
+from napari_hmrf.resample import emptiness
 from napari_hmrf.solve import run_here
 from napari_hmrf.warper import Picture, Warper
 

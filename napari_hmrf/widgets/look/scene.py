@@ -35,12 +35,7 @@ from napari_hmrf.widgets.look.words import (
     how_far,
     saved,
 )
-from napari_hmrf.widgets.look.work import (
-    coloured,
-    figures_of,
-    grid_of,
-    unmoved,
-)
+from napari_hmrf.widgets.look.work import coloured, figures_of, grid_of, unmoved
 from napari_hmrf.widgets.timers import single_shot
 
 #: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
