@@ -7,7 +7,7 @@ from napari.layers import Image, Points
 from napari_hmrf import ProblemError
 from napari_hmrf.drawing import Landmark
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.landmarks import landmarks_of
+from napari_hmrf.layers.landmarks import LandmarkLayers, landmarks_of, read_landmarks
 from napari_hmrf.layers.view import View
 
 
@@ -54,8 +54,26 @@ def test_only_the_pairs_of_the_slice_that_is_shown_count():
         (np.zeros((0, 2)), np.zeros((0, 2)), "'is' has no points"),
         ([[1, 2], [50, 4]], [[1, 2], [3, 4]], "'is' has point 1 outside the image"),
         ([[1, 2]], [[np.nan, 2]], "'ought' has NaN or infinity in point 0"),
+        ([[1, 2], [9, 9], [1.2, 2]], [[5, 2], [9, 9], [8, 2]], "'is' has points 0 and 2 in one"),
     ],
 )
 def test_points_that_make_no_pairs_are_refused_by_name(where, should, words):
     with pytest.raises(ProblemError, match=words):
         landmarks(where, should)
+
+
+def test_close_landmarks_leave_each_other_their_own_tissue():
+    near, also, far = landmarks([[10, 10], [10, 14], [30, 40]], [[11, 10], [9, 14], [30, 40]])
+    assert (near.radius, also.radius, far.radius) == (2.0, 2.0, 3.0)
+
+
+def test_points_with_an_axis_more_than_the_image_count_on_the_slice_that_is_shown():
+    image = Image(np.zeros((40, 50)))
+    pair = (
+        Points([[3, 1, 2], [4, 5, 6]], name="is"),
+        Points([[3, 2, 2], [4, 6, 6]], name="ought"),
+    )
+    view = View((1, 2), (4.0, 0.0, 0.0))
+    found = read_landmarks(LandmarkLayers(*pair, 3.0), Frame.of(image, view), (40, 50), view)
+    assert found.marks == (Landmark((5, 6), (6, 6), 3.0),)
+    assert found.numbers == (1,)

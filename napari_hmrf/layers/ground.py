@@ -19,6 +19,7 @@ from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.landmarks import usual_radius
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
 from napari_hmrf.layers.naming import LayerError, naming
 from napari_hmrf.layers.outputs import Pictures
@@ -82,9 +83,7 @@ class Ground:
     @property
     def usual_radius(self) -> float:
         """A radius to take hold of tissue with, in the unit of the frame's spacing."""
-        steps = self.frame.spacing
-        shorter = min(size * step for size, step in zip(self.shape, steps, strict=True))
-        return float(f"{shorter / 16:.2g}")
+        return usual_radius(self.shape, self.frame.spacing)
 
     def same_as(self, other: Ground) -> bool:
         """Whether a drawing moves the same tissue in the same way on the other."""

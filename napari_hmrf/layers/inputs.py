@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.annotation import boundary_images, poisson_image, stiffness_image
+from napari_hmrf.drawing import Canvas, Drawing
 from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.caveats import caveats
 from napari_hmrf.layers.defaults import default_material, default_rule
@@ -136,10 +137,11 @@ def prepare(
             what = "1 arrow points" if out == 1 else f"{out} arrows point"
             notes += (f"{what} straight out of the slice and did not count",)
         checkpoint()
+        ignored = int(((c > 0).any(axis=-1) & (m == 0)).sum())
+        y, c = _with_landmarks(snapshot, m, y, c)
         _refuse_in_words(snapshot, m, c)
         problem = Problem(y, c, m, snapshot.frame.spacing)
     checkpoint()
-    ignored = int(((problem.c > 0).any(axis=-1) & ~problem.tissue).sum())
     return Inputs(
         problem=problem,
         prior=prior,
@@ -214,6 +216,18 @@ def _observed(snapshot: Snapshot) -> tuple[FloatArray, FloatArray, int]:
         sure = snapshot.confidence.astype(np.float32)
         c = np.where(c > 0, sure[..., None], np.float32(0))
     return y, c, out
+
+
+def _with_landmarks(
+    snapshot: Snapshot, m: npt.NDArray[Any], y: FloatArray, c: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What was observed, with the landmarks on top: what is marked there counts."""
+    landmarks, spacing = snapshot.landmarks, snapshot.frame.spacing
+    if landmarks is None or not m.any():
+        return y, c
+    landmarks.refuse_void(m != 0, spacing, snapshot.tissue_name)
+    canvas = Drawing(landmarks.marks).render(Canvas(y, c, None, spacing))
+    return canvas.y, canvas.c
 
 
 def _refuse_in_words(snapshot: Snapshot, m: npt.NDArray[Any], c: FloatArray) -> None:

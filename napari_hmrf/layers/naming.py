@@ -31,8 +31,8 @@ class Named:
         if isinstance(layer, Named):
             return layer
         kind = layer.__class__.__name__  # not type(): napari hands plugins proxies
-        if kind == "Vectors":
-            details = f"{len(layer.data)} vectors, {layer.ndim}-D"
+        if kind in ("Vectors", "Points"):
+            details = f"{len(layer.data)} {kind.lower()}, {layer.ndim}-D"
         else:
             data = full_resolution(layer)
             details = f"{data.dtype}, {' x '.join(str(extent) for extent in data.shape)}"

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Labels, Vectors
+from napari.layers import Labels, Points, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.landmarks import LandmarkLayers, Landmarks, read_landmarks
 from napari_hmrf.layers.metadata import tissue_record
 from napari_hmrf.layers.naming import LayerError, Named
 from napari_hmrf.layers.outputs import Pictures
@@ -29,8 +30,9 @@ class Request:
     ----------
     tissue : napari.layers.Labels or napari.layers.Image
         Labels, each with a stiffness in `materials`; or the stiffness itself.
-    boundary : napari.layers.Labels or napari.layers.Vectors
-        Labels, each with a rule in `rules`; or the observed displacements as arrows.
+    boundary : napari.layers.Labels or napari.layers.Vectors, optional
+        Labels, each with a rule in `rules`; or the observed displacements as arrows. May be left
+        out where there are `landmarks`.
     image : napari.layers.Image, optional
         The picture to deform; its place is the reference, else that of `tissue`.
     materials : tuple of Material
@@ -40,20 +42,25 @@ class Request:
         With arrows: how sure each is, 0 to 1; by default 1.
     view : View, optional
         Which slice; by default the first, of the last two axes.
+    landmarks : LandmarkLayers, optional
+        Two Points layers, which count on top of the boundary.
     """
 
     tissue: Any
-    boundary: Any
+    boundary: Any = None
     image: Any = None
     materials: tuple[Material, ...] = ()
     rules: tuple[BoundaryRule, ...] = ()
     confidence: Any = None
     view: View | None = None
+    landmarks: LandmarkLayers | None = None
 
     @property
     def layers(self) -> tuple[Any, ...]:
         """The layers that are there, the reference first."""
-        chosen = (self.image, self.tissue, self.boundary, self.confidence)
+        pairs = self.landmarks
+        points = () if pairs is None else (pairs.where, pairs.should)
+        chosen = (self.image, self.tissue, self.boundary, self.confidence, *points)
         return tuple(layer for layer in chosen if layer is not None)
 
 
@@ -82,6 +89,7 @@ class Snapshot:
         What made the tissue, as `tissue_record` says it; of no consequence for the result.
     notes : tuple of str
         What the user should know about how the layers were read.
+    landmarks : Landmarks, optional
     """
 
     frame: Frame
@@ -101,6 +109,7 @@ class Snapshot:
     rules: tuple[BoundaryRule, ...] = ()
     record: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    landmarks: Landmarks | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -119,6 +128,7 @@ class Snapshot:
             (self.frame, self.materials, self.rules) == (other.frame, other.materials, other.rules)
             and self.tissue_labelled == other.tissue_labelled
             and self.boundary_labelled == other.boundary_labelled
+            and _marks(self.landmarks) == _marks(other.landmarks)
             and all(_equal(mine, its) for mine, its in pairs)
         )
 
@@ -135,13 +145,14 @@ def copy_layers(request: Request) -> Snapshot:
     frame = Frame.of(reference, request.view)
     shape = plane_shape(reference, frame)
     tissue, boundary, image = request.tissue, request.boundary, request.image
+    placed = [layer for layer in request.layers if not isinstance(layer, Points)]
     frames = {
         id(layer): frame if layer is reference else Frame.of(layer, request.view)
-        for layer in request.layers
+        for layer in placed
     }
     taken = {
         id(layer): take_slice(layer, frames[id(layer)], reference, frame, shape)
-        for layer in request.layers
+        for layer in placed
         if not isinstance(layer, Vectors)
     }
     labelled = isinstance(tissue, Labels)
@@ -151,21 +162,29 @@ def copy_layers(request: Request) -> Snapshot:
             "is a colour image, which cannot be a stiffness. Choose a Labels layer or a grey "
             "image.",
         )
-    own = frames[id(boundary)]
-    if isinstance(boundary, Vectors):
+    pairs, landmarks = request.landmarks, None
+    if pairs is not None:
+        landmarks = read_landmarks(pairs, frame, shape, request.view)
+    if boundary is None:
+        if landmarks is None:
+            raise LayerError(reference, "has no boundary. Choose a boundary layer, or landmarks.")
+        own, observed, named = frame, np.zeros(shape, np.uint8), landmarks.where
+    elif isinstance(boundary, Vectors):
+        own, observed = frames[id(boundary)], np.array(boundary.data, dtype=float)
+        named = Named.of(boundary)
         check_place(boundary, own, reference, frame, shape)
-    elif not taken[id(boundary)].any():
-        _refuse_unpainted(boundary, own)
+    else:
+        own, observed, named = frames[id(boundary)], taken[id(boundary)], Named.of(boundary)
+        if landmarks is None and not observed.any():
+            _refuse_unpainted(boundary, own)
     return Snapshot(
         frame=frame,
         tissue=taken[id(tissue)],
-        boundary=np.array(boundary.data, dtype=float)
-        if isinstance(boundary, Vectors)
-        else taken[id(boundary)],
+        boundary=observed,
         tissue_labelled=labelled,
-        boundary_labelled=isinstance(boundary, Labels),
+        boundary_labelled=boundary is None or isinstance(boundary, Labels),
         tissue_name=Named.of(tissue),
-        boundary_name=Named.of(boundary),
+        boundary_name=named,
         reference_name=Named.of(reference),
         boundary_frame=own,
         pictures=Pictures(
@@ -181,9 +200,10 @@ def copy_layers(request: Request) -> Snapshot:
         confidence_name=None if request.confidence is None else Named.of(request.confidence),
         image_name=None if image is None else Named.of(image),
         materials=tuple(request.materials),
-        rules=tuple(request.rules),
+        rules=() if boundary is None else tuple(request.rules),
         record=tissue_record(tissue, request.materials if labelled else ()),
-        notes=_notes(request, frames, shape),
+        notes=_notes(request, frames, shape) + (landmarks.notes if landmarks else ()),
+        landmarks=landmarks,
     )
 
 
@@ -230,13 +250,17 @@ def _notes(request: Request, frames: dict[int, Frame], shape: tuple[int, int]) -
     notes += [
         f"of '{layer.name}' the slice {frames[id(layer)].slice_name} was taken"
         for layer in request.layers[1:]
-        if frames[id(layer)].ndim > frame.ndim
+        if id(layer) in frames and frames[id(layer)].ndim > frame.ndim
     ]
     return tuple(notes)
 
 
 def _multiscale(layer: Any) -> bool:
     return bool(getattr(layer, "multiscale", False))
+
+
+def _marks(landmarks: Landmarks | None) -> Any:
+    return None if landmarks is None else landmarks.marks
 
 
 def _equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> bool:

@@ -12,6 +12,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.intensity import StiffnessCurve
 from napari_hmrf.layers.background import unpainted_background
 from napari_hmrf.layers.inputs import Request
+from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
@@ -78,6 +79,20 @@ class Chooser(Dock):
     @confidence.setter
     def confidence(self, layer: Any) -> None:
         self._face.boundary.confidence.choose(layer)
+
+    @property
+    def landmarks(self) -> LandmarkLayers | None:
+        """Two Points layers, which count on top of the boundary; to be set to a pair, too."""
+        return self._face.boundary.landmarks.chosen
+
+    @landmarks.setter
+    def landmarks(self, pair: LandmarkLayers | tuple[Any, Any] | None) -> None:
+        self._face.boundary.landmarks.choose(pair)
+
+    @property
+    def landmark_layers(self) -> tuple[Any, ...]:
+        """The Points layers that are chosen, be they a pair or not yet."""
+        return self._face.boundary.landmarks.layers
 
     @property
     def materials(self) -> tuple[Material, ...]:
@@ -240,6 +255,7 @@ class Chooser(Dock):
         """Look again at which layers there are."""
         for choice in self._face.choices:
             choice.refresh()
+        self._face.boundary.landmarks.look()
         self._face.tissue.curve.look()
 
     def request(self) -> Request:
@@ -252,7 +268,8 @@ class Chooser(Dock):
         """
         if not self._layers():
             raise HmrfError(WELCOME)
-        for what, layer in (("tissue", self.tissue), ("boundary", self.boundary)):
+        landmarks = self.landmarks
+        for what, layer in (("tissue", self.tissue), ("boundary", self.boundary or landmarks)):
             if layer is None:
                 raise HmrfError(
                     f"No {what} layer is chosen: choose one, or press 'Make layers to paint on'."
@@ -265,6 +282,7 @@ class Chooser(Dock):
             rules=self.rules,
             confidence=self.confidence if isinstance(self.boundary, Vectors) else None,
             view=self._view(),
+            landmarks=landmarks,
         )
 
     def _view(self) -> View:

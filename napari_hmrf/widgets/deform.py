@@ -279,7 +279,7 @@ class DeformTissue(ResultDock):
             self.cancel(f"Cancelled: '{layer.name}' was removed.")
 
     def _hide_preview(self) -> None:
-        self._watch.preview.hide()
+        self._watch.hide_previews()
 
     def _on_opened(self) -> None:
         self._steps.come()

@@ -92,7 +92,8 @@ class Face:
     def choices(self) -> tuple[LayerChoice, ...]:
         """The menus of layers."""
         boundary = self.boundary
-        return (self.image, self.tissue.choice, boundary.choice, boundary.confidence)
+        landmarks = (boundary.landmarks.where, boundary.landmarks.should)
+        return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *landmarks)
 
     @property
     def checks(self) -> tuple[CheckBox, ...]:
@@ -116,6 +117,7 @@ class Face:
         """Stop listening to layers."""
         self.tissue.painted.release()
         self.boundary.painted.release()
+        self.boundary.landmarks.release()
 
     def _assemble(self, outer: Container) -> None:
         ways = Container(widgets=[self.make, self.intensity], layout="horizontal", labels=False)

@@ -100,7 +100,8 @@ class LiveMode:
     def choose(self) -> None:
         """Other layers are chosen: follow those, unless they are too large."""
         layers, sure = self._chosen(), self._widget.confidence
-        self._pixels.listen_to(layers if sure is None else (*layers, sure))
+        others = () if sure is None else (sure,)
+        self._pixels.listen_to((*layers, *others, *self._widget.landmark_layers))
         self._judge(layers)
         self.touch()
 

@@ -16,6 +16,7 @@ from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.boundary_table import BoundaryTable
 from napari_hmrf.widgets.curve.tissue import TissueCurve
 from napari_hmrf.widgets.label_table import LabelTable
+from napari_hmrf.widgets.landmark_choice import LandmarkChoice
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.material_menu import MaterialMenu
 from napari_hmrf.widgets.material_table import MaterialTable
@@ -143,7 +144,13 @@ class TissueSection(_PaintedSection[MaterialTable]):
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):
-    """Labels with a table of rules, or arrows with an image of confidence."""
+    """Labels with a table of rules, or arrows with an image of confidence; and landmarks.
+
+    Attributes
+    ----------
+    landmarks : LandmarkChoice
+        Two Points layers, beside all that or without any of it.
+    """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
@@ -152,7 +159,8 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
             label="boundary",
             tooltip="A Labels layer in which is painted what holds or moves, or observed "
-            "displacements as a Vectors layer",
+            "displacements as a Vectors layer. Landmarks, as two Points layers, come on top: their "
+            "menus are below once there are such layers",
         )
         self._confidence = LayerChoice(
             layers,
@@ -170,6 +178,10 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             _add_button(self._table, "Add boundary", "Add a label to paint with"),
             self._preview.native,
         )
+        self.landmarks = LandmarkChoice(layers)
+        self.landmarks.margins = (0, 0, 0, 0)
+        self.native.layout().addWidget(self.landmarks.native)
+        self.landmarks.edited.connect(self.edited)
         for widget in (self._confidence, self._preview):
             widget.changed.connect(lambda _: self.edited.emit())
 

@@ -9,10 +9,12 @@ from typing import Any
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import role_of
+from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.layers.reading import plane_shape
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.listening import Listening
-from napari_hmrf.widgets.preview import BoundaryPreview
+from napari_hmrf.widgets.preview import BoundaryPreview, LandmarkPreview
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.sections import NO_PREVIEW, PREVIEW
 from napari_hmrf.widgets.timers import single_shot
@@ -55,6 +57,7 @@ class Watch:
         self._viewer = viewer
         self._face = face
         self.preview = BoundaryPreview(viewer)
+        self.pairs = LandmarkPreview(viewer)
         self._undrawn = ""
         self._drawing = single_shot(widget.native, 0, self._draw_preview)
         self._fitting = single_shot(widget.native, 50, self._fit_view)
@@ -87,6 +90,11 @@ class Watch:
     def release(self) -> None:
         """Listen no more."""
         self._events.release()
+
+    def hide_previews(self) -> None:
+        """Make way for a result; the next edit shows them again."""
+        self.preview.hide()
+        self.pairs.hide()
 
     def settle(self) -> None:
         """Forget what has changed so far: there is something else to read at the bottom."""
@@ -156,6 +164,7 @@ class Watch:
             reference = None if place is None else Frame.of(place, view)
             if reference is not None:
                 boundary.table.unit = unit_symbol(reference.unit)
+                boundary.landmarks.show_place(reference, plane_shape(place, reference))
             layer = boundary.painted.layer
             too_large = layer is not None and self.preview.too_large(layer)
             boundary.preview.enabled = not too_large
@@ -164,12 +173,21 @@ class Watch:
                 self.preview.update(layer, widget.rules, view, reference)
             else:
                 self.preview.remove()
+            self._draw_pairs(place, view)
         except Exception as error:  # noqa: BLE001 - Qt calls this: nobody else would tell the user
             if not isinstance(error, ProblemError):
                 _log.exception("the preview could not be drawn")
-            self._undrawn = str(error)
+            self._undrawn = error.sentence if isinstance(error, LayerError) else str(error)
             widget.say(self._undrawn)
         else:
             if self._undrawn and self._undrawn == widget.status:
                 widget.say(READY)
             self._undrawn = ""
+
+    def _draw_pairs(self, place: Any, view: View) -> None:
+        """Show which landmarks are pairs, once there are two layers of them."""
+        landmarks = self._face.boundary.landmarks
+        if place is None or len(landmarks.layers) != 2 or not self._face.boundary.preview.value:
+            self.pairs.remove()
+        elif (pair := landmarks.chosen) is not None:
+            self.pairs.update(pair, place, view)

@@ -1,0 +1,154 @@
+"""The fields of *Deform tissue* for landmarks: two Points layers, and what goes with each point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from magicgui.widgets import Container, FloatSlider, FloatSpinBox
+from napari.layers import Points
+from psygnal import Signal
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.landmarks import LandmarkLayers, usual_radius
+from napari_hmrf.layers.view import unit_symbol
+from napari_hmrf.widgets.forms import align_labels
+from napari_hmrf.widgets.layer_choice import LayerChoice
+from napari_hmrf.widgets.pixels import Pixels
+
+#: Less than that says nothing.
+_LEAST = 0.05
+_RADIUS = "radius"
+
+
+class LandmarkChoice(Container):
+    """Where things are and where they should be; there only where there are layers of points.
+
+    Parameters
+    ----------
+    layers : callable
+        The viewer's layers.
+    """
+
+    #: Other landmarks, or other ones of the same layers.
+    edited = Signal()
+
+    def __init__(self, layers: Callable[[], list[Any]]) -> None:
+        self.where, self.should = (
+            LayerChoice(layers, lambda layer: isinstance(layer, Points), label=label, tooltip=tip)
+            for label, tip in (
+                (
+                    "landmarks at",
+                    (
+                        "A Points layer: where things are. They count on top of the boundary, and "
+                        "without one"
+                    ),
+                ),
+                (
+                    "should be at",
+                    (
+                        "A Points layer: where the same things should be, in the same order. A "
+                        "point in the same place in both holds the tissue there"
+                    ),
+                ),
+            )
+        )
+        self.radius = FloatSpinBox(
+            value=0.0,
+            min=0.0,
+            max=1e6,
+            step=1.0,
+            label=_RADIUS,
+            tooltip="Of the patch of tissue that goes with each landmark; smaller where landmarks "
+            "are close to each other. 0: a sixteenth of the image",
+        )
+        self.confidence = FloatSlider(
+            value=1.0,
+            min=_LEAST,
+            max=1.0,
+            step=0.05,
+            tracking=False,
+            label="confidence",
+            tooltip="How sure the landmarks are. Below 1 the tissue may pull them away from where "
+            "they should be",
+        )
+        super().__init__(widgets=[self.where, self.should, self.radius, self.confidence])
+        self._pixels = Pixels(self._on_points)
+        self.where.changed.connect(self._on_where)
+        self.should.changed.connect(self._on_choice)
+        for field in (self.radius, self.confidence):
+            field.changed.connect(self._on_points)
+        self.look()
+
+    @property
+    def layers(self) -> tuple[Any, ...]:
+        """The layers that are chosen."""
+        chosen = (self.where.value, self.should.value)
+        return tuple(layer for layer in chosen if layer is not None)
+
+    @property
+    def chosen(self) -> LandmarkLayers | None:
+        """The pair, or None.
+
+        Raises
+        ------
+        HmrfError
+            If only one of them is chosen.
+        """
+        where, should = self.where.value, self.should.value
+        if where is None and should is None:
+            return None
+        if where is None or should is None:
+            one, other = (where, "should be at") if should is None else (should, "landmarks at")
+            raise HmrfError(
+                f"Of the landmarks only '{one.name}' is chosen: choose another Points layer as "
+                f"'{other}', or none of both."
+            )
+        return LandmarkLayers(where, should, self.radius.value or None, self.confidence.value)
+
+    def choose(self, pair: LandmarkLayers | tuple[Any, Any] | None) -> None:
+        """Choose a pair; ValueError if it cannot be."""
+        if not isinstance(pair, LandmarkLayers):
+            where, should = pair or (None, None)
+            self.where.choose(where)
+            self.should.choose(should)
+            return
+        self.where.choose(pair.where)
+        self.should.choose(pair.should)
+        self.radius.value, self.confidence.value = pair.radius or 0.0, pair.confidence
+
+    def look(self) -> None:
+        """Show what there are layers for."""
+        begun = bool(self.layers)
+        self.visible = begun or bool(self.where.offered)
+        for field in (self.should, self.radius, self.confidence):
+            field.visible = begun
+        align_labels(self)
+
+    def show_place(self, frame: Frame, shape: tuple[int, int]) -> None:
+        """Say in which unit the radius is, and which is the usual one."""
+        label = f"{_RADIUS} ({unit_symbol(frame.unit)})"
+        if self.radius.label != label:
+            self.radius.label = label
+        usual = usual_radius(shape, frame.spacing)
+        self.radius.native.setSpecialValueText(f"{usual:g} (usual)")
+
+    def release(self) -> None:
+        """Stop listening to layers."""
+        self._pixels.release()
+
+    def _on_where(self, layer: Any) -> None:
+        others = [each for each in self.should.offered if each is not layer]
+        if layer is not None and self.should.value is None and len(others) == 1:
+            self.should.value = others[0]  # which tells of both
+        else:
+            self._on_choice()
+
+    def _on_choice(self, *_: Any) -> None:
+        self._pixels.listen_to(self.layers)
+        self.look()
+        self.edited.emit()
+
+    def _on_points(self, *_: Any) -> None:
+        self.edited.emit()

@@ -1,0 +1,205 @@
+"""Landmarks as the boundary: two Points layers say how tissue moves, alone or on top of paint."""
+
+import numpy as np
+import pytest
+from napari.layers import Image, Labels, Points
+
+from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
+from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.layers.inputs import Request, read_layers
+from napari_hmrf.layers.landmarks import LandmarkLayers
+
+SHAPE = (40, 48)
+SIZE = (0.5, 2.0)
+MATERIALS = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
+RULES = (BoundaryRule(1, "fixed"),)
+
+
+def request(where, should, boundary=None, radius=None, confidence=1.0, points=None, **place):
+    """A block of gel in air, with points given in pixels of the image unless placed elsewhere."""
+    tissue = np.zeros(SHAPE, np.uint8)
+    tissue[4:-4, 4:-4] = 1
+    points = place if points is None else points
+    pair = (
+        Points(np.array(where, dtype=float), name="is", size=1, **points),
+        Points(np.array(should, dtype=float), name="ought", size=1, **points),
+    )
+    return Request(
+        Labels(tissue, name="Tissue", **place),
+        boundary,
+        Image(np.zeros(SHAPE), name="MR", **place),
+        MATERIALS,
+        RULES,
+        landmarks=LandmarkLayers(*pair, radius, confidence),
+    )
+
+
+def moved(wanted):
+    inputs = read_layers(wanted)
+    prior = ElasticPrior(0.4)
+    return inputs, solve(inputs.problem, prior, Multigrid(1e-3), backend="cpu").displacement
+
+
+def test_tissue_at_a_landmark_goes_where_the_landmark_should_be():
+    inputs, d = moved(request([[12, 12], [30, 36]], [[15, 11], [30, 36]], scale=SIZE))
+    np.testing.assert_allclose(d[12, 12], (3 * 0.5, -1 * 2.0), atol=1e-3)
+    np.testing.assert_allclose(d[30, 36], 0, atol=1e-3)
+    assert 0.1 < d[20, 22, 0] < 1.4, "what lies between them goes part of the way"
+    assert inputs.ignored == 0
+
+
+def test_points_of_another_scale_and_place_count_where_they_are_seen():
+    seen = {"scale": (0.25, 0.25), "translate": (1.0, 2.0)}
+    at = [((12 * 0.5) - 1) / 0.25, ((12 * 2.0) - 2) / 0.25]
+    inputs = read_layers(request([at], [[at[0] + 6, at[1] - 8]], points=seen, scale=SIZE))
+    np.testing.assert_allclose(inputs.problem.y[12, 12], (1.5, -2.0), atol=1e-6)
+    assert (inputs.problem.c[12, 12] == 1).all()
+
+
+def test_landmarks_count_on_top_of_paint_and_paint_around_them():
+    painted = np.zeros(SHAPE, np.uint8)
+    painted[4:-4, 4:12] = 1
+    boundary = Labels(painted, name="Boundary")
+    problem = read_layers(request([[20, 8]], [[22, 8]], boundary, radius=2.0)).problem
+    np.testing.assert_array_equal(problem.y[20, 8], (2, 0))
+    np.testing.assert_array_equal(problem.y[10, 8], (0, 0))
+    assert (problem.c[10, 8] == 1).all()
+    assert not problem.c[20, 30].any()
+
+
+def test_paint_may_be_missing_where_there_are_landmarks():
+    blank = Labels(np.zeros(SHAPE, np.uint8), name="Boundary")
+    with_blank = read_layers(request([[20, 8]], [[22, 8]], blank)).problem
+    without = read_layers(request([[20, 8]], [[22, 8]])).problem
+    np.testing.assert_array_equal(with_blank.y, without.y)
+    np.testing.assert_array_equal(with_blank.c, without.c)
+    assert without.c.any()
+
+
+def test_a_doubted_landmark_has_that_confidence():
+    problem = read_layers(request([[20, 8]], [[22, 8]], confidence=0.25)).problem
+    assert problem.c.max() == 0.25
+
+
+@pytest.mark.parametrize(
+    ("where", "should", "words"),
+    [
+        ([[20, 20], [1, 1]], [[22, 20], [2, 2]], "'is' has point 1 where there is no tissue"),
+        ([[20, 20]], [[22, 20], [3, 3]], "'ought' has 2 points, but 'is' has 1"),
+        ([[20, 60]], [[22, 20]], "'is' has point 0 outside the image"),
+        ([[20, 20], [20.2, 20]], [[22, 20], [30, 20]], "'is' has points 0 and 1 in one pixel"),
+    ],
+)
+def test_points_that_say_nothing_clear_are_refused_by_layer_and_number(where, should, words):
+    with pytest.raises(ProblemError, match=words) as caught:
+        read_layers(request(where, should, radius=2.0))
+    assert "Points layer" in str(caught.value) or "points, 2-D" in str(caught.value)
+
+
+def test_a_landmark_just_beside_the_tissue_takes_what_its_patch_reaches():
+    problem = read_layers(request([[20, 3]], [[20, 1]], radius=3.0)).problem
+    np.testing.assert_array_equal(problem.y[20, 5], (0, -2))
+
+
+def test_a_place_beyond_the_image_is_said_and_not_refused():
+    notes = read_layers(request([[20, 20]], [[20, 70]])).notes
+    assert "point 0 of 'ought' lies outside the image" in notes
+
+
+def test_a_confidence_of_zero_is_refused_by_the_layer():
+    with pytest.raises(ProblemError, match="'is' has a mark with a confidence of 0"):
+        read_layers(request([[20, 20]], [[22, 20]], confidence=0.0))
+
+
+# Before a window
+
+
+@pytest.fixture
+def chosen(docked, small_sample):
+    """The dock beside a small sample and two layers of points, in a real window."""
+    viewer = docked._viewer
+    small_sample(viewer)
+    where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
+    should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
+    return docked, where, should
+
+
+def menus(widget):
+    return widget._face.boundary.landmarks
+
+
+def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
+    widget, where, should = chosen
+    found = menus(widget)
+    assert [layer.name for layer in found.where.offered] == ["is", "ought"]
+    assert widget.landmarks is None, "points may be of something else"
+    found.where.value = where
+    assert (widget.landmarks.where, widget.landmarks.should) == (where, should)
+    widget._viewer.layers.remove(should)
+    assert found.should.value is None
+    widget.deform()
+    assert "only 'is' is chosen: choose another Points layer as 'should be at'" in widget.status
+
+
+def test_without_points_there_are_no_menus_for_them(make_napari_viewer, wait_for):
+    viewer = make_napari_viewer(show=True)
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    wait_for(widget.native.isVisible)
+    assert not menus(widget).native.isVisible()
+    viewer.add_points([[1.0, 2.0]])
+    wait_for(menus(widget).native.isVisible)
+    assert not menus(widget).radius.native.isVisible(), "nothing is chosen yet"
+
+
+def test_points_alone_are_boundary_enough(chosen, run):
+    widget, where, should = chosen
+    widget.boundary = None
+    widget.landmarks = LandmarkLayers(where, should, 1.5)
+    widget.model.energy.value = "elastic"
+    assert run(widget) is not None, widget.status
+    np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)
+    np.testing.assert_allclose(widget.solution.displacement[14, 15], (0, 0), atol=0.05)
+
+
+def test_the_pairs_are_drawn_as_arrows_until_there_is_a_result(chosen, run, wait_for):
+    widget, where, should = chosen
+    widget.landmarks = (where, should)
+    layers = widget._viewer.layers
+    wait_for(lambda: "landmark preview" in layers)
+    np.testing.assert_allclose(layers["landmark preview"].data[0], [(8, 8), (2, 0)])
+    run(widget)
+    assert not layers["landmark preview"].visible
+    widget.landmarks = None
+    wait_for(lambda: "landmark preview" not in layers)
+
+
+def test_a_missing_partner_is_said_while_points_are_clicked(chosen, wait_for):
+    widget, where, should = chosen
+    widget.landmarks = (where, should)
+    wait_for(lambda: "landmark preview" in widget._viewer.layers)
+    where.add([5.0, 5.0])
+    wait_for(lambda: widget.status.startswith("'ought' has 2 points, but 'is' has 3"))
+    should.add([6.0, 6.0])
+    wait_for(lambda: widget.status == "Press Deform.")
+
+
+def test_the_tissue_follows_a_point_that_is_dragged(chosen, run, wait_for):
+    widget, where, should = chosen
+    widget.landmarks = LandmarkLayers(where, should, 1.5)
+    widget.model.energy.value = "elastic"
+    run(widget)
+    widget.live = True
+    should.selected_data = {0}
+    should._move({0}, (10.0, 8.0))  # as the mouse does: taken hold of, and moved
+    should._move({0}, (10.0, 10.0))
+    wait_for(lambda: abs(widget.solution.displacement[8, 8, 1] - 2) < 0.1, 60_000)
+    assert should.data[0, 1] == 10.0
+
+
+def test_without_live_mode_a_moved_point_outdates_the_result(chosen, run, wait_for):
+    widget, where, should = chosen
+    widget.landmarks = (where, should)
+    run(widget)
+    assert widget.status.startswith("Tissue moved up to")
+    should.data = should.data + 1
+    wait_for(lambda: widget.status.startswith("Changed since the last result"))
