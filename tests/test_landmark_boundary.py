@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import quick
 from napari.layers import Image, Labels, Points
+from person import CTRL, Person
+from qtpy.QtCore import Qt
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.annotation import BoundaryRule, Material
@@ -203,3 +206,68 @@ def test_without_live_mode_a_moved_point_outdates_the_result(chosen, run, wait_f
     assert widget.status.startswith("Tissue moved up to")
     should.data = should.data + 1
     wait_for(lambda: widget.status.startswith("Changed since the last result"))
+
+
+def test_moved_added_and_removed_points_are_taken_back_in_their_order(chosen, wait_for):
+    widget, where, should = chosen
+    undo = widget.footer.steps.undo
+    widget.landmarks = (where, should)
+    for column in (8.5, 9.0, 10.0):  # one drag
+        should._move({0}, (10.0, column))
+    wait_for(lambda: undo.enabled)
+    assert "moved points of 'ought'" in undo.tooltip
+    moved = should.data.copy()
+    where.add([5.0, 5.0])
+    should.features = {"name": ["tip", "root"]}
+    should.size = [2, 3]
+    should.remove([0])
+    assert "removed a point from 'ought'" in undo.tooltip
+    widget.undo()
+    np.testing.assert_array_equal(should.data, moved)
+    np.testing.assert_array_equal(should.size, [2, 3])
+    assert list(should.features["name"]) == ["tip", "root"], "what is known of each is back, too"
+    widget.undo()
+    assert len(where.data) == 2
+    widget.undo()
+    np.testing.assert_array_equal(should.data, [[10, 8], [14, 15]])
+    assert not undo.enabled
+    widget.redo()
+    np.testing.assert_array_equal(should.data, moved)
+    assert "moved points of 'ought'" in widget.status
+
+
+def test_points_that_are_no_landmarks_are_nothing_to_be_undone(chosen):
+    widget, where, should = chosen
+    should.add([3.0, 3.0])
+    widget.landmarks = (where, should)
+    widget.landmarks = None
+    should.add([4.0, 4.0])
+    assert not widget.footer.steps.undo.enabled
+
+
+def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
+    make_napari_viewer, small_sample, run, wait_for, qtbot
+):
+    viewer = make_napari_viewer(show=True)
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    quick(widget)
+    small_sample(viewer)
+    where = viewer.add_points([[8.0, 8.0]], name="is", size=1)
+    should = viewer.add_points([[10.0, 8.0]], name="ought", size=1)
+    widget.landmarks = LandmarkLayers(where, should, 1.5)
+    widget.model.energy.value = "elastic"
+    run(widget)
+    widget.live = True
+    viewer.layers.selection.active = should
+    should.mode = "select"
+    person = Person(viewer, qtbot)
+    qtbot.wait(100)
+    person.paint((10, 8), (10.5, 9), (11, 10), (11, 11))
+    assert should.data[0] == pytest.approx((11, 11), abs=0.3), should.data
+    to = should.data[0] - where.data[0]
+    wait_for(lambda: np.abs(widget.solution.displacement[8, 8] - to).max() < 0.1, 60_000)
+    wait_for(lambda: widget.footer.steps.undo.enabled)
+    person.key(Qt.Key.Key_Z, CTRL)
+    np.testing.assert_array_equal(should.data, [[10, 8]])
+    assert not widget.footer.steps.undo.enabled, "a drag is one step"
+    wait_for(lambda: abs(widget.solution.displacement[8, 8] - (2, 0)).max() < 0.1, 60_000)

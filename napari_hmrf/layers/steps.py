@@ -20,6 +20,8 @@ from napari_hmrf.layers.view import View, unit_factor
 DRAWING = "drawing"
 #: And that with the curve of a layer of stiffness.
 CURVE = "curve"
+#: And that with the points of a Points layer.
+POINTS = "points"
 
 #: Keys, and what they do.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}

@@ -9,11 +9,12 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.steps import DRAWING, Slot, ViewerSteps
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.point_steps import PointSteps
 from napari_hmrf.widgets.table_steps import CurveSteps, TableSteps
 
 
 class DockSteps:
-    """Has the tables and the curve of the dock undone, by its buttons and keys.
+    """Has the tables, the curve and the landmarks of the dock undone, by its buttons and keys.
 
     Parameters
     ----------
@@ -38,6 +39,7 @@ class DockSteps:
         )
         self._curve = CurveSteps(tissue.curve, tissue.choice.choose, steps)
         tissue.choice.changed.connect(self._curve.look)
+        self._points = PointSteps(boundary.landmarks, steps, boundary.table)
         self._buttons.undo.changed.connect(steps.undo)
         self._buttons.redo.changed.connect(steps.redo)
         steps.edits.moved.connect(self._show)
@@ -47,10 +49,12 @@ class DockSteps:
     def come(self) -> None:
         """The dock is there: have the keys."""
         self.steps.bind_keys(self)
+        self._points.look()
 
     def leave(self) -> None:
         """The dock is gone."""
         self.steps.unbind_keys(self)
+        self._points.release()
 
     def interrupt(self) -> bool:
         """Nothing here is ever half done."""
