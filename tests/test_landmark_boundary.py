@@ -1,9 +1,11 @@
 """Landmarks as the boundary: two Points layers say how tissue moves, alone or on top of paint."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import quick
-from napari.layers import Image, Labels, Points
+from napari.layers import Image, Labels, Points, Shapes
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 
@@ -271,3 +273,65 @@ def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
     np.testing.assert_array_equal(should.data, [[10, 8]])
     assert not widget.footer.steps.undo.enabled, "a drag is one step"
     wait_for(lambda: abs(widget.solution.displacement[8, 8] - (2, 0)).max() < 0.1, 60_000)
+
+
+# Lines
+
+
+def lines(*shapes, name="drawn", **place):
+    layer = Shapes(name=name, ndim=2, **place)
+    for kind, places in shapes:
+        layer.add(np.array(places, dtype=float), shape_type=kind)
+    return layer
+
+
+def of_lines(layer, radius=2.0, **place):
+    pair = LandmarkLayers(layer, radius=radius)
+    return replace(request([[1, 1]], [[1, 1]], **place), landmarks=pair)
+
+
+def test_a_line_leads_tissue_from_its_start_to_its_end_and_a_path_to_its_last_place():
+    drawn = lines(
+        ("line", [(12, 12), (15, 11)]), ("path", [(30, 36), (31, 30), (28, 36)]), scale=SIZE
+    )
+    problem = read_layers(of_lines(drawn, scale=SIZE)).problem
+    np.testing.assert_allclose(problem.y[12, 12], (1.5, -2), atol=1e-6)
+    np.testing.assert_allclose(problem.y[30, 36], (-1, 0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "words"),
+    [
+        ([], "'drawn' has no lines. Draw some"),
+        ([("ellipse", [(9, 9), (9, 15), (15, 15), (15, 9)])], "'drawn' has shape 0, an ellipse"),
+        (
+            [("line", [(20, 20), (22, 20)]), ("line", [(0, 0), (9, 9)])],
+            "line 1, which begins where there",
+        ),
+        ([("line", [(20, 60), (22, 20)])], "'drawn' has line 0, which begins outside the image"),
+        (
+            [("line", [(20, 20), (22, 20)]), ("line", [(20, 20), (25, 20)])],
+            "lines 0 and 1, which begin in one pixel",
+        ),
+    ],
+)
+def test_shapes_that_lead_nowhere_are_refused_by_layer_and_number(shapes, words):
+    with pytest.raises(ProblemError, match=words):
+        read_layers(of_lines(lines(*shapes)))
+
+
+def test_lines_are_chosen_alone_previewed_and_followed(docked, small_sample, run, wait_for):
+    viewer = docked._viewer
+    small_sample(viewer)
+    drawn = viewer.add_layer(lines(("line", [(8, 8), (10, 8)])))
+    docked._face.boundary.landmarks.where.value = drawn
+    assert docked.landmarks == LandmarkLayers(drawn)
+    assert not menus(docked).should.visible
+    wait_for(lambda: "landmark preview" in viewer.layers)
+    docked.model.energy.value = "elastic"
+    docked.landmarks = LandmarkLayers(drawn, radius=1.5)
+    run(docked)
+    np.testing.assert_allclose(docked.solution.displacement[8, 8], (2, 0), atol=0.05)
+    docked.live = True
+    drawn.data = [np.array([(8.0, 8.0), (8.0, 11.0)])]
+    wait_for(lambda: abs(docked.solution.displacement[8, 8, 1] - 3) < 0.1, 60_000)

@@ -1,4 +1,4 @@
-"""Landmarks from two layers of points: where things are, and where they should be."""
+"""Landmarks from layers of points or lines: where things are, and where they should be."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ from scipy.spatial import KDTree
 
 from napari_hmrf.drawing import Landmark
 from napari_hmrf.drawing.canvas import common, distance_to
+from napari_hmrf.layers.ends import Ends, ends_of
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import LayerError, Named, naming
-from napari_hmrf.layers.view import View, unit_factor
+from napari_hmrf.layers.view import View
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LandmarkLayers:
-    """Two layers whose points are pairs, by their order, and what goes with each.
+    """Two layers whose points are pairs, by their order, or one of lines; and what goes with each.
 
     Attributes
     ----------
-    where, should : napari.layers.Points
-        Where things are, and where they should be.
+    where : napari.layers.Points or napari.layers.Shapes
+        Where things are; or lines and paths that begin there, and end where they should be.
+    should : napari.layers.Points, optional
+        Where they should be; none beside lines.
     radius : float, optional
         Of the patch of tissue that goes with each landmark, in the unit of the image; by default
         `usual_radius`. Patches that would overlap are made smaller.
@@ -36,7 +39,7 @@ class LandmarkLayers:
     """
 
     where: Any
-    should: Any
+    should: Any = None
     radius: float | None = None
     confidence: float = 1.0
 
@@ -51,15 +54,18 @@ class Landmarks:
         In pixels of the image.
     numbers : tuple of int
         Which points of their layer they are.
-    where, should : Named
+    layer : Named
+        Of where things are.
+    what : {"point", "line"}
+        What they were made from.
     notes : tuple of str
         What the user should know about them.
     """
 
     marks: tuple[Landmark, ...]
     numbers: tuple[int, ...]
-    where: Named
-    should: Named
+    layer: Named
+    what: str = "point"
     notes: tuple[str, ...] = ()
 
     def refuse_void(
@@ -89,10 +95,13 @@ class Landmarks:
             # However small the patch, the nearest pixel counts.
             patch = near <= max(mark.radius, float(near.min()))
             if not (patch & tissue[box[0] : box[1], box[2] : box[3]]).any():
+                begins, partner = (
+                    (", which begins", "") if self.what == "line" else ("", " and its partner")
+                )
                 raise LayerError(
-                    self.where,
-                    f"has point {number} where there is no tissue (stiffness 0 in "
-                    f"'{named.name}'). Move it onto tissue, or remove it and its partner.",
+                    self.layer,
+                    f"has {self.what} {number}{begins} where there is no tissue (stiffness 0 in "
+                    f"'{named.name}'). Move it onto tissue, or remove it{partner}.",
                 )
 
 
@@ -125,12 +134,12 @@ def landmarks_of(
 def read_landmarks(
     layers: LandmarkLayers, frame: Frame, shape: tuple[int, int], view: View | None = None
 ) -> Landmarks:
-    """Pair the points of two layers by their order, as they lie in the world.
+    """Pair the points of two layers by their order, or the ends of lines, as they lie in the world.
 
     Parameters
     ----------
     layers : LandmarkLayers
-        Of a stack, the pairs of other slices do not count; points without an axis lie on each of
+        Of a stack, the pairs of other slices do not count; those without an axis lie on each of
         its slices.
     frame : Frame
         The slice of the image.
@@ -147,49 +156,46 @@ def read_landmarks(
     Raises
     ------
     ProblemError
-        Naming the layer: if the layers do not hold as many points, or none, or a point cannot be
-        placed, lies outside the image, or contradicts another.
+        Naming the layer: if the layers do not hold as many points, or none, or a shape is no line,
+        or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
-    where, should = layers.where, layers.should
-    if where is should:
-        raise LayerError(
-            where, "cannot be both where things are and where they should be. Choose two layers."
-        )
-    count, other = len(where.data), len(should.data)
-    if count != other:
-        raise LayerError(
-            should,
-            f"has {_points(other)}, but '{where.name}' has {count}: they are paired by their "
-            "order. Add or remove some.",
-        )
-    if not count:
-        raise LayerError(where, "has no points. Add some, and as many to the other layer.")
-    sources, targets = (_pixels(layer, frame) for layer in (where, should))
+    where, should = ends = ends_of(layers.where, layers.should)
+    what = where.what
+    sources, targets = (each.in_pixels(frame) for each in ends)
     here, there = (
-        _on_slice(layer, places, frame, view)
-        for layer, places in ((where, sources), (should, targets))
+        each.on_slice(places, frame, view)
+        for each, places in zip(ends, (sources, targets), strict=True)
     )
     numbers = np.flatnonzero(here)
     if not len(numbers):
         slice_name = f" ({frame.slice_name})" if frame.slice_name else ""
-        raise LayerError(where, f"has no points on this slice{slice_name}. Move to one.")
+        raise LayerError(where.layer, f"has no {what}s on this slice{slice_name}. Move to one.")
     if not there[here].all():
+        leaves = numbers[~there[here]][0]
         raise LayerError(
-            should,
-            f"has point {numbers[~there[here]][0]} on another slice than '{where.name}': tissue "
-            "moves within a slice. Move the point, or remove both.",
+            should.layer,
+            f"has line {leaves}, which ends on another slice: tissue moves within a slice. Remove "
+            "it."
+            if should.layer is where.layer
+            else f"has point {leaves} on another slice than '{where.layer.name}': tissue moves "
+            "within a slice. Move the point, or remove both.",
         )
     at, to = (places[here][:, list(frame.plane)] for places in (sources, targets))
     outside = np.flatnonzero(_outside(at, shape))
     if len(outside):
         raise LayerError(
-            where, f"has point {numbers[outside[0]]} outside the image. Move it, or remove it."
+            where.layer,
+            f"has {what} {numbers[outside[0]]}{', which begins' if what == 'line' else ''} outside "
+            "the image. Move it, or remove it.",
         )
     _refuse_contradiction(where, at, to, numbers)
-    beyond = numbers[_outside(to, shape)]
-    notes = (f"point {beyond[0]} of '{should.name}' lies outside the image" if len(beyond) else "",)
+    beyond = [
+        f"{what} {number} of '{should.layer.name}' {'ends' if what == 'line' else 'lies'} outside "
+        "the image"
+        for number in numbers[_outside(to, shape)]
+    ]
     radii = _radii(at, layers.radius, frame, shape)
-    with naming(y=where, c=where):
+    with naming(y=where.layer, c=where.layer):
         marks = tuple(
             Landmark((a[0], a[1]), (b[0], b[1]), size, layers.confidence)
             for a, b, size in zip(at.tolist(), to.tolist(), radii, strict=True)
@@ -197,46 +203,31 @@ def read_landmarks(
     return Landmarks(
         marks=marks,
         numbers=tuple(numbers.tolist()),
-        where=Named.of(where),
-        should=Named.of(should),
-        notes=tuple(note for note in notes if note),
+        layer=Named.of(where.layer),
+        what=what,
+        notes=tuple(beyond[:1]),
     )
-
-
-def _points(count: int) -> str:
-    return "1 point" if count == 1 else f"{count} points"
 
 
 def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
     return np.asarray(((places < -0.5) | (places > np.array(shape) - 0.5)).any(axis=1))
 
 
-def _on_slice(
-    layer: Any, places: FloatArray, frame: Frame, view: View | None
-) -> npt.NDArray[np.bool_]:
-    """Which points lie on the slice of the image; and on that shown, on axes it has not."""
-    others = [axis for axis in range(frame.ndim) if axis not in frame.plane]
-    here: npt.NDArray[np.bool_]
-    here = (np.rint(places[:, others]) == np.array(frame.index)[others]).all(axis=1)
-    extra = layer.ndim - frame.ndim
-    if extra > 0 and view is not None:
-        own = np.asarray(layer.data, dtype=float)[:, :extra]
-        here = here & (np.rint(own) == np.array(Frame.of(layer, view).index)[:extra]).all(axis=1)
-    return here
-
-
 def _refuse_contradiction(
-    where: Any, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
+    where: Ends, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
 ) -> None:
-    """Refuse points of one pixel that should go to different places."""
+    """Refuse landmarks of one pixel that should go to different places."""
     first: dict[tuple[float, ...], int] = {}
     for each, pixel in enumerate(np.rint(at).tolist()):
         earlier = first.setdefault(tuple(pixel), each)
         if not np.allclose(to[each] - at[each], to[earlier] - at[earlier], atol=1e-3):
             raise LayerError(
-                where,
-                f"has points {numbers[earlier]} and {numbers[each]} in one pixel, which should go "
-                "to different places. Remove one of them, and its partner.",
+                where.layer,
+                f"has lines {numbers[earlier]} and {numbers[each]}, which begin in one pixel "
+                "and lead to different places. Remove one of them."
+                if where.what == "line"
+                else f"has points {numbers[earlier]} and {numbers[each]} in one pixel, which "
+                "should go to different places. Remove one of them, and its partner.",
             )
 
 
@@ -253,27 +244,3 @@ def _radii(
     lengths = at * frame.spacing
     away = KDTree(lengths).query(lengths, k=2)[0][:, 1]
     return [min(wanted, half) if half > 0 else wanted for half in (away / 2).tolist()]
-
-
-def _pixels(layer: Any, frame: Frame) -> FloatArray:
-    """Points in the pixels of the layer a frame is of, shape (N, D)."""
-    points = np.asarray(layer.data, dtype=float)
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if len(bad):
-        raise LayerError(layer, f"has NaN or infinity in point {bad[0]}. Remove it.")
-    own = np.array([layer.data_to_world(point) for point in points], dtype=float)
-    # Where the points lack an axis they lie on the slice.
-    matrix = np.array(frame.matrix)
-    world = np.tile((matrix @ np.array([*frame.index, 1.0]))[:-1], (len(points), 1))
-    shared = min(own.shape[1], frame.ndim)
-    units = zip(layer.units[-shared:], frame.units[-shared:], strict=True)
-    factors = np.array([unit_factor(str(unit), to) for unit, to in units])
-    if not np.isfinite(factors).all():
-        raise LayerError(
-            layer, "is measured in other units than the image. Give both a unit of length."
-        )
-    world[:, -shared:] = own[:, -shared:] * factors
-    placed: FloatArray = np.linalg.solve(
-        matrix, np.concatenate([world, np.ones((len(world), 1))], axis=1).T
-    ).T[:, :-1]
-    return placed

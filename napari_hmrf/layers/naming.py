@@ -31,7 +31,7 @@ class Named:
         if isinstance(layer, Named):
             return layer
         kind = layer.__class__.__name__  # not type(): napari hands plugins proxies
-        if kind in ("Vectors", "Points"):
+        if kind in ("Vectors", "Points", "Shapes"):
             details = f"{len(layer.data)} {kind.lower()}, {layer.ndim}-D"
         else:
             data = full_resolution(layer)

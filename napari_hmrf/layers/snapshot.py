@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Labels, Points, Vectors
+from napari.layers import Labels, Points, Shapes, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.frame import Frame
@@ -43,7 +43,7 @@ class Request:
     view : View, optional
         Which slice; by default the first, of the last two axes.
     landmarks : LandmarkLayers, optional
-        Two Points layers, which count on top of the boundary.
+        Two Points layers, or lines, which count on top of the boundary.
     """
 
     tissue: Any
@@ -145,7 +145,7 @@ def copy_layers(request: Request) -> Snapshot:
     frame = Frame.of(reference, request.view)
     shape = plane_shape(reference, frame)
     tissue, boundary, image = request.tissue, request.boundary, request.image
-    placed = [layer for layer in request.layers if not isinstance(layer, Points)]
+    placed = [layer for layer in request.layers if not isinstance(layer, Points | Shapes)]
     frames = {
         id(layer): frame if layer is reference else Frame.of(layer, request.view)
         for layer in placed
@@ -168,7 +168,7 @@ def copy_layers(request: Request) -> Snapshot:
     if boundary is None:
         if landmarks is None:
             raise LayerError(reference, "has no boundary. Choose a boundary layer, or landmarks.")
-        own, observed, named = frame, np.zeros(shape, np.uint8), landmarks.where
+        own, observed, named = frame, np.zeros(shape, np.uint8), landmarks.layer
     elif isinstance(boundary, Vectors):
         own, observed = frames[id(boundary)], np.array(boundary.data, dtype=float)
         named = Named.of(boundary)

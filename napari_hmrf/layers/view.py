@@ -89,8 +89,8 @@ def slice_shown(
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:
-    """Pixels of an image-like layer along its axes; nothing for vectors and points."""
-    if layer.__class__.__name__ in ("Vectors", "Points"):
+    """Pixels of an image-like layer along its axes; nothing for vectors, points and shapes."""
+    if layer.__class__.__name__ in ("Vectors", "Points", "Shapes"):
         return ()
     return tuple(full_resolution(layer).shape[: layer.ndim])
 

@@ -82,16 +82,19 @@ class Chooser(Dock):
 
     @property
     def landmarks(self) -> LandmarkLayers | None:
-        """Two Points layers, which count on top of the boundary; to be set to a pair, too."""
+        """Two Points layers, or a Shapes layer of lines, which count on top of the boundary.
+
+        To be set to a pair of layers, or one, too.
+        """
         return self._face.boundary.landmarks.chosen
 
     @landmarks.setter
-    def landmarks(self, pair: LandmarkLayers | tuple[Any, Any] | None) -> None:
+    def landmarks(self, pair: LandmarkLayers | tuple[Any, ...] | None) -> None:
         self._face.boundary.landmarks.choose(pair)
 
     @property
     def landmark_layers(self) -> tuple[Any, ...]:
-        """The Points layers that are chosen, be they a pair or not yet."""
+        """The layers of landmarks that are chosen, be they complete or not yet."""
         return self._face.boundary.landmarks.layers
 
     @property

@@ -1,4 +1,4 @@
-"""The fields of *Deform tissue* for landmarks: two Points layers, and what goes with each point."""
+"""The fields of *Deform tissue* for landmarks: points or lines, and what goes with each."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import Container, FloatSlider, FloatSpinBox
-from napari.layers import Points
+from napari.layers import Points, Shapes
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
@@ -22,8 +22,12 @@ _LEAST = 0.05
 _RADIUS = "radius"
 
 
+def _any_of(*kinds: type[Any]) -> Callable[[Any], bool]:
+    return lambda layer: isinstance(layer, kinds)
+
+
 class LandmarkChoice(Container):
-    """Where things are and where they should be; there only where there are layers of points.
+    """Where things are and where they should be; there only where there are points or lines.
 
     Parameters
     ----------
@@ -36,17 +40,26 @@ class LandmarkChoice(Container):
 
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
         self.where, self.should = (
-            LayerChoice(layers, lambda layer: isinstance(layer, Points), label=label, tooltip=tip)
-            for label, tip in (
+            LayerChoice(
+                layers,
+                _any_of(*kinds),
+                lambda layer: layer.name + (" (lines)" if isinstance(layer, Shapes) else ""),
+                label=label,
+                tooltip=tip,
+            )
+            for label, kinds, tip in (
                 (
                     "landmarks at",
+                    (Points, Shapes),
                     (
-                        "A Points layer: where things are. They count on top of the boundary, and "
-                        "without one"
+                        "A Points layer: where things are; or a Shapes layer of lines, from there "
+                        "to where they should be. They count on top of the boundary, and without "
+                        "one"
                     ),
                 ),
                 (
                     "should be at",
+                    (Points,),
                     (
                         "A Points layer: where the same things should be, in the same order. A "
                         "point in the same place in both holds the tissue there"
@@ -82,9 +95,19 @@ class LandmarkChoice(Container):
         self.look()
 
     @property
+    def lines(self) -> bool:
+        """Whether they are lines, which need no other layer."""
+        return isinstance(self.where.value, Shapes)
+
+    @property
+    def complete(self) -> bool:
+        """Whether there are pairs to be read."""
+        return self.lines or len(self.layers) == 2
+
+    @property
     def layers(self) -> tuple[Any, ...]:
         """The layers that are chosen."""
-        chosen = (self.where.value, self.should.value)
+        chosen = (self.where.value, None if self.lines else self.should.value)
         return tuple(layer for layer in chosen if layer is not None)
 
     @property
@@ -99,7 +122,9 @@ class LandmarkChoice(Container):
         where, should = self.where.value, self.should.value
         if where is None and should is None:
             return None
-        if where is None or should is None:
+        if self.lines:
+            should = None
+        elif where is None or should is None:
             one, other = (where, "should be at") if should is None else (should, "landmarks at")
             raise HmrfError(
                 f"Of the landmarks only '{one.name}' is chosen: choose another Points layer as "
@@ -107,23 +132,21 @@ class LandmarkChoice(Container):
             )
         return LandmarkLayers(where, should, self.radius.value or None, self.confidence.value)
 
-    def choose(self, pair: LandmarkLayers | tuple[Any, Any] | None) -> None:
+    def choose(self, pair: LandmarkLayers | tuple[Any, ...] | None) -> None:
         """Choose a pair; ValueError if it cannot be."""
-        if not isinstance(pair, LandmarkLayers):
-            where, should = pair or (None, None)
-            self.where.choose(where)
-            self.should.choose(should)
-            return
-        self.where.choose(pair.where)
-        self.should.choose(pair.should)
-        self.radius.value, self.confidence.value = pair.radius or 0.0, pair.confidence
+        if isinstance(pair, LandmarkLayers):
+            self.radius.value, self.confidence.value = pair.radius or 0.0, pair.confidence
+            pair = (pair.where, pair.should)
+        where, should = (*(pair or ()), None, None)[:2]
+        self.where.choose(where)
+        self.should.choose(should)
 
     def look(self) -> None:
         """Show what there are layers for."""
         begun = bool(self.layers)
         self.visible = begun or bool(self.where.offered)
         for field in (self.should, self.radius, self.confidence):
-            field.visible = begun
+            field.visible = begun and not (field is self.should and self.lines)
         align_labels(self)
 
     def show_place(self, frame: Frame, shape: tuple[int, int]) -> None:
@@ -140,7 +163,8 @@ class LandmarkChoice(Container):
 
     def _on_where(self, layer: Any) -> None:
         others = [each for each in self.should.offered if each is not layer]
-        if layer is not None and self.should.value is None and len(others) == 1:
+        paired = layer is not None and not self.lines
+        if paired and self.should.value is None and len(others) == 1:
             self.should.value = others[0]  # which tells of both
         else:
             self._on_choice()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from napari.layers import Points
 from qtpy.QtCore import QObject, Qt
 from qtpy.QtWidgets import QApplication
 
@@ -42,7 +43,7 @@ class PointSteps:
 
     def look(self) -> None:
         """Listen to the layers that are chosen, and to no others."""
-        layers = self._landmarks.layers
+        layers = tuple(each for each in self._landmarks.layers if isinstance(each, Points))
         if [id(layer) for layer in layers] == [id(layer) for layer in self._layers]:
             return
         self.release()

@@ -34,10 +34,12 @@ class Preview:
     viewer : napari.Viewer or ViewerModel
     name : str
         Of the layer.
+    width : float
+        Of its arrows, beside the usual.
     """
 
-    def __init__(self, viewer: Any, name: str) -> None:
-        self._viewer, self._name = viewer, name
+    def __init__(self, viewer: Any, name: str, width: float = 1.0) -> None:
+        self._viewer, self._name, self._width = viewer, name, width
         self._layer: Any = None
         self._shown: Any = None
 
@@ -66,7 +68,7 @@ class Preview:
             "name": self._name,
             "vector_style": "arrow",
             "edge_color": PREVIEW,
-            "edge_width": max(pixels) / 400,
+            "edge_width": self._width * max(pixels) / 400,
             "opacity": 1.0,
             "metadata": {METADATA: {"kind": "preview", "slice": frame.slice_name}},
         }
@@ -150,7 +152,7 @@ class LandmarkPreview(Preview):
     """
 
     def __init__(self, viewer: Any) -> None:
-        super().__init__(viewer, LANDMARKS)
+        super().__init__(viewer, LANDMARKS, 2.0)
 
     def update(self, pair: LandmarkLayers, image: Any, view: View | None) -> None:
         """Draw the pairs.
@@ -171,4 +173,4 @@ class LandmarkPreview(Preview):
         marks = read_landmarks(pair, frame, plane_shape(image, frame), view).marks
         ends = np.array([(mark.source, mark.target) for mark in marks], dtype=np.float32)
         arrows = np.stack([ends[:, 0], ends[:, 1] - ends[:, 0]], axis=1)
-        self.show(frame, arrows, image, pair.should)
+        self.show(frame, arrows, image, pair.where if pair.should is None else pair.should)

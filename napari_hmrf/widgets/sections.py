@@ -149,7 +149,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     Attributes
     ----------
     landmarks : LandmarkChoice
-        Two Points layers, beside all that or without any of it.
+        Two Points layers or lines, beside all that or without any of it.
     """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
@@ -159,8 +159,8 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
             label="boundary",
             tooltip="A Labels layer in which is painted what holds or moves, or observed "
-            "displacements as a Vectors layer. Landmarks, as two Points layers, come on top: their "
-            "menus are below once there are such layers",
+            "displacements as a Vectors layer. Landmarks, as two Points layers or as lines of "
+            "a Shapes layer, come on top: their menus are below once there are such layers",
         )
         self._confidence = LayerChoice(
             layers,

@@ -185,9 +185,9 @@ class Watch:
             self._undrawn = ""
 
     def _draw_pairs(self, place: Any, view: View) -> None:
-        """Show which landmarks are pairs, once there are two layers of them."""
+        """Show which landmarks are pairs, once they are pairs."""
         landmarks = self._face.boundary.landmarks
-        if place is None or len(landmarks.layers) != 2 or not self._face.boundary.preview.value:
+        if place is None or not landmarks.complete or not self._face.boundary.preview.value:
             self.pairs.remove()
         elif (pair := landmarks.chosen) is not None:
             self.pairs.update(pair, place, view)
