@@ -205,7 +205,7 @@ def test_points_are_taken_as_landmarks(pulling, settle):
     assert (form.where.value, form.should.value) == (where, should), "there are no others"
     form.take.native.click()
     assert not widget.drawing.marks
-    assert "'ought' has 1 points, but 'is' has 2" in widget.status
+    assert "'ought' has 1 point, but 'is' has 2" in widget.status
     should.add([40, 22])
     form.take.native.click()
     settle(widget)

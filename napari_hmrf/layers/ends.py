@@ -129,9 +129,9 @@ def _of_lines(layer: Any) -> tuple[Ends, Ends]:
             article = "an" if kind == "ellipse" else "a"
             raise LayerError(
                 layer,
-                f"has shape {number}, {article} {kind}, which leads nowhere. Draw lines, from where "
-                "things are to where they should be; what a whole region does is painted in a Labels "
-                "layer (its key 3 draws an outline).",
+                f"has shape {number}, {article} {kind}, which leads nowhere. Draw lines, from "
+                "where things are to where they should be; what a whole region does is painted in "
+                "a Labels layer (its key 3 draws an outline).",
             )
     if not len(layer.data):
         raise LayerError(
