@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from napari_hmrf.layers.transform import (
     floats_or_rows,
     rows,
 )
-from napari_hmrf.layers.view import View, slice_shown, unit_factor
+from napari_hmrf.layers.view import View, slice_shown, sliders_of, unit_factor
 
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
 _TOLERANCE = 1e-3
@@ -38,6 +38,9 @@ class Frame:
         The layer's own, as it takes them.
     matrix : (D + 1) x (D + 1) numbers
         From the layer's pixels to the world, homogeneous.
+    sliders : tuple of (float, float)
+        Where the viewer's slider of each axis begins and its step, in the world; nothing if there
+        was no viewer. Of no consequence but for the number of the slice that people read.
     """
 
     plane: tuple[int, int]
@@ -50,6 +53,7 @@ class Frame:
     units: tuple[str, ...]
     axis_labels: tuple[str, ...]
     matrix: Matrix
+    sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
     @classmethod
     def of(cls, layer: Any, view: View | None = None) -> Frame:
@@ -105,6 +109,7 @@ class Frame:
             units=tuple(str(unit) for unit in layer.units),
             axis_labels=tuple(str(label) for label in layer.axis_labels),
             matrix=rows(matrix),
+            sliders=sliders_of(layer, view),
         )
 
     @property
@@ -142,9 +147,32 @@ class Frame:
 
     @property
     def slice_name(self) -> str:
-        """Which slice, in words, such as "z = 12"; empty for a two-dimensional layer."""
+        """Which slice, by its pixels, such as "z = 12"; empty for a two-dimensional layer."""
+        return self._named(self.index)
+
+    @property
+    def slice_seen(self) -> str:
+        """Which slice, by the number that the viewer's slider shows: for people to read."""
+        return self._named(self.numbers)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """What the viewer's sliders show; without a viewer, the index.
+
+        A slider counts from the end of the world where the coordinates are lowest, which is the
+        last slice of an axis that runs backwards.
+        """
+        world = (np.array(self.matrix) @ np.array([*self.index, 1.0]))[:-1]
+        return tuple(
+            round((float(at) - start) / step) if step else index
+            for at, (start, step), index in zip(
+                world, self.sliders or ((0.0, 0.0),) * self.ndim, self.index, strict=True
+            )
+        )
+
+    def _named(self, numbers: tuple[int, ...]) -> str:
         return ", ".join(
-            f"{self._axis_name(axis)} = {self.index[axis]}"
+            f"{self._axis_name(axis)} = {numbers[axis]}"
             for axis in range(self.ndim)
             if axis not in self.plane
         )
@@ -236,7 +264,9 @@ class Frame:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types, for `Solution.frame`."""
-        return asdict(self)
+        kept = asdict(self)
+        del kept["sliders"]  # of one viewer, at one time
+        return kept
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:

@@ -168,7 +168,7 @@ def read_landmarks(
     )
     numbers = np.flatnonzero(here)
     if not len(numbers):
-        slice_name = f" ({frame.slice_name})" if frame.slice_name else ""
+        slice_name = f" ({frame.slice_seen})" if frame.slice_seen else ""
         raise LayerError(where.layer, f"has no {what}s on this slice{slice_name}. Move to one.")
     if not there[here].all():
         leaves = numbers[~there[here]][0]

@@ -183,6 +183,7 @@ class _Maker:
         self._facts: dict[str, Any] = {
             "source": pictures.name,
             "slice": frame.slice_name,
+            "slice_seen": frame.slice_seen,
             "unit": frame.unit,
             "model": in_words(solution.provenance.parameters),
             "folds": int(folded.sum()),
@@ -287,6 +288,6 @@ class _Maker:
 
     def _name(self, what: str, labels: bool = False) -> str:
         source = self._pictures.labels_name if labels else self._pictures.name
-        where = f" ({self._frame.slice_name})" if self._frame.slice_name else ""
+        where = f" ({self._frame.slice_seen})" if self._frame.slice_seen else ""
         model = short_name(self._solution.provenance.parameters)
         return f"{source} {what}".strip() + (f", {model}" if model else "") + where

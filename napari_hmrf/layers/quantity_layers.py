@@ -124,7 +124,7 @@ def quantity_layer(
 def _name(result: FoundResult, quantity: Quantity) -> str:
     words = QUANTITIES[quantity]
     model = short_name(result.solution.provenance.parameters)
-    where = str(result.facts.get("slice") or "")
+    where = str(result.facts.get("slice_seen") or result.facts.get("slice") or "")
     name = f"{result.source} {words.title} ({words.unit or result.unit})".strip()
     return name + (f", {model}" if model else "") + (f" ({where})" if where else "")
 

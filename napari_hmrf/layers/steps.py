@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -29,15 +29,21 @@ KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
 
 @dataclass(frozen=True)
 class Place:
-    """A slice: the axes of a layer it shows, and where it lies on each; as of a `Frame`."""
+    """A slice: the axes of a layer it shows, and where it lies on each; as of a `Frame`.
+
+    `numbers` are what the viewer's sliders show there, if not the index.
+    """
 
     plane: tuple[int, int]
     index: tuple[int, ...]
+    numbers: tuple[int, ...] = field(default=(), compare=False)
 
     @property
     def name(self) -> str:
         """The slice in words; empty for a two-dimensional layer."""
-        others = [str(at) for axis, at in enumerate(self.index) if axis not in self.plane]
+        others = [
+            str(at) for axis, at in enumerate(self.numbers or self.index) if axis not in self.plane
+        ]
         return f"slice {', '.join(others)}" if others else ""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,14 @@ class View:
         World coordinates of the slice on every axis.
     units : tuple of str, optional
         Of `point`, if the viewer has them.
+    sliders : tuple of (float, float), optional
+        Where the slider of each axis begins, and its step; it counts steps.
     """
 
     displayed: tuple[int, ...]
     point: tuple[float, ...]
     units: tuple[str, ...] | None = None
+    sliders: tuple[tuple[float, float], ...] | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, dims: Any) -> View:
@@ -41,6 +44,7 @@ class View:
             tuple(int(axis) for axis in dims.displayed),
             tuple(float(value) for value in dims.point),
             None if units is None else tuple(str(unit) for unit in units),
+            tuple((float(span.start), float(span.step)) for span in dims.range),
         )
 
 
@@ -86,6 +90,20 @@ def slice_shown(
                     f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
                 )
     return (rows, cols), tuple(index)
+
+
+def sliders_of(layer: Any, view: View | None) -> tuple[tuple[float, float], ...]:
+    """Where the slider of each of a layer's axes begins, and its step, in the layer's units."""
+    if view is None or view.sliders is None:
+        return ()
+    missing = len(view.point) - int(layer.ndim)
+    found = []
+    for axis in range(int(layer.ndim)):
+        unit, to = "" if view.units is None else view.units[axis + missing], str(layer.units[axis])
+        factor = unit_factor(unit, to) if unit else 1.0
+        start, step = view.sliders[axis + missing]
+        found.append((start * factor, step * factor))
+    return tuple(found)
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:

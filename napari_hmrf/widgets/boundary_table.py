@@ -11,6 +11,7 @@ from qtpy.QtWidgets import QComboBox
 
 from napari_hmrf.annotation import Action, BoundaryRule
 from napari_hmrf.layers.defaults import default_rule
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 
 _ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
@@ -28,7 +29,7 @@ class BoundaryTable(LabelTable):
                 (
                     "Action",
                     (
-                        "Fixed: stays where it is.\nMoves: so far down and to the right.\n"
+                        "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
                         "Expands: so far outward, along the normal of its outline"
                     ),
                 ),
@@ -45,7 +46,8 @@ class BoundaryTable(LabelTable):
             ],
             stretch=_NAME,
         )
-        self.unit = "px"
+        self._unit, self._ways = "px", Directions()
+        self._show_heads()
 
     @property
     def unit(self) -> str:
@@ -55,9 +57,19 @@ class BoundaryTable(LabelTable):
     @unit.setter
     def unit(self, unit: str) -> None:
         self._unit = unit
+        self._show_heads()
+
+    def show_ways(self, ways: Directions) -> None:
+        """Say which way rows and columns run on the screen; what the numbers mean stays."""
+        if ways != self._ways:
+            self._ways = ways
+            self._show_heads()
+
+    def _show_heads(self) -> None:
+        unit, ways = self._unit, self._ways
         for column, title, tooltip in (
-            (_ROWS, "row ↓", "How far down, along the rows"),
-            (_COLS, "col →", "How far to the right, along the columns"),
+            (_ROWS, ways.header(0), ways.about(0)),
+            (_COLS, ways.header(1), ways.about(1)),
             (_OUTWARD, "out", "How far outward; negative: inward"),
         ):
             header = self.horizontalHeaderItem(column)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import role_of
 from napari_hmrf.layers.naming import LayerError
@@ -164,6 +165,7 @@ class Watch:
             reference = None if place is None else Frame.of(place, view)
             if reference is not None:
                 boundary.table.unit = unit_symbol(reference.unit)
+                boundary.table.show_ways(Directions.of(reference, self._viewer))
                 boundary.landmarks.show_place(reference, plane_shape(place, reference))
             layer = boundary.painted.layer
             too_large = layer is not None and self.preview.too_large(layer)

@@ -85,7 +85,7 @@ def report(done: Done) -> str:
     done : Done
     """
     outputs, frame = done.outputs, done.snapshot.frame
-    where = f"Slice {frame.slice_name}: tissue" if frame.slice_name else "Tissue"
+    where = f"Slice {frame.slice_seen}: tissue" if frame.slice_seen else "Tissue"
     parts = [f"{where} moved up to {_farthest(done)}."]
     if outputs.folds > _HANDFUL and outputs.worst is not None:
         row, col = outputs.worst

@@ -7,6 +7,7 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.painted import tissue_colours
 from napari_hmrf.layers.view import View, unit_symbol
@@ -126,8 +127,9 @@ class GrabAndPull(GrabControls):
             tissues = tissue_colours(ground.palette, self.tissue)
             self._puller.stand_on(ground, self.image, tissues)
             self.form.fields.offer(ground.palette)
-            self.form.fields.show_unit(unit_symbol(ground.frame.unit))
             self.show_toggle()
+        ways = Directions.of(ground.frame, self._viewer)
+        self.form.fields.show_place(unit_symbol(ground.frame.unit), ways)
         return True
 
     def take_points(self, where: Any, should: Any) -> bool:

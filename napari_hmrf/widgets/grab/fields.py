@@ -10,15 +10,11 @@ from napari_hmrf.annotation import Material
 from napari_hmrf.drawing.brush import Paint
 from napari_hmrf.drawing.marks import Action
 from napari_hmrf.drawing.pull import Grip
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.palette import Palette
 from napari_hmrf.presets import PRESETS
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 
-COMPONENTS = [
-    ("both directions", "both"),
-    ("up and down only (rows)", "row"),
-    ("left and right only (columns)", "col"),
-]
 #: The lowest confidence of what is drawn anew; below, it says nothing.
 _LEAST = 0.05
 _SURE = (
@@ -42,8 +38,8 @@ class ToolFields(Container):
             tooltip="Of the patch that is taken hold of, or of the brush, in the unit of the image "
             "([ and ] make it smaller and larger)",
         )
-        self.by_row = _length("down", "How far, along the rows; below 0 it moves up")
-        self.by_col = _length("to the right", "How far, along the columns; below 0 to the left")
+        self._ways = Directions()
+        self.by_row, self.by_col = (_length(self._ways.label(axis)) for axis in (0, 1))
         self.amount = _length(
             "outward", "How far the outline moves along its normal; below 0 inward: it shrinks"
         )
@@ -77,7 +73,7 @@ class ToolFields(Container):
             "1: from its middle on",
         )
         self.components = ComboBox(
-            choices=COMPONENTS,
+            choices=_components(self._ways),
             value="both",
             label="moves",
             tooltip="In which directions this says where tissue goes; in the other it is free",
@@ -107,6 +103,7 @@ class ToolFields(Container):
         self._tool = BY_NAME["pull"]
         self._labels = {name: str(getattr(self, name).label) for name in _LENGTHS}
         self.show_for(self._tool)
+        self.show_place("px", self._ways)
 
     @property
     def how(self) -> Grip | Paint:
@@ -133,7 +130,7 @@ class ToolFields(Container):
         title = self._tool.title
         match self._tool.name:
             case "move":
-                return f"{title} by ({self.by_row.value:g}, {self.by_col.value:g})"
+                return f"{title} {self._ways.step((self.by_row.value, self.by_col.value))}"
             case "expand":
                 amount = self.amount.value
                 return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
@@ -173,10 +170,22 @@ class ToolFields(Container):
             with field.changed.blocked():
                 field.value = values[name]
 
-    def show_unit(self, unit: str) -> None:
-        """Say in which unit lengths are."""
+    def show_place(self, unit: str, ways: Directions) -> None:
+        """Say in which unit lengths are, and which way the rows and columns run on the screen.
+
+        What is typed keeps its meaning, along the rows and columns: only the words change.
+        """
+        turned, self._ways = ways != self._ways, ways
+        for axis, field in enumerate((self.by_row, self.by_col)):
+            self._labels[field.name] = ways.label(axis)
+            field.tooltip = f"{ways.about(axis)}; in the unit of the image"
         for name, words in self._labels.items():
             getattr(self, name).label = f"{words} ({unit})"
+        if turned:
+            before = self.components.value
+            with self.components.changed.blocked():
+                self.components.choices = _components(ways)
+                self.components.value = before
 
     def offer(self, palette: Palette) -> None:
         """Have these tissues to be painted; the one chosen stays, if it is among them."""
@@ -204,7 +213,12 @@ def _stiffness(row: Material, unit: str) -> str:
     return f"{row.stiffness:g} {unit}".strip() if row.stiffness > 0 else "no tissue"
 
 
-def _length(label: str, tooltip: str) -> FloatSpinBox:
+def _components(ways: Directions) -> list[tuple[str, str]]:
+    """In which directions a mark may speak."""
+    return [("both directions", "both"), (ways.only(0), "row"), (ways.only(1), "col")]
+
+
+def _length(label: str, tooltip: str = "How far") -> FloatSpinBox:
     return FloatSpinBox(
         value=0.0,
         min=-1e6,

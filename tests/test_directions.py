@@ -1,0 +1,117 @@
+"""Words for directions and slices say what is seen, whichever way the pixels are stored."""
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image
+
+from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.layers.directions import Directions
+from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import BOUNDARY, described
+from napari_hmrf.layers.view import View
+from napari_hmrf.widgets.deform import DeformTissue
+
+TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, columns down
+
+
+@pytest.mark.parametrize(
+    ("place", "seen"),
+    [
+        ({}, ("down", "right")),
+        ({"scale": (0.5, 2.0)}, ("down", "right")),
+        ({"scale": (-1, -1)}, ("up", "left")),
+        ({"affine": [[1, 0, 5], [0, -1, 0], [0, 0, 1]]}, ("down", "left")),
+        (TURNED, ("left", "down")),
+        ({"rotate": 10}, ("down", "right")),
+        ({"rotate": 45}, ("", "")),
+    ],
+)
+def test_rows_and_columns_run_as_they_are_seen(place, seen):
+    image = Image(np.zeros((20, 30)), **place)
+    assert Directions.of(Frame.of(image)) == seen
+
+
+def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
+    viewer = ViewerModel()
+    image = viewer.add_image(np.zeros((20, 30)), scale=(1, -1))
+    viewer.dims.order = (1, 0)
+    frame = Frame.of(image, View.of(viewer.dims))
+    assert Directions.of(frame, viewer) == ("up", "right"), "the image's columns are the rows now"
+    camera = getattr(viewer, "scene", viewer).camera
+    camera.orientation2d = ("up", "right")
+    assert Directions.of(frame, viewer) == ("down", "right")
+
+
+def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
+    flipped = Directions("up", "left")
+    assert (flipped.header(0), flipped.header(1)) == ("row ↑", "col ←")
+    assert flipped.label(1) == "to the left"
+    assert flipped.about(1).endswith("below 0: to the right")
+    assert flipped.step((5, -10)) == "5 up, 10 right"
+    aslant = Directions("", "")
+    words = " ".join([aslant.header(1), aslant.label(1), aslant.about(1), aslant.only(1)])
+    assert not {"up", "down", "left", "right"} & set(words.split())
+
+
+def test_the_table_says_which_way_its_arrows_will_point(qtbot):
+    viewer = ViewerModel()
+    place = {"scale": (-1, -1)}
+    viewer.add_image(np.zeros((20, 30)), name="t1", **place)
+    widget = DeformTissue(viewer)
+    qtbot.addWidget(widget.native)
+    table = widget._face.boundary.table
+    boundary = np.zeros((20, 30), np.uint8)
+    boundary[10, 10] = 1
+    rule = BoundaryRule(1, "move", (0.0, 10.0))
+    layer = viewer.add_labels(
+        boundary, name="Boundary", metadata=described(BOUNDARY, (rule,)), **place
+    )
+    widget.boundary = layer
+    qtbot.waitUntil(lambda: "boundary preview" in viewer.layers)
+    assert table.horizontalHeaderItem(4).text().startswith("col ←")
+    preview = viewer.layers["boundary preview"]
+    start, step = preview.data[0]
+    seen = np.subtract(preview.data_to_world(start + step), preview.data_to_world(start))
+    assert seen[1] == pytest.approx(-10), "to the left on the screen"
+    assert layer.metadata == {**layer.metadata, **described(BOUNDARY, (rule,))}, "saved as it was"
+
+
+def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_window, settle):
+    _, widget = open_window(scale=(-1, -1))
+    widget.tool = "move"
+    widget.start()
+    assert widget.form.fields.by_col.label.startswith("to the left")
+    assert widget.form.fields.by_row.label.startswith("up")
+    box = widget.form.components.native
+    words = [box.itemText(at) for at in range(box.count())]
+    assert words[1:] == ["up and down only (rows)", "left and right only (columns)"]
+
+
+def test_slices_are_called_as_the_slider_does():
+    viewer = ViewerModel()
+    image = viewer.add_image(np.zeros((9, 20, 30)), scale=(-1, -1, -1))
+    viewer.dims.set_current_step(0, 2)
+    frame = Frame.of(image, View.of(viewer.dims))
+    assert frame.index[0] == 6
+    assert frame.slice_seen == "axis 0 = 2"
+    assert frame.slice_name == "axis 0 = 6", "what tells results apart"
+    assert Frame.from_dict(frame.as_dict()) == frame
+    spaced = viewer.add_image(np.zeros((9, 20, 30)), scale=(2, 1, 1))
+    viewer.layers.remove(image)
+    viewer.dims.set_current_step(0, 3)
+    assert Frame.of(spaced, View.of(viewer.dims)).slice_seen == "axis 0 = 3"
+
+
+def test_a_boundary_without_paint_here_names_the_slice_by_the_slider(qtbot):
+    viewer = ViewerModel()
+    place = {"scale": (-1, -1, -1)}
+    viewer.add_image(np.random.default_rng(0).random((9, 20, 30)), name="t1", **place)
+    widget = DeformTissue(viewer)
+    qtbot.addWidget(widget.native)
+    widget.make_layers()
+    viewer.layers["Boundary"].data[6, 5:9, 5:9] = 1
+    viewer.dims.set_current_step(0, 4)
+    widget.deform()
+    assert "(axis 0 = 4)" in widget.status
+    assert "go to slice 2" in widget.status
