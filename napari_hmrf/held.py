@@ -58,7 +58,7 @@ def check_held(problem: Problem) -> None:
     held = problem.c > 0
     for known, tissue in _held:
         # To hold more, as a brush does, frees nothing.
-        if np.array_equal(tissue, problem.tissue) and not (known & ~held).any():
+        if np.array_equal(tissue, problem.tissue) and not (known > held).any():
             return
     free = free_motion(problem, held)
     if free is not None:

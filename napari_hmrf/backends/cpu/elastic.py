@@ -1,170 +1,183 @@
-"""The forces of elastic tissue as compiled loops.
+"""Elastic tissue as compiled loops: what multigrid asks of its levels, in single precision.
 
-Arrays are padded as those of the other kernels are, by two sites of void. An element has the number
-of its first site (least row and col), and its Lame parameters are 0 where one of its sites is void.
-A site that is prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0.
+Arrays are padded as those of the other kernels are, by two sites of void. A site that is
+prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0. `weight`, the
+diagonal of a coarse level's springs W, is None on the finest level, which has none.
 
-Forces are built from differences of displacement within an element; `napari_hmrf.priors.elastic`
-has the equations and the names.
+Each kernel divides the rows among threads, `count` of them. A thread begins with the row above its
+first, for the sake of what that leaves in `carry`; what comes out of it is nobody's. Kernels write
+where something moves only (`spans`): beyond that there must be 0.
 """
 
-# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
 from __future__ import annotations
 
 import numba
+import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.backends.cpu.vectors import row_largest, row_product
+from napari_hmrf.backends.cpu.forces import (
+    left_of,
+    left_over,
+    moduli_of,
+    part,
+    reach,
+    row_force,
+    rows_of,
+)
+from napari_hmrf.backends.cpu.vectors import restrict_row, row_product
 
 _ARITHMETIC = {"contract", "nsz"}
-_inline = numba.njit(inline="always", error_model="numpy")
+_alone = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_ARITHMETIC)
 _parallel = numba.njit(
     cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
 )
 
-
-@_inline
-def _pulls(d, lame, shape, i, j):
-    """What the differences D_r, D_c, D_x of element (i, j) pull with, for either component."""
-    rows, cols, mixed = shape[0], shape[1], shape[2]
-    twist_rows, twist_cols, twist_volume = shape[3], shape[4], shape[5]
-    left = d[0, i + 1, j] - d[0, i, j]
-    right = d[0, i + 1, j + 1] - d[0, i, j + 1]
-    rr = left + right
-    xr = right - left
-    cr = (d[0, i, j + 1] - d[0, i, j]) + (d[0, i + 1, j + 1] - d[0, i + 1, j])
-    left = d[1, i + 1, j] - d[1, i, j]
-    right = d[1, i + 1, j + 1] - d[1, i, j + 1]
-    rc = left + right
-    xc = right - left
-    cc = (d[1, i, j + 1] - d[1, i, j]) + (d[1, i + 1, j + 1] - d[1, i + 1, j])
-    # In double precision throughout, if the displacement is.
-    first = d.dtype.type(lame[0, i, j])
-    shear = d.dtype.type(lame[1, i, j])
-    both = first + shear + shear
-    own = twist_volume * first + shear + shear
-    return (
-        rows * both * rr + mixed * first * cc,
-        shear * (cols * cr + mixed * rc),
-        (twist_rows * own + twist_cols * shear) * xr,
-        shear * (rows * rc + mixed * cr),
-        cols * both * cc + mixed * first * rr,
-        (twist_cols * own + twist_rows * shear) * xc,
-    )
+# Loops over a row begin at max(0, ...): then the compiler knows that no index counts from the end.
 
 
-@_inline
-def _force(d, lame, shape, i, j):
-    """What the four elements around site (i, j) pull at it: the stiffness matrix times d."""
-    rr, cr, xr, rc, cc, xc = _pulls(d, lame, shape, i, j)
-    row, col = xr - rr - cr, xc - rc - cc
-    rr, cr, xr, rc, cc, xc = _pulls(d, lame, shape, i, j - 1)
-    row, col = row + (cr - rr - xr), col + (cc - rc - xc)
-    rr, cr, xr, rc, cc, xc = _pulls(d, lame, shape, i - 1, j)
-    row, col = row + (rr - cr - xr), col + (rc - cc - xc)
-    rr, cr, xr, rc, cc, xc = _pulls(d, lame, shape, i - 1, j - 1)
-    return row + (rr + cr + xr), col + (rc + cc + xc)
+@_alone
+def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
+    rows, moduli = rows_of(d, i), moduli_of(lame, i)
+    start, past = max(span[0], 0), span[1]
+    left = left_of(rows, moduli, shape, start + 1)
+    for k in range(past - start):
+        j = start + k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        out_row[j] = row if inverse[0, i, j] > float32(0) else float32(0)
+        out_col[j] = col if inverse[1, i, j] > float32(0) else float32(0)
 
 
-@_inline
-def rest(d, load, lame, weight, shape, i, j):
-    """Load - (A + W) d at site (i, j); `weight`, W's diagonal, and load may be None, zero."""
-    row, col = _force(d, lame, shape, i, j)
-    if weight is not None:
-        row += weight[0, i, j] * d[0, i, j]
-        col += weight[1, i, j] * d[1, i, j]
-    if load is not None:
-        return load[0, i, j] - row, load[1, i, j] - col
-    return -row, -col
+@_alone
+def _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
+    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    for i in range(max(first - 1, 0), last):
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        _apply_row(d, lame, inverse, shape, i + 2, reach(spans, i), carry, row, col)
+        if i >= first:
+            row_totals[i] = row_product(d, out, i + 2)
 
 
 @_parallel
-def residual(d, load, lame, inverse, weight, shape, spans, out):
-    """Out = load - (A + W) d, and 0 at sites that do not move."""
-    for i in prange(d.shape[1] - 4):
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k + 2
-            row, col = rest(d, load, lame, weight, shape, i + 2, j)
-            out[0, i + 2, j] = row if inverse[0, i + 2, j] > float32(0) else row - row
-            out[1, i + 2, j] = col if inverse[1, i + 2, j] > float32(0) else col - col
-
-
-@_parallel
-def balance(d, load, lame, inverse, shape, spans, share, out, row_most, row_squares):
-    """Out = share (load - A d) in single precision, and 0 at sites that do not move.
-
-    Its largest absolute value and its square are returned row by row.
-    """
-    for i in prange(d.shape[1] - 4):
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k + 2
-            row, col = rest(d, load, lame, None, shape, i + 2, j)
-            row, col = float32(share * row), float32(share * col)
-            out[0, i + 2, j] = row if inverse[0, i + 2, j] > float32(0) else row - row
-            out[1, i + 2, j] = col if inverse[1, i + 2, j] > float32(0) else col - col
-        row_most[i] = row_largest(out, i + 2)
-        row_squares[i] = row_product(out, out, i + 2)
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _row_work(d, lame, shape, i):
-    """A row's product of displacement and forces, and the square of these."""
-    product, square = 0.0, 0.0
-    for k in range(d.shape[2] - 4):
-        j = k + 2
-        row, col = _force(d, lame, shape, i, j)
-        product += d[0, i, j] * row + d[1, i, j] * col
-        square += row * row + col * col
-    return product, square
-
-
-@_parallel
-def work(d, lame, shape, row_products, row_squares):
-    """The product of a displacement and A times it, and the square of that, by rows."""
-    for i in prange(d.shape[1] - 4):
-        row_products[i], row_squares[i] = _row_work(d, lame, shape, i + 2)
-
-
-@_parallel
-def pull(d, lame, shape, out):
-    """Out = - A d everywhere."""
-    for i in prange(d.shape[1] - 4):
-        for k in range(d.shape[2] - 4):
-            j = k + 2
-            row, col = _force(d, lame, shape, i + 2, j)
-            out[0, i + 2, j] = -row
-            out[1, i + 2, j] = -col
-
-
-@_parallel
-def apply(d, lame, inverse, shape, spans, out, row_totals):
+def apply(d, lame, inverse, shape, spans, out, row_totals, count):
     """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
-    for i in prange(d.shape[1] - 4):
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k + 2
-            row, col = _force(d, lame, shape, i + 2, j)
-            out[0, i + 2, j] = row if inverse[0, i + 2, j] > float32(0) else float32(0)
-            out[1, i + 2, j] = col if inverse[1, i + 2, j] > float32(0) else float32(0)
-        row_totals[i] = row_product(d, out, i + 2)
+    for number in prange(count):
+        first, last = part(number, count, len(spans))
+        _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
+
+
+@_alone
+def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
+    load, lame, inverse, shape = tissue
+    scale, ahead, back = pace
+    d_row, _, d_col, _ = rows
+    moduli = moduli_of(lame, i)
+    start, past = max(span[0], 0), span[1]
+    left = left_of(rows, moduli, shape, start + 1)
+    for k in range(past - start):
+        j = start + k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        row, col = left_over(row, col, d_row[j], d_col[j], load, weight, i, j)
+        row = scale * inverse[0, i, j] * row + ahead * d_row[j]
+        col = scale * inverse[1, i, j] * col + ahead * d_col[j]
+        out_row[j] = d_row[j] + (row - back * out_row[j])
+        out_col[j] = d_col[j] + (col - back * out_col[j])
+
+
+@_alone
+def _smooth_part(d, tissue, weight, spans, out, pace, first, last):
+    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    for i in range(max(first - 1, 0), last):
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        _smooth_row(
+            rows_of(d, i + 2), tissue, weight, i + 2, reach(spans, i), carry, pace, row, col
+        )
 
 
 @_parallel
-def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back):
+def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back, count):
     """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
     What `out` holds before is the displacement before the last step: d - out was that step.
     """
-    for i in prange(d.shape[1] - 4):
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k + 2
-            row, col = rest(d, load, lame, weight, shape, i + 2, j)
-            row = scale * inverse[0, i + 2, j] * row + ahead * d[0, i + 2, j]
-            col = scale * inverse[1, i + 2, j] * col + ahead * d[1, i + 2, j]
-            row -= back * out[0, i + 2, j]
-            col -= back * out[1, i + 2, j]
-            out[0, i + 2, j] = d[0, i + 2, j] + row
-            out[1, i + 2, j] = d[1, i + 2, j] + col
+    for number in prange(count):
+        first, last = part(number, count, len(spans))
+        tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
+        _smooth_part(d, tissue, weight, spans, out, pace, first, last)
+
+
+@_alone
+def _start_row(load, inverse, scale, i, out):
+    """The first step from zero: scale D^-1 load."""
+    for component in range(2):
+        for j in range(out.shape[1]):
+            out[component, j] = scale * inverse[component, i, j] * load[component, i, j]
+
+
+@_alone
+def _begin_part(tissue, weight, spans, out, start, pace, first, last):
+    load, _, inverse, _ = tissue
+    carry, nobody = np.zeros_like(load[:, 0]), np.zeros_like(load[:, 0])
+    here, below = np.zeros_like(carry), np.zeros_like(carry)
+    top = max(first - 1, 0)
+    _start_row(load, inverse, start, top + 2, here)
+    for i in range(top, last):
+        _start_row(load, inverse, start, i + 3, below)
+        rows = here[0], below[0], here[1], below[1]
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        _smooth_row(rows, tissue, weight, i + 2, reach(spans, i), carry, pace, row, col)
+        here, below = below, here
+
+
+@_parallel
+def begin(load, lame, inverse, weight, shape, spans, out, start, scale, ahead, back, count):
+    """The first two Chebyshev steps, from zero: as `smooth`, from d = start D^-1 load."""
+    for number in prange(count):
+        first, last = part(number, count, len(spans))
+        tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
+        _begin_part(tissue, weight, spans, out, start, pace, first, last)
+
+
+@_alone
+def _rest_row(d, tissue, weight, i, span, carry, out):
+    load, lame, inverse, shape = tissue
+    rows, moduli = rows_of(d, i), moduli_of(lame, i)
+    start, past = max(span[0], 0), span[1]
+    left = left_of(rows, moduli, shape, start + 1)
+    out[:] = 0
+    for k in range(past - start):
+        j = start + k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        row, col = left_over(row, col, d[0, i, j], d[1, i, j], load, weight, i, j)
+        out[0, j] = row if inverse[0, i, j] > float32(0) else row - row
+        out[1, j] = col if inverse[1, i, j] > float32(0) else col - col
+
+
+@_alone
+def _leave_part(d, tissue, weight, spans, coarse, first, last):
+    """Rows of the coarse level; the row above the first is wanted, and so the one above that."""
+    carry = np.zeros_like(d[:, 0])
+    rest = np.zeros((3, *carry.shape), dtype=d.dtype)
+    for i in range(max(2 * first - 2, 0), 2 * last):
+        row = rest[i % 3]
+        if i < len(spans):
+            _rest_row(d, tissue, weight, i + 2, reach(spans, i), carry, row)
+        else:
+            row[:] = 0
+        if i % 2 == 1 and i > 2 * first:
+            for component in range(2):
+                restrict_row(
+                    rest[(i - 2) % 3, component],
+                    rest[(i - 1) % 3, component],
+                    row[component],
+                    coarse[component, i // 2 + 2],
+                )
+
+
+@_parallel
+def leave(d, load, lame, inverse, weight, shape, spans, coarse, count):
+    """Coarse = what d leaves of the load, load - (A + W) d where sites move, restricted."""
+    for number in prange(count):
+        first, last = part(number, count, coarse.shape[1] - 4)
+        tissue = load, lame, inverse, shape
+        _leave_part(d, tissue, weight, spans, coarse, first, last)

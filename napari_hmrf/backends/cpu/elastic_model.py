@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.cpu import assembly, elastic, small, vectors
+from napari_hmrf.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
@@ -20,6 +20,10 @@ from napari_hmrf.priors.elements import ElasticMaterial
 # kernels that a large one does, so that a rehearsal compiles them.
 _SMALL = 8000
 _LARGE = 2
+
+
+# A step that leaves all where it is.
+_NO_STEP = np.zeros(3, dtype=np.float32)
 
 
 @lru_cache(maxsize=16)
@@ -62,6 +66,7 @@ class CpuElasticLevel(CpuLevel):
         self.lame, self.pins = self.vector(), self.vector()
         self.weight = None if finest else self.vector()
         self._memory = None
+        self._count = forces.parts(grid[0])
         self.together: _SmallLevels | None = None
 
     def hold(self, held: HeldPlanes) -> None:
@@ -106,27 +111,19 @@ class CpuElasticLevel(CpuLevel):
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
-        for number, (scale, ahead, back) in enumerate(_paces(steps, from_zero)):
-            if from_zero and number == 0:
-                vectors.start(self.load, self.inverse, self.correction, scale)
-                continue
-            elastic.smooth(
-                self.correction,
-                self.load,
-                self.lame,
-                self.inverse,
-                self.weight,
-                self.shape,
-                self.spans,
-                self._other,
-                scale,
-                ahead,
-                back,
-            )
+        paces = _paces(steps, from_zero)
+        about = self.load, self.lame, self.inverse, self.weight, self.shape, self.spans
+        if from_zero:
+            # What is between the first two is not kept; a third would ask for it.
+            second = paces[1] if len(paces) == 2 else _NO_STEP
+            elastic.begin(*about, self.correction, paces[0, 0], *second, self._count)
+            paces = paces[2 if len(paces) == 2 else 1 :]
+        for pace in paces:
+            elastic.smooth(self.correction, *about, self._other, *pace, self._count)
             self.correction, self._other = self._other, self.correction
 
-    def _leave(self) -> None:
-        elastic.residual(
+    def _hand_down(self, coarse: CpuElasticLevel) -> None:
+        elastic.leave(
             self.correction,
             self.load,
             self.lame,
@@ -134,12 +131,22 @@ class CpuElasticLevel(CpuLevel):
             self.weight,
             self.shape,
             self.spans,
-            self._rest,
+            coarse.load,
+            self._count,
         )
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
-        elastic.apply(direction, self.lame, self.inverse, self.shape, self.spans, image, self._rows)
+        elastic.apply(
+            direction,
+            self.lame,
+            self.inverse,
+            self.shape,
+            self.spans,
+            image,
+            self._rows,
+            self._count,
+        )
         return float(self._rows.sum())
 
 
@@ -227,7 +234,7 @@ class CpuElasticModel(CpuModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
-        elastic.balance(
+        elastic_exact.balance(
             d,
             load,
             finest.lame,
@@ -238,12 +245,13 @@ class CpuElasticModel(CpuModel):
             self._rest,
             most,
             squares,
+            forces.parts(finest.grid[0]),
         )
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes) -> Planes:
         """- A d everywhere, in double precision; valid until the next call."""
-        elastic.pull(d, self.levels[0].lame, self._exact_shape, self._pull)
+        elastic_exact.pull(d, self.levels[0].lame, self._exact_shape, self._pull)
         return self._pull
 
     @cached_property
@@ -254,7 +262,14 @@ class CpuElasticModel(CpuModel):
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
         products, squares = self._rows
-        elastic.work(d, self.levels[0].lame, self._exact_shape, products, squares)
+        elastic_exact.work(
+            d,
+            self.levels[0].lame,
+            self._exact_shape,
+            products,
+            squares,
+            forces.parts(len(products)),
+        )
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property

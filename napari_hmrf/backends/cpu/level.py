@@ -64,6 +64,11 @@ class CpuLevel:
         """Write what the correction leaves of the load to `_rest`."""
         raise NotImplementedError
 
+    def _hand_down(self, coarse: Self) -> None:
+        """Make what the correction leaves of the load, restricted, `coarse`'s load."""
+        self._leave()
+        vectors.restrict(self._rest, coarse.load)
+
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
         raise NotImplementedError
@@ -72,8 +77,7 @@ class CpuLevel:
         """Relax from zero, or on, and hand what is left of the load down."""
         self.relax(steps, from_zero=not again)
         if coarse is not None:
-            self._leave()
-            vectors.restrict(self._rest, coarse.load)
+            self._hand_down(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Relax from zero as the coarsest level."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numba
 from numba import float32
 
-from napari_hmrf.backends.cpu import elastic, vectors
+from napari_hmrf.backends.cpu import forces, vectors
 
 _alone = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})
 
@@ -35,7 +35,7 @@ def _length(d):
 
 @_alone
 def _start(load, inverse, d, scale):
-    """As `vectors.start`."""
+    """The first step from zero: d = scale D^-1 load."""
     for k in range(_length(d)):
         j = _FIRST + k
         d[0, _FIRST, j] = scale * inverse[0, _FIRST, j] * load[0, _FIRST, j]
@@ -47,7 +47,7 @@ def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
     """As `elastic.smooth`."""
     for k in range(_length(d)):
         j = _FIRST + k
-        row, col = elastic.rest(d, load, lame, weight, shape, _FIRST, j)
+        row, col = forces.rest(d, load, lame, weight, shape, _FIRST, j)
         row = scale * inverse[0, _FIRST, j] * row + ahead * d[0, _FIRST, j]
         col = scale * inverse[1, _FIRST, j] * col + ahead * d[1, _FIRST, j]
         row -= back * out[0, _FIRST, j]
@@ -58,10 +58,10 @@ def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
 
 @_alone
 def _residual(d, load, lame, inverse, weight, shape, out):
-    """As `elastic.residual`."""
+    """Out = load - (A + W) d, 0 at sites that do not move."""
     for k in range(_length(d)):
         j = _FIRST + k
-        row, col = elastic.rest(d, load, lame, weight, shape, _FIRST, j)
+        row, col = forces.rest(d, load, lame, weight, shape, _FIRST, j)
         out[0, _FIRST, j] = row if inverse[0, _FIRST, j] > float32(0) else row - row
         out[1, _FIRST, j] = col if inverse[1, _FIRST, j] > float32(0) else col - col
 

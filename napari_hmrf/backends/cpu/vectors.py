@@ -17,6 +17,7 @@ _ARITHMETIC = {"contract", "nsz"}
 _parallel = numba.njit(
     cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
 )
+_alone = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_ARITHMETIC)
 _reduction = numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
 
 
@@ -56,38 +57,28 @@ def smooth_first(load, inverse, step, d, scale):
             d[1, i + 2, j] = col
 
 
-@_parallel
-def start(load, inverse, d, scale):
-    """The first Chebyshev step from 0, where nobody needs to know the step: d = scale D^-1 load."""
-    for i in prange(load.shape[1] - 4):
-        for j in range(load.shape[2]):
-            d[0, i + 2, j] = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
-            d[1, i + 2, j] = scale * inverse[1, i + 2, j] * load[1, i + 2, j]
+@_alone
+def restrict_row(above, here, below, coarse):
+    """`restrict` of one component, from three rows to one."""
+    half = float32(0.5)
+    for j in range(len(coarse) - 4):
+        left = here[2 * j + 1] + half * (above[2 * j + 1] + below[2 * j + 1])
+        middle = here[2 * j + 2] + half * (above[2 * j + 2] + below[2 * j + 2])
+        right = here[2 * j + 3] + half * (above[2 * j + 3] + below[2 * j + 3])
+        coarse[j + 2] = middle + half * (left + right)
 
 
 @_parallel
 def restrict(fine, coarse):
     """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
     for i in prange(coarse.shape[1] - 4):
-        above, here, below = 2 * i + 1, 2 * i + 2, 2 * i + 3
         for component in range(2):
-            for j in range(coarse.shape[2] - 4):
-                left = (
-                    fine[component, here, 2 * j + 1]
-                    + float32(0.5) * fine[component, above, 2 * j + 1]
-                    + float32(0.5) * fine[component, below, 2 * j + 1]
-                )
-                middle = (
-                    fine[component, here, 2 * j + 2]
-                    + float32(0.5) * fine[component, above, 2 * j + 2]
-                    + float32(0.5) * fine[component, below, 2 * j + 2]
-                )
-                right = (
-                    fine[component, here, 2 * j + 3]
-                    + float32(0.5) * fine[component, above, 2 * j + 3]
-                    + float32(0.5) * fine[component, below, 2 * j + 3]
-                )
-                coarse[component, i + 2, j + 2] = middle + float32(0.5) * (left + right)
+            restrict_row(
+                fine[component, 2 * i + 1],
+                fine[component, 2 * i + 2],
+                fine[component, 2 * i + 3],
+                coarse[component, i + 2],
+            )
 
 
 @_parallel
