@@ -48,14 +48,24 @@ def brushing(pulling, settle):
     return person, widget
 
 
-def test_what_is_pinned_stays_and_is_seen_at_once(brushing, settle):
+def test_what_is_painted_is_seen_before_anything_is_solved(brushing, busy_thread, qtbot):
+    person, _ = brushing
+    person.key(PIN)
+    person.press(20, 20)
+    assert seen_paint(person)[20, 20] == number_of("pin"), "at once"
+    person.move(20, 36)
+    qtbot.waitUntil(lambda: seen_paint(person)[20, 28] == number_of("pin"), timeout=1000)
+    assert not busy_thread.is_set()
+    person.release(20, 36)
+
+
+def test_what_is_pinned_stays(brushing, settle):
     person, widget = brushing
     before = displacement(widget)[20, 30]
     assert np.linalg.norm(before) > 0.3
     person.key(PIN)
     person.press(20, 20)
     person.move(20, 36)
-    assert seen_paint(person)[20, 28] == number_of("pin"), "before anything is solved"
     person.release(20, 36)
     settle(widget)
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)

@@ -45,7 +45,7 @@ class Answers:
             puller.said.emit(HALF)
         if puller.tool.is_brush:
             puller.display.touch(hand, point, first=True)
-        elif hand.holding:
+        if hand.holding:
             puller.display.arrows.hide_circle()
         puller.draw()
         return taken

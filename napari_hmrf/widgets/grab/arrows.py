@@ -153,7 +153,8 @@ class ArrowsLayer:
     def hide_circle(self) -> None:
         """Show no circle around the pointer until the drag is over.
 
-        napari paints the whole canvas for every step of it; and what is held has an outline.
+        napari paints the whole canvas for every step of it; and what is held has an outline, and
+        what is painted its colour.
         """
         if self.layer is not None:
             self._layer.cursor = "pointing"

@@ -19,6 +19,11 @@ from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.live_layers import LiveLayers
 from napari_hmrf.widgets.grab.paint import PaintedLayer
 from napari_hmrf.widgets.grab.seen import Seen
+from napari_hmrf.widgets.timers import single_shot
+
+#: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
+#: if that takes longer than so many milliseconds, they go ahead.
+_AHEAD = 80
 
 
 class Display:
@@ -51,6 +56,7 @@ class Display:
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
         self._places = 0
+        self._touches_wait = single_shot(None, _AHEAD, self._show_touches)
 
     @property
     def quiet(self) -> bool:
@@ -59,6 +65,7 @@ class Display:
 
     def stand_on(self, ground: Ground | None, image: Any, tissues: dict[int, Any]) -> None:
         """Go over to another slice, or to none."""
+        self._touches_wait.stop()
         self._image, self.tissues = image, tissues
         self.seen = None if ground is None else Seen.still(ground)
         with self.own_doing():
@@ -77,6 +84,7 @@ class Display:
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
         """Show what is painted; what is being painted stays where it is, until it is known."""
+        self._touches_wait.stop()
         stroke = hand.mark if hand.holding else None
         if not isinstance(stroke, Stroke):
             stroke = None
@@ -85,7 +93,7 @@ class Display:
             self.painted.show(seen.ground, picture, seen.drawing, stroke, self.tissues)
 
     def touch(self, hand: Hand, point: Point, first: bool) -> None:
-        """Show at once where the brush is."""
+        """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
         stroke = hand.mark
         if self.seen is None or not isinstance(stroke, Stroke):
             return
@@ -94,8 +102,17 @@ class Display:
             return
         self._places = places
         begin, self._last = point if first else self._last, point
-        with self.own_doing():
-            self.painted.touch(self.seen.ground, stroke, begin, point, self.tissues)
+        self.painted.touch(stroke, begin, point)
+        if first:
+            self._show_touches()
+        elif not self._touches_wait.isActive():
+            self._touches_wait.start()
+
+    def _show_touches(self) -> None:
+        self._touches_wait.stop()
+        if self.seen is not None:
+            with self.own_doing():
+                self.painted.show_touches(self.seen.ground, self.tissues)
 
     def draw(self, drawing: Drawing, hand: Hand) -> None:
         """Show arrows, landmarks, and the marks of what is painted."""
@@ -113,9 +130,14 @@ class Display:
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""
+        self.release()
         with self.own_doing():
             self.arrows.remove()
             self.painted.remove()
+
+    def release(self) -> None:
+        """Show nothing later on."""
+        self._touches_wait.stop()
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:

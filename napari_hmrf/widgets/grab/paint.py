@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from napari_hmrf.widgets.viewer_layers import same_selection, still_there, updat
 class PaintedLayer:
     """A Labels layer below the arrows, made when something is painted first.
 
-    A touch of the brush is shown at once, and moved with the tissue as soon as that has followed.
+    A touch of the brush is shown where it is, and moved with the tissue once that has followed.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ class PaintedLayer:
         self._layer: Any = None
         self._frame: Frame | None = None
         self._picture: npt.NDArray[np.uint8] | None = None
-        self._touches: list[tuple[int, Point, Point]] = []
+        self._touches: list[_Touch] = []
         self._tissues: dict[int, Any] = {}
 
     @property
@@ -66,38 +67,36 @@ class PaintedLayer:
         if stroke is None:
             self._touches.clear()
         known = _length_of(drawing, stroke)
-        self._touches = [touch for touch in self._touches if touch[0] > known]
+        self._touches = [touch for touch in self._touches if touch.places > known]
         if painted is None and not self._touches:
             self._picture = None
             if self.layer is not None and self._layer.data.any():
                 self._put(ground, np.zeros(ground.shape, np.uint8), tissues)
             return
         picture = np.zeros(ground.shape, np.uint8) if painted is None else painted
-        if stroke is not None:
-            for _, begin, end in self._touches:
-                _touch(picture, ground, stroke, begin, end)
+        for touch in self._touches:
+            touch.draw(picture, ground)
         self._put(ground, picture, tissues)
 
-    def touch(
-        self, ground: Ground, stroke: Stroke, begin: Point, end: Point, tissues: dict[int, Any]
-    ) -> None:
-        """Show at once where the brush has been.
+    def touch(self, stroke: Stroke, begin: Point, end: Point) -> None:
+        """Take in where the brush has been, for `show` and `show_touches`.
 
         Parameters
         ----------
-        ground : Ground
         stroke : Stroke
             So far.
         begin, end : (float, float)
             Of this touch, where it is seen, (row, col) in pixels.
-        tissues : dict of int to colour
-            Of each tissue's label.
         """
-        self._touches.append((sum(map(len, stroke.lines)), begin, end))
+        self._touches.append(_Touch(sum(map(len, stroke.lines)), stroke, begin, end))
+
+    def show_touches(self, ground: Ground, tissues: dict[int, Any]) -> None:
+        """Show what was taken in, on top of what is shown."""
         picture = self._picture
         if picture is None or picture.shape != ground.shape:
             picture = np.zeros(ground.shape, np.uint8)
-        _touch(picture, ground, stroke, begin, end)
+        for touch in self._touches:
+            touch.draw(picture, ground)
         self._put(ground, picture, tissues)
 
     def forget(self) -> None:
@@ -142,24 +141,31 @@ class PaintedLayer:
         self._frame = frame
 
 
-def _touch(
-    picture: npt.NDArray[np.uint8], ground: Ground, stroke: Stroke, begin: Point, end: Point
-) -> None:
-    """Draw a touch of the brush, in place."""
-    size = ground.frame.spacing
-    reach = [stroke.radius / step for step in size]
-    box = common(
-        (
-            int(min(begin[0], end[0]) - reach[0]),
-            int(max(begin[0], end[0]) + reach[0]) + 2,
-            int(min(begin[1], end[1]) - reach[1]),
-            int(max(begin[1], end[1]) + reach[1]) + 2,
-        ),
-        (0, ground.shape[0], 0, ground.shape[1]),
-    )
-    part = picture[box[0] : box[1], box[2] : box[3]]
-    under = distance_to(((begin, end),), stroke.radius, size, box) <= stroke.radius
-    part[under] = number_of(stroke.action, stroke.confidence, stroke.label)
+@dataclass(frozen=True)
+class _Touch:
+    """Where a brush has been: from one place to another, of how many its stroke has `places`."""
+
+    places: int
+    stroke: Stroke
+    begin: Point
+    end: Point
+
+    def draw(self, picture: npt.NDArray[np.uint8], ground: Ground) -> None:
+        """Draw it, in place."""
+        size, stroke, begin, end = ground.frame.spacing, self.stroke, self.begin, self.end
+        reach = [stroke.radius / step for step in size]
+        box = common(
+            (
+                int(min(begin[0], end[0]) - reach[0]),
+                int(max(begin[0], end[0]) + reach[0]) + 2,
+                int(min(begin[1], end[1]) - reach[1]),
+                int(max(begin[1], end[1]) + reach[1]) + 2,
+            ),
+            (0, ground.shape[0], 0, ground.shape[1]),
+        )
+        part = picture[box[0] : box[1], box[2] : box[3]]
+        under = distance_to(((begin, end),), stroke.radius, size, box) <= stroke.radius
+        part[under] = number_of(stroke.action, stroke.confidence, stroke.label)
 
 
 def _length_of(drawing: Drawing, stroke: Stroke | None) -> int:

@@ -202,6 +202,7 @@ class Puller:
         with suppress(RuntimeError):  # at the end of the process Qt's own are gone before us
             self._drawing_waits.stop()
             self._compiling.stop()
+            self.display.release()
         self.display.arrows.release()
         self.follower.release()
 
