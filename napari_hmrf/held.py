@@ -7,6 +7,7 @@ in a single site are hinged there: each may still turn by itself.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,8 @@ from napari_hmrf.problem import Problem
 
 # Below this fraction of the largest, what holds a rigid motion is rounding.
 _NOTHING = 1e-9
+# Of a motion that costs nothing: pieces that take so small a part in it are at rest.
+_REST = 1e-6
 _MOTIONS = ("along rows", "along columns", "by turning")
 # Where a problem was found to be held, and where it has tissue: checking takes as long as a few
 # cycles.
@@ -90,34 +93,13 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
     ProblemError
         If no tissue is two pixels wide.
     """
-    m = problem.m
-    rows = np.minimum(m[:-1], m[1:])
-    pieces, count = scipy.ndimage.label(np.minimum(rows[:, :-1], rows[:, 1:]) > 0)
+    pieces, count = _pieces(problem.m)
     if count == 0:
         raise ProblemError(
             "m", "has tissue nowhere two pixels wide: nothing there could be stretched."
         )
-    # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
-    around = np.pad(pieces, 1)
-    i, j, component = np.nonzero(held)
-    corners = around[i, j], around[i, j + 1], around[i + 1, j], around[i + 1, j + 1]
-    piece = np.max(corners, axis=0)
-    of, ways = piece - 1, _motions(i, j, component, problem.shape)
-    hinged = _hinges(around) if count > 1 else np.zeros((0, 4), dtype=int)
-    for cluster in _clusters(hinged, count):
-        place = np.full(count, -1)
-        place[cluster] = np.arange(len(cluster))
-        here = (piece > 0) & (place[of] >= 0)
-        strength = np.zeros((3 * len(cluster), 3 * len(cluster)))
-        _tie(strength, place[of[here]], ways[here])
-        mine = hinged[place[hinged[:, 2]] >= 0] if len(hinged) else hinged
-        for along in (0, 1):
-            way = _motions(mine[:, 0], mine[:, 1], np.full(len(mine), along), problem.shape)
-            _tie(strength, place[mine[:, 2]], way, place[mine[:, 3]])
-        stops, modes = np.linalg.eigh(strength)
-        if stops[0] > _NOTHING * max(stops[-1], 1.0):
-            continue
-        mode = modes[:, 0].reshape(-1, 3)
+    for cluster, strength, modes in _free_modes(pieces, count, held):
+        mode = modes[0]
         worst = int(np.argmax((mode**2).sum(axis=1)))
         nothing = np.trace(strength[3 * worst : 3 * worst + 3, 3 * worst : 3 * worst + 3]) == 0
         how = f"could still move {_MOTIONS[int(np.argmax(np.abs(mode[worst])))]}"
@@ -129,6 +111,84 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
             _field(piece_modes[_sites(pieces)]),
         )
     return None
+
+
+def free_pieces(
+    tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]
+) -> tuple[Labels, npt.NDArray[np.intp]]:
+    """Find all tissue that could still move.
+
+    Parameters
+    ----------
+    tissue : ndarray of bool, shape (H, W)
+    held : ndarray of bool, shape (H, W, 2)
+        Which components are held.
+
+    Returns
+    -------
+    pieces : ndarray of int, shape (H, W)
+        Numbers of the pieces of tissue that could move, 0 elsewhere; a site in which one of them
+        meets tissue that cannot move is the latter's.
+    free : ndarray of int
+        Those numbers.
+    """
+    pieces, count = _pieces(tissue)
+    if count == 0:
+        return np.zeros(tissue.shape, dtype=np.int32), np.zeros(0, dtype=np.intp)
+    loose = np.zeros(count + 1, dtype=bool)
+    for cluster, _, modes in _free_modes(pieces, count, held):
+        size = np.abs(modes).max(axis=(0, 2))
+        loose[cluster[size > _REST * size.max()] + 1] = True
+    firm = ~loose
+    firm[0] = False
+    found = _sites(np.where(loose[pieces], pieces, 0))
+    found[_sites(np.where(firm[pieces], pieces, 0)) > 0] = 0
+    return found, np.flatnonzero(loose)
+
+
+def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
+    """Number the pieces of elements, from 1; an element has its first site's index."""
+    rows = np.minimum(m[:-1], m[1:])
+    pieces, count = scipy.ndimage.label(np.minimum(rows[:, :-1], rows[:, 1:]) > 0)
+    return pieces, int(count)
+
+
+def _free_modes(
+    pieces: Labels, count: int, held: npt.NDArray[np.bool_]
+) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
+    """Find how each cluster of pieces that hang together could move.
+
+    Yields
+    ------
+    cluster : ndarray of int
+        The pieces, from 0.
+    strength : ndarray
+        What it costs them to move.
+    modes : ndarray, shape (ways, pieces, 3)
+        The motions that cost nothing.
+    """
+    shape = held.shape[:2]
+    # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
+    around = np.pad(pieces, 1)
+    i, j, component = np.nonzero(held)
+    corners = around[i, j], around[i, j + 1], around[i + 1, j], around[i + 1, j + 1]
+    piece = np.max(corners, axis=0)
+    of, ways = piece - 1, _motions(i, j, component, shape)
+    hinged = _hinges(around) if count > 1 else np.zeros((0, 4), dtype=int)
+    for cluster in _clusters(hinged, count):
+        place = np.full(count, -1)
+        place[cluster] = np.arange(len(cluster))
+        here = (piece > 0) & (place[of] >= 0)
+        strength = np.zeros((3 * len(cluster), 3 * len(cluster)))
+        _tie(strength, place[of[here]], ways[here])
+        mine = hinged[place[hinged[:, 2]] >= 0] if len(hinged) else hinged
+        for along in (0, 1):
+            way = _motions(mine[:, 0], mine[:, 1], np.full(len(mine), along), shape)
+            _tie(strength, place[mine[:, 2]], way, place[mine[:, 3]])
+        stops, modes = np.linalg.eigh(strength)
+        free = stops <= _NOTHING * max(stops[-1], 1.0)
+        if free.any():
+            yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), -1, 3)
 
 
 def _sites(pieces: Labels) -> Labels:

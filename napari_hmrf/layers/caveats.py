@@ -35,6 +35,33 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
     return (*thin, *_loose_pieces(problem))
 
 
+def lacks(problem: Problem) -> tuple[str, ...]:
+    """Say what a painted boundary lacks: something that moves, or that holds the rest."""
+    return _at_rest(problem) or _adrift(problem)
+
+
+def _at_rest(problem: Problem) -> tuple[str, ...]:
+    """Say so where all that was observed stays where it is."""
+    if (problem.y[(problem.c > 0) & problem.tissue[..., None]] != 0).any():
+        return ()
+    return (
+        "nothing that is painted moves: have something move or expand, by a distance other than 0",
+    )
+
+
+def _adrift(problem: Problem) -> tuple[str, ...]:
+    """Say so where something moves within tissue whose rim nothing holds or moves."""
+    seen = ((problem.c > 0) & problem.tissue[..., None]).any(axis=-1)
+    rim = problem.tissue & ~ndimage.binary_erosion(problem.tissue)
+    if (seen & rim).any() or (seen & ~problem.y.any(axis=-1)).any():
+        return ()
+    note = (
+        "nothing holds the tissue, so that all of it gives way: paint what stays where it is, such "
+        "as bone, as 'fixed'"
+    )
+    return (note,)
+
+
 def _held_exactly(problem: Problem) -> tuple[str, ...]:
     """Say so where a doubt about the boundary does not count."""
     doubted = (problem.c > 0) & (problem.c < 1) & problem.tissue[..., None]

@@ -18,15 +18,17 @@ from napari_hmrf.drawing import Canvas
 from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.defaults import default_material, default_rule
+from napari_hmrf.layers.drawn import NAME as ARROWS
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import usual_radius
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
-from napari_hmrf.layers.naming import LayerError, naming
+from napari_hmrf.layers.naming import LayerError, Named, naming
 from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.palette import OTHER, Palette
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.snapshot import look_of
 from napari_hmrf.layers.view import View
+from napari_hmrf.loose import scraps
 from napari_hmrf.presets import Preset
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
@@ -61,6 +63,8 @@ class Ground:
         Numbers of the connected pieces of tissue, from 1.
     palette : Palette
         The tissues that can be painted; the labels of `base` are theirs.
+    named : Named
+        What says where there is tissue: the tissue layer, or the image.
     """
 
     frame: Frame
@@ -70,6 +74,7 @@ class Ground:
     pictures: Pictures
     pieces: npt.NDArray[Any]
     palette: Palette
+    named: Named
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -103,8 +108,8 @@ class Ground:
     def problem(self, canvas: Canvas, tissue_painted: bool = False) -> tuple[Problem, Prior]:
         """The problem of a drawing, and its energy.
 
-        Tissue that nobody holds anywhere stays out of it, and where it is. Where something is not
-        certain, all of it may slip.
+        Tissue that nobody holds anywhere stays out of it, and where it is; so do scraps that could
+        turn where they hang. Where something is not certain, all of it may slip.
 
         Parameters
         ----------
@@ -130,10 +135,25 @@ class Ground:
             touched[0] = False
             if touched.any() and not touched[1:].all():
                 m = np.where(touched[pieces], m, np.float32(0))
+        if isinstance(prior, ElasticPrior):
+            scrap = scraps(m > 0, canvas.c > 0)
+            if scrap.any():
+                m = np.where(scrap, np.float32(0), m)
         exact = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
         if exact and ((canvas.c > 0) & (canvas.c < 1)).any():
             prior = replace(prior, penalty=_PENALTY)
         return Problem(canvas.y, canvas.c, m, self.frame.spacing), prior
+
+    def in_words(self, error: Exception | None) -> Exception | None:
+        """What is wrong with a problem, said of the layers a person sees."""
+        drawn = Named(ARROWS, "Vectors layer")
+        try:
+            with naming(m=self.named, poisson=self.named, y=drawn, c=drawn, spacing=self.named):
+                if error is not None:
+                    raise error
+        except Exception as named:  # noqa: BLE001 - that is what is wanted
+            return named
+        return None
 
 
 def read_ground(
@@ -214,6 +234,7 @@ def read_ground(
         pictures=Pictures(image=picture, name=str(image.name), look=look_of(image)),
         pieces=pieces,
         palette=palette,
+        named=Named.of(image if tissue is None else tissue),
     )
 
 

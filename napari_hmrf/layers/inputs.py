@@ -12,13 +12,14 @@ import numpy.typing as npt
 from napari_hmrf.annotation import boundary_images, poisson_image, stiffness_image
 from napari_hmrf.drawing import Canvas, Drawing
 from napari_hmrf.label_images import labels_present
-from napari_hmrf.layers.caveats import caveats
+from napari_hmrf.layers.caveats import caveats, lacks
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import LayerError, Named, naming
 from napari_hmrf.layers.observations import arrow_observations
 from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.snapshot import Request, Snapshot, copy_layers
+from napari_hmrf.loose import left_at_rest, scraps
 from napari_hmrf.optimizers import ICM, Optimizer
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
@@ -140,8 +141,15 @@ def prepare(
         ignored = int(((c > 0).any(axis=-1) & (m == 0)).sum())
         y, c = _with_landmarks(snapshot, m, y, c)
         _refuse_in_words(snapshot, m, c)
+        if isinstance(prior, ElasticPrior):
+            scrap = scraps(m > 0, c > 0)
+            if scrap.any():
+                m = np.where(scrap, 0, m)
+                notes += (left_at_rest(scrap),)
         problem = Problem(y, c, m, snapshot.frame.spacing)
     checkpoint()
+    if snapshot.boundary_labelled and snapshot.landmarks is None:
+        notes += lacks(problem)
     return Inputs(
         problem=problem,
         prior=prior,

@@ -163,7 +163,7 @@ class GrabAndPull(GrabControls):
             return
         if not self.active:
             self._puller.answers.release()
-            if self._status == self._puller.tool.how:
+            if self._status.startswith(self._puller.tool.how):
                 self.say(OFF)
         elif self._status == OFF:
             self.say(self._puller.tool.how)

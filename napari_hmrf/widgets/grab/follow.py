@@ -16,6 +16,7 @@ from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.outputs import RESTORED, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
 from napari_hmrf.live import LiveSolver, Update
+from napari_hmrf.loose import left_at_rest
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 from napari_hmrf.resample import emptiness
@@ -188,6 +189,7 @@ class _Scene:
                 _log.exception("the picture could not be moved")
                 error = failure
         painted = self._moved(self._seen.solution)[1]
+        error = self.ground.in_words(error)
         self._newest.put(replace(self._seen, error=error, outputs=None, painted=painted))
 
     def _next_seen(self, solution: Solution) -> Seen:
@@ -227,5 +229,9 @@ class _Scene:
         except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
             _log.exception("the displacement could not be drawn")
             return
+        marks = seen.drawing.marks
+        note = ""
+        if not any(isinstance(mark, Stroke) and mark.action == "tissue" for mark in marks):
+            note = left_at_rest((self.ground.m > 0) & ~solution.tissue)
         if not self.live.busy:
-            self._newest.put(replace(seen, outputs=outputs))
+            self._newest.put(replace(seen, outputs=outputs, note=note))

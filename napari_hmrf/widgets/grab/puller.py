@@ -23,7 +23,7 @@ from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 from napari_hmrf.widgets.grab.words import OFF, OPEN
 from napari_hmrf.widgets.timers import single_shot
-from napari_hmrf.widgets.words import COMPILING, refusal
+from napari_hmrf.widgets.words import COMPILING, in_short
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -87,6 +87,7 @@ class Puller:
         self._compiling = single_shot(None, _LONG, self._on_long)
         self._image: Any = None
         self._working = self._warned = self._in_error = False
+        self._noted = ""
         self._histories = Histories(viewer)
 
     @property
@@ -234,6 +235,7 @@ class Puller:
             self.said.emit(self.tool.how if self.active else OFF)
         if seen.outputs is not None:
             self._warn_of(seen.outputs.folds)
+            self._note(seen.note)
         self.seen.emit(seen)
 
     def _on_long(self) -> None:
@@ -246,10 +248,17 @@ class Puller:
         hand = self.hand
         if hand.holding and isinstance(hand.mark, Stroke):
             # A ring that is being painted is an open line until it is closed.
-            self.said.emit(OPEN if hand.mark.action == "expand" else refusal(seen.error))
+            self.said.emit(OPEN if hand.mark.action == "expand" else in_short(seen.error))
             return
         self.display.show_painted(seen, hand)
-        self.said.emit(refusal(seen.error))
+        self.said.emit(in_short(seen.error))
+
+    def _note(self, note: str) -> None:
+        """Say once what is to be known about the tissue, unless there is worse to say."""
+        if not self._warned and self.active:
+            before, self._noted = self._noted, note
+            if note and note != before:
+                self.said.emit(f"{self.tool.how} {note}.")
 
     def _warn_of(self, folds: int) -> None:
         before, self._warned = self._warned, folds > _HANDFUL

@@ -51,6 +51,8 @@ class Seen:
         The arrows of the displacement, and the folds; only once a drawing has come to rest.
     painted : Painted, optional
         What brushes have painted; None if nothing.
+    note : str
+        What to know about the tissue, as a clause; of a drawing that has come to rest.
     """
 
     ground: Ground
@@ -60,6 +62,7 @@ class Seen:
     error: Exception | None = None
     outputs: Outputs | None = None
     painted: Painted | None = None
+    note: str = ""
 
     @classmethod
     def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:

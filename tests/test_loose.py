@@ -1,0 +1,128 @@
+"""Scraps of tissue that hang on nothing stay where they are, and keep nobody waiting."""
+
+import numpy as np
+import pytest
+from conftest import quick
+from napari.components import ViewerModel
+from napari.layers import Image
+from person import by_name
+
+from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.drawing import Arrow, Drawing
+from napari_hmrf.layers.ground import read_ground
+from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
+from napari_hmrf.loose import left_at_rest, scraps
+from napari_hmrf.widgets.deform import DeformTissue
+
+
+def block_and_specks(size=24):
+    """A block of tissue; a speck hangs at its corner and could turn, another lies beside it."""
+    tissue = np.zeros((size, size), dtype=bool)
+    tissue[4:18, 4:18] = True
+    tissue[17:19, 17:19] = True
+    tissue[21:23, 2:5] = True
+    held = np.zeros((size, size, 2), dtype=bool)
+    held[4:18, 4] = True
+    return tissue, held
+
+
+def test_what_could_turn_or_drift_is_a_scrap_and_what_it_hangs_on_is_not():
+    tissue, held = block_and_specks()
+    found = scraps(tissue, held)
+    assert found[21:23, 2:5].all(), "nothing holds it"
+    assert found[18, 18], "it could turn"
+    assert not found[17, 17], "the corner it hangs on is the block's"
+    assert found.sum() == 6 + 3
+    assert left_at_rest(found).startswith("2 pieces of tissue that nothing holds stay where they")
+    solution = solve(Problem(0.0 * held, 1.0 * held, 1.0 * (tissue & ~found)), ElasticPrior())
+    assert not solution.displacement.any()
+    with pytest.raises(ProblemError, match="free"):
+        solve(Problem(0.0 * held, 1.0 * held, 1.0 * tissue), ElasticPrior())
+
+
+def test_tissue_that_is_meant_is_no_scrap():
+    tissue, held = block_and_specks()
+    held[:] = False
+    held[10, 10] = True
+    found = scraps(tissue, held)
+    assert not found[4:17, 4:17].any(), "the block could turn: that is for the solver to refuse"
+    assert not scraps(tissue, np.zeros_like(held)).any()
+
+
+def test_a_scrap_that_is_taken_hold_of_is_one_no_more():
+    tissue, held = block_and_specks()
+    assert scraps(tissue, held)[21, 2]
+    held[21:23, 2:5] = True
+    assert not scraps(tissue, held)[21, 2]
+
+
+def stiffness_with_specks():
+    tissue, _ = block_and_specks()
+    metadata = {METADATA: {"role": TISSUE}}
+    picture = (tissue * 200).astype(np.uint8)
+    return picture, Image(tissue.astype(np.float32), name="stiffness", metadata=metadata)
+
+
+def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
+    picture, stiffness = stiffness_with_specks()
+    person, widget = open_window(picture)
+    person.viewer.add_layer(stiffness)
+    widget.tissue = stiffness
+    widget.form.edge.value = False
+    widget.form.grab.native.click()
+    widget.drawing = Drawing((Arrow((10, 10), (0, 2), 3.0),))
+    settle(widget)
+    field = widget._puller.display.seen.solution.displacement
+    assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
+    assert not field[22, 3].any()
+    assert "2 pieces of tissue that nothing holds stay where they are (9 pixels)" in widget.status
+    assert by_name(person.viewer, "Deformed image").visible
+
+
+def test_what_cannot_be_pulled_is_said_of_the_layer():
+    picture, stiffness = stiffness_with_specks()
+    ground = read_ground(Image(picture, name="MR"), stiffness, hold_edge=False)
+    canvas = Drawing((Arrow((10, 10), (0, 2), 0.5),)).render(ground.base)
+    problem, prior = ground.problem(canvas)
+    with pytest.raises(ProblemError, match=r"^c: leaves") as refused:
+        solve(problem, prior)
+    assert ground.in_words(refused.value).sentence.startswith("'Arrows' leaves a piece of tissue")
+
+
+def painted(qtbot, wall=True, moves=True):
+    """*Deform tissue* with elastic tissue, specks, a wall and something that is pushed."""
+    viewer = ViewerModel()
+    picture, stiffness = stiffness_with_specks()
+    viewer.add_image(picture, name="MR")
+    viewer.add_layer(stiffness)
+    labels = np.zeros(picture.shape, np.uint8)
+    if wall:
+        labels[4:18, 4:6] = 1
+    if moves:
+        labels[9:12, 12:15] = 2
+    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", (0.0, 1.0)))
+    viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
+    widget = quick(DeformTissue(viewer))
+    qtbot.addWidget(widget.native)
+    return widget
+
+
+def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
+    widget = painted(qtbot)
+    widget.model.energy.value = "elastic"
+    outputs = run(widget)
+    assert outputs is not None
+    assert "2 pieces of tissue that nothing holds stay where they are (9 pixels)." in widget.status
+
+
+def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
+    widget = painted(qtbot, moves=False)
+    run(widget)
+    assert "Tissue moved up to 0.0 px. Nothing that is painted moves" in widget.status
+    widget = painted(qtbot, wall=False)
+    run(widget)
+    assert "Nothing holds the tissue" in widget.status
+    widget = painted(qtbot)
+    run(widget)
+    assert "othing" not in widget.status.split("pieces")[0]
