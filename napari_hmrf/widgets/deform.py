@@ -84,6 +84,8 @@ class DeformTissue(ResultDock):
         self.reset_choices()
         self.choose_by_role(list(self._viewer.layers))
         self._say(self._invitation())
+        if (source := self._take_over()) is not None and (shown := self.shown) is not None:
+            self._live.result_shown(*shown, source)
 
     @property
     def live(self) -> bool:
@@ -284,11 +286,14 @@ class DeformTissue(ResultDock):
     def _on_opened(self) -> None:
         self._steps.come()
         self.reset_choices()
+        self._face.listen()
 
     def _on_closed(self) -> None:
         self.cancel()
+        self._results.leave(self._latest, None if self._source is None else self._source())
         self._live.leave()
         self._steps.leave()
+        self._face.release()
 
     def _on_end(self) -> None:
         self._watch.release()

@@ -113,6 +113,11 @@ class Face:
         for kind, check in self._checks.items():
             check.value = kind in kinds
 
+    def listen(self) -> None:
+        """Listen to the layers that are chosen, again."""
+        for section in (self.tissue, self.boundary):
+            section.painted.layer = section.choice.value
+
     def release(self) -> None:
         """Stop listening to layers."""
         self.tissue.painted.release()

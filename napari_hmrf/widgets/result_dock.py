@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 from psygnal import Signal
@@ -18,6 +19,7 @@ from napari_hmrf.widgets.job import Done
 from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.live_job import News
 from napari_hmrf.widgets.results import ResultLayers
+from napari_hmrf.widgets.viewer_layers import shared
 from napari_hmrf.widgets.words import details as details_of
 
 
@@ -40,7 +42,8 @@ class ResultDock(Chooser):
         super().__init__(napari_viewer)
         self._status = ""
         self._latest = Latest()
-        self._results = ResultLayers(self._viewer)
+        self._results = shared(self._viewer, ResultLayers)
+        self._source: weakref.ref[Any] | None = None
 
     # What there is to see
 
@@ -134,8 +137,28 @@ class ResultDock(Chooser):
         for made in outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
         self._hide_preview()
+        self._source = weakref.ref(source)
         self._results.show(outputs, source)
         self._face.energy.show_solution(outputs.solution)
+
+    def _take_over(self) -> Any:
+        """Go on with the result of a dock that was closed, if it is still that of the layers.
+
+        Returns
+        -------
+        napari.layers.Layer or None
+            What was deformed.
+        """
+        latest, source = self._results.left()
+        if latest is None or latest.done is None:
+            return None
+        latest.compare(self.request, self._solver)
+        if not latest.fresh:
+            return None
+        self._latest, self._source = latest, weakref.ref(source)
+        self._face.energy.show_solution(latest.done.outputs.solution)
+        self.say_result()
+        return source
 
     @property
     def _solver(self) -> tuple[Prior, Optimizer]:

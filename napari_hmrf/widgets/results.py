@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 from napari.layers import Layer
 
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.outputs import FILLING, Kind, LayerData, Outputs
+from napari_hmrf.widgets.latest import Latest
+from napari_hmrf.widgets.turns import sign, take_turn
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 
@@ -21,10 +23,11 @@ class _Shown(NamedTuple):
 
 
 class ResultLayers:
-    """The layers that hold the results of one widget, by what they show and of which slice.
+    """The layers that hold the results of *Deform tissue*, by what they show and of which slice.
 
     What fills its pixels lies directly above what was deformed, so that paint stays above it;
-    lines and arrows lie on top.
+    lines and arrows lie on top. A dock that is opened after another was closed goes on with those
+    of the other: have them `shared`.
 
     Parameters
     ----------
@@ -32,11 +35,26 @@ class ResultLayers:
     """
 
     def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+        self._viewer_ref = weakref.ref(viewer)
         # By the source itself, not its id: that is given to another layer when the source is gone.
         self._layers: weakref.WeakKeyDictionary[Any, dict[tuple[Kind, str], _Shown]]
         self._layers = weakref.WeakKeyDictionary()
         self._aside: list[weakref.ref[Any]] = []
+        self._left: tuple[Latest, weakref.ref[Any]] | None = None
+
+    def leave(self, latest: Latest, source: Any) -> None:
+        """Keep what a dock that was closed knows of its latest result of a layer."""
+        self._left = None if source is None else (latest, weakref.ref(source))
+
+    def left(self) -> tuple[Latest | None, Any]:
+        """What `leave` kept, if the layer is still there, and that layer."""
+        latest, reference = self._left or (None, None)
+        source = still_there(self._viewer, None if reference is None else reference())
+        return (None, None) if source is None else (latest, source)
+
+    @property
+    def _viewer(self) -> Any:
+        return self._viewer_ref()
 
     def show(self, outputs: Outputs, source: Any) -> dict[Kind, Any]:
         """Update the layers of the same source and slice; make those that are not there.
@@ -55,6 +73,9 @@ class ResultLayers:
         known = self._layers.setdefault(source, {})
         layers = self._viewer.layers
         above = layers.index(source) + 1 if source in layers else len(layers)
+        for made in outputs.layers.values():
+            facts = sign(made, "deform").attributes["metadata"][METADATA]
+            take_turn(self._viewer, "deform", facts["source"], facts["slice"])
         with same_selection(self._viewer):
             for kind, made in outputs.layers.items():
                 where = str(made.attributes["metadata"][METADATA]["slice"])
@@ -97,6 +118,7 @@ class ResultLayers:
         layer = self._existing(known.get(("image", where)))
         if layer is None or layer.data.shape != data.shape:
             return False
+        take_turn(self._viewer, "deform", str(known_of(layer).get("source", "")), where)
         layer.data = data
         for (kind, _), made in known.items():
             other = self._existing(made)

@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.transform import PLACE
+
+_Shared = TypeVar("_Shared")
+_shared: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+#: Viewers whose selection will be as it was.
+_kept: list[Any] = []
+
+
+def shared(viewer: Any, kind: Callable[[Any], _Shared]) -> _Shared:
+    """The one object of a kind in a viewer, for a dock that is closed and for the next that comes.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    kind : type
+        Made of the viewer; must not keep it alive.
+    """
+    known = _shared.setdefault(viewer, {})
+    if kind not in known:
+        known[kind] = kind(viewer)
+    found: _Shared = known[kind]
+    return found
 
 
 def still_there(viewer: Any, layer: Any) -> Any:
@@ -30,7 +52,16 @@ def update_layer(layer: Any, made: LayerData) -> None:
 def same_selection(viewer: Any) -> Iterator[None]:
     """Add layers without taking the brush out of the user's hand."""
     selected, active = set(viewer.layers.selection), viewer.layers.selection.active
-    yield
-    viewer.layers.selection = {layer for layer in selected if layer in viewer.layers}
-    if active in viewer.layers:
-        viewer.layers.selection.active = active
+    _kept.append(viewer)
+    try:
+        yield
+        viewer.layers.selection = {layer for layer in selected if layer in viewer.layers}
+        if active in viewer.layers:
+            viewer.layers.selection.active = active
+    finally:
+        _kept.pop()
+
+
+def is_selection_kept(viewer: Any) -> bool:
+    """Whether the selection changes only until a layer of ours is added."""
+    return any(each is viewer for each in _kept)

@@ -20,6 +20,7 @@ from napari_hmrf.widgets.grab.live_layers import LiveLayers
 from napari_hmrf.widgets.grab.paint import PaintedLayer
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.timers import single_shot
+from napari_hmrf.widgets.viewer_layers import shared
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -50,7 +51,7 @@ class Display:
         self.painted = PaintedLayer(viewer)
         self.seen: Seen | None = None
         self.tissues: dict[int, Any] = {}
-        self._live = LiveLayers(viewer)
+        self._live = shared(viewer, LiveLayers)
         self._image: Any = None
         self._busy = False
         # Where the brush was last, and of how many places its stroke was then.
@@ -72,6 +73,12 @@ class Display:
             self.painted.forget()
             if ground is not None:
                 self.arrows.place(ground.frame, ground.shape)
+
+    def take_turn(self) -> None:
+        """Have this seen, and no result of another dock."""
+        if self.seen is not None:
+            with self.own_doing():
+                self._live.take_turn(self.seen.ground)
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""

@@ -17,6 +17,7 @@ from napari_hmrf.widgets.grab.watch import GrabWatch
 from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
 from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.timers import single_shot
+from napari_hmrf.widgets.viewer_layers import is_selection_kept
 from napari_hmrf.widgets.words import WELCOME, in_short
 
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
@@ -82,8 +83,10 @@ class GrabAndPull(GrabControls):
 
     def start(self) -> bool:
         """Have the mouse pull tissue; whether it does from now on."""
-        self._started = True
-        if self.look():
+        before, self._started = self._started, True
+        if not self.look():
+            self._started = before
+        else:
             if not self._sized and self._puller.ground is not None:
                 self.form.radius.value = self._puller.ground.usual_radius
                 self._sized = True
@@ -159,14 +162,16 @@ class GrabAndPull(GrabControls):
 
     def active_changed(self) -> None:
         """Another layer feels the mouse, or ours does again."""
-        if self._puller.quiet:
+        if self._puller.quiet or is_selection_kept(self._viewer):
             return
         if not self.active:
             self._puller.answers.release()
             if self._status.startswith(self._puller.tool.how):
                 self.say(OFF)
-        elif self._status == OFF:
-            self.say(self._puller.tool.how)
+        else:
+            self._puller.display.take_turn()
+            if self._status == OFF:
+                self.say(self._puller.tool.how)
         self.show_toggle()
 
     def show_toggle(self) -> None:
@@ -228,6 +233,7 @@ class GrabAndPull(GrabControls):
         self.reset_choices()
 
     def _on_closed(self) -> None:
+        self._started = False
         self._resting.stop()
         self._toolbox.release()
         self._puller.steps.unbind_keys(self._puller.answers)

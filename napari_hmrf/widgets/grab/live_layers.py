@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.widgets.grab.quick import overwrite
 from napari_hmrf.widgets.grab.seen import Seen
+from napari_hmrf.widgets.turns import sign, take_turn
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 PICTURE, ARROWS = "Deformed image", "Displacement"
@@ -21,7 +23,8 @@ PICTURE, ARROWS = "Deformed image", "Displacement"
 class LiveLayers:
     """*Deformed image* above the image, and *Displacement*, which is hidden until it is asked for.
 
-    A layer that was deleted is made again; one that was renamed keeps its name.
+    A layer that was deleted is made again; one that was renamed keeps its name. A dock that is
+    opened after another was closed goes on with those of the other: have them `shared`.
 
     Parameters
     ----------
@@ -29,13 +32,17 @@ class LiveLayers:
     """
 
     def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+        self._viewer_ref = weakref.ref(viewer)
         self._picture: Any = None
         self._arrows: Any = None
         self._frame: Frame | None = None
         self._hidden = False
         #: What the picture's layer shows, if nobody else holds it.
         self._own: Any = None
+
+    @property
+    def _viewer(self) -> Any:
+        return self._viewer_ref()
 
     @property
     def picture(self) -> Any:
@@ -60,7 +67,7 @@ class LiveLayers:
         """
         self._show_picture(seen, image, quick)
         if seen.outputs is not None:
-            made = seen.outputs.layers["arrows"]
+            made = sign(seen.outputs.layers["arrows"], "grab")
             made.attributes["name"] = ARROWS
             layer = self.arrows
             if layer is None or layer.ndim != seen.ground.frame.ndim:
@@ -71,6 +78,10 @@ class LiveLayers:
             self._hidden = False
         else:
             self.outdate()
+
+    def take_turn(self, ground: Ground) -> None:
+        """Have these layers seen, and no other result of the slice."""
+        take_turn(self._viewer, "grab", ground.pictures.name, ground.frame.slice_name)
 
     def outdate(self) -> None:
         """The displacement is not that of what is seen: hide it until it is."""
@@ -98,13 +109,14 @@ class LiveLayers:
         self._frame = frame
 
     def _attributes(self, ground: Ground, rgb: bool) -> dict[str, Any]:
-        facts = {"kind": "image", "source": ground.pictures.name, "slice": ground.frame.slice_name}
+        facts = {"kind": "image", "by": "grab", "source": ground.pictures.name}
+        place = {"slice": ground.frame.slice_name, "unit": ground.frame.unit}
         return {
             **ground.pictures.look,
             **ground.frame.placement(image=True),
             "rgb": rgb,
             "name": PICTURE,
-            "metadata": {METADATA: {**facts, "unit": ground.frame.unit}},
+            "metadata": {METADATA: {**facts, **place}},
         }
 
     def _add(self, made: LayerData, at: int, visible: bool = True) -> Any:

@@ -130,7 +130,7 @@ class Puller:
             Of the tissues that can be painted.
         """
         self.answers.release()
-        self.history.changed.disconnect(self._on_changed, missing_ok=True)
+        self.history.changed.disconnect(self._on_drawn, missing_ok=True)
         self.follower.stand_on(ground)
         self._image = image
         if ground is None:
@@ -141,7 +141,9 @@ class Puller:
             self._hands = Hands(self.history, ground.frame.spacing, ground.shape)
             self._working = False
         self.display.stand_on(ground, image, tissues or {})
-        self.history.changed.connect(self._on_changed)
+        self.history.changed.connect(self._on_drawn)
+        if self.active:
+            self.display.take_turn()
         self._on_changed(self.history.drawing)
 
     def tool_for(self, number: int) -> Tool:
@@ -166,6 +168,7 @@ class Puller:
         ground = self.ground
         if ground is None:
             return
+        self.display.take_turn()
         with self.display.own_doing():
             self.display.arrows.take(ground.frame, ground.shape, radius)
         self.draw()
@@ -194,8 +197,13 @@ class Puller:
         self.history.do(drawing, word)
 
     def leave(self) -> None:
-        """Take away the layers that nobody answers; what is drawn is kept."""
+        """Follow nothing more; take away the layers that nobody answers. What is drawn stays."""
         self.answers.release()
+        self.history.changed.disconnect(self._on_drawn, missing_ok=True)
+        self._compiling.stop()
+        self._drawing_waits.stop()
+        self.follower.stand_on(None)
+        self.display.stand_on(None, None, {})
         self.display.leave()
 
     def end(self) -> None:
@@ -208,6 +216,10 @@ class Puller:
         self.follower.release()
 
     # What follows
+
+    def _on_drawn(self, drawing: Drawing) -> None:
+        self.display.take_turn()
+        self._on_changed(drawing)
 
     def _on_changed(self, drawing: Drawing) -> None:
         self.follower.follow(drawing)

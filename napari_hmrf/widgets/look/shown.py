@@ -17,6 +17,10 @@ from napari_hmrf.widgets.viewer_layers import same_selection, still_there, updat
 #: The layers that take the pixels of a moment.
 _MOVING = ("image", "labels", "colours")
 _BELOW = ("image", "colours")
+#: The layers made for each result's layer, and their names: of all docks, as one that is opened
+#: after another was closed goes on with its layers.
+_made: weakref.WeakKeyDictionary[Any, dict[str, weakref.ref[Any]]] = weakref.WeakKeyDictionary()
+_names: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
 
 
 class ShownLayers:
@@ -32,9 +36,6 @@ class ShownLayers:
 
     def __init__(self, viewer: Any) -> None:
         self._viewer = viewer
-        self._made: weakref.WeakKeyDictionary[Any, dict[str, weakref.ref[Any]]]
-        self._made = weakref.WeakKeyDictionary()
-        self._names: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
         self._hidden: list[tuple[weakref.ref[Any], bool]] = []
         self._full: list[tuple[weakref.ref[Any], Any, Any]] = []
         self._drawn: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
@@ -48,7 +49,7 @@ class ShownLayers:
             return None
         if kind == "arrows":
             return self.arrows
-        reference = self._made.get(self.arrows, {}).get(kind)
+        reference = _made.get(self.arrows, {}).get(kind)
         made = still_there(self._viewer, None if reference is None else reference())
         if made is not None:
             return made
@@ -59,15 +60,17 @@ class ShownLayers:
     def put(self, kind: str, made: LayerData) -> Any:
         """Show a layer of a kind: the one that is there, with other data, or a new one."""
         layer = self.layer(kind)
+        if self.result is not None and "by" in self.result.facts:
+            made.attributes["metadata"][METADATA]["by"] = self.result.facts["by"]
         if layer is not None:
-            named_by_us = self._names.get(layer) == layer.name
+            named_by_us = _names.get(layer) == layer.name
             update_layer(layer, made)
             if kind == "colours":
                 layer.colormap = made.attributes["colormap"]
                 layer.contrast_limits = made.attributes["contrast_limits"]
             if named_by_us:
                 layer.name = made.attributes["name"]
-                self._names[layer] = layer.name
+                _names[layer] = layer.name
             layer.visible = True
             return layer
         layer = Layer.create(made.data, made.attributes, made.kind)
@@ -76,8 +79,8 @@ class ShownLayers:
             layers.insert(self._place(kind), layer)
         if kind == "colours":
             layer.colorbar.visible = True
-        self._made.setdefault(self.arrows, {})[kind] = weakref.ref(layer)
-        self._names[layer] = layer.name
+        _made.setdefault(self.arrows, {})[kind] = weakref.ref(layer)
+        _names[layer] = layer.name
         return layer
 
     def draw(self, percent: int, moment: Moment) -> None:
@@ -154,7 +157,7 @@ class ShownLayers:
 
     def _of_result(self) -> Iterator[Any]:
         """Whatever was made of the result, by whomever."""
-        made = {id(reference()) for reference in self._made.get(self.arrows, {}).values()}
+        made = {id(reference()) for reference in _made.get(self.arrows, {}).values()}
         for layer in self._viewer.layers:
             known = known_of(layer)
             same = self.result is not None and all(

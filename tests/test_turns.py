@@ -1,0 +1,211 @@
+"""Of several docks' results one is seen at a time; a dock that is closed leaves no second one."""
+
+import numpy as np
+import pytest
+from conftest import quick
+from person import CTRL, Person
+from qtpy.QtCore import Qt
+
+from napari_hmrf.drawing import Arrow, Drawing
+from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
+
+
+@pytest.fixture
+def at_hand(make_napari_viewer, small_sample, qtbot):
+    """A person before a small sample, and a way to open docks."""
+    viewer = make_napari_viewer(show=True)
+    small_sample(viewer, (48, 64))
+
+    def opened(title):
+        _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", title)
+        qtbot.wait(50)
+        return quick(dock) if title == "Deform tissue" else dock
+
+    return Person(viewer, qtbot), opened
+
+
+def grab(dock):
+    dock.form.grab.native.click()
+    assert dock.active
+
+
+def seen(viewer):
+    """The names of the layers that are seen, but for the image."""
+    return {layer.name for layer in viewer.layers if layer.visible} - {"MR"}
+
+
+def pictures(viewer):
+    """The layers that show the image moved, by their names."""
+    return [layer.name for layer in viewer.layers if known_of(layer).get("kind") == "image"]
+
+
+DEFORMED = {"MR deformed", "MR arrows"}
+
+
+def test_while_tissue_is_pulled_nothing_deformed_before_covers_it(at_hand, run, settle):
+    person, opened = at_hand
+    viewer = person.viewer
+    run(opened("Deform tissue"))
+    assert seen(viewer) >= DEFORMED
+    puller = opened("Grab and pull")
+    grab(puller)
+    assert not seen(viewer) & DEFORMED
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    assert seen(viewer) == {"Deformed image", "Arrows"}
+
+
+def test_what_is_deformed_after_a_pull_is_seen_and_the_pull_again_at_the_next(at_hand, run, settle):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller, deform = opened("Grab and pull"), opened("Deform tissue")
+    grab(puller)
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    run(deform)
+    assert seen(viewer) == DEFORMED
+    person.drag((24, 20), (20, 20))
+    settle(puller)
+    assert len(puller.drawing.marks) == 2
+    assert seen(viewer) == {"Deformed image", "Arrows"}
+    run(deform)
+    assert seen(viewer) == DEFORMED
+    viewer.layers.selection = {viewer.layers["MR"]}
+    viewer.layers.selection = {viewer.layers["Arrows"]}
+    assert seen(viewer) == {"Deformed image", "Arrows"}, "choosing the layer goes on pulling"
+
+
+def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
+    person, opened = at_hand
+    viewer = person.viewer
+    deform, puller = opened("Deform tissue"), opened("Grab and pull")
+    run(deform)
+    viewer.layers["MR arrows"].visible = False
+    grab(puller)
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    deform.rules = (deform.rules[0], deform.rules[1].__class__(2, "move", vector=(0.0, 2.0)))
+    run(deform)
+    assert seen(viewer) == {"MR deformed"}
+
+
+def test_results_of_another_slice_stay_as_they_are(
+    make_napari_viewer, small_sample, run, settle, qtbot
+):
+    viewer = make_napari_viewer()
+    small_sample(viewer, (3, 20, 24))
+    _, deform = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    viewer.dims.set_current_step(0, 0)
+    run(quick(deform))
+    before = seen(viewer)
+    _, puller = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+    viewer.dims.set_current_step(0, 2)
+    assert puller.start()
+    puller.drawing = Drawing().with_mark(Arrow((10, 12), (2, 2), 3))
+    settle(puller)
+    assert seen(viewer) >= before - {"Boundary", "Tissue"}
+
+
+def test_a_reopened_dock_goes_on_with_the_result_that_is_there(
+    at_hand, run, settle, wait_for, qtbot
+):
+    person, opened = at_hand
+    viewer = person.viewer
+    first = opened("Deform tissue")
+    run(first)
+    viewer.window.remove_dock_widget(first.native)
+    second = opened("Deform tissue")
+    run(second)
+    assert pictures(viewer) == ["MR deformed"]
+    viewer.window.remove_dock_widget(second.native)
+    third = opened("Deform tissue")
+    run(third)
+    assert pictures(viewer) == ["MR deformed"]
+
+
+def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(
+    at_hand, run, settle, wait_for
+):
+    person, _ = at_hand
+    viewer = person.viewer
+    viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    (first,) = viewer.window.dock_widgets.values()
+    first.settings.device.value = "cpu"
+    run(first)
+    said = first.status
+    viewer.window.remove_dock_widget(first.native)
+    _, second = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    assert second.live
+    assert second.status == said
+    before = viewer.layers["MR deformed"].data.copy()
+    second.rules = (second.rules[0], second.rules[1].__class__(2, "move", vector=(0.0, 1.0)))
+    wait_for(lambda: not second.following and (viewer.layers["MR deformed"].data != before).any())
+    assert pictures(viewer) == ["MR deformed"]
+
+
+def test_a_result_that_was_edited_while_no_dock_was_open_is_not_taken_for_new(at_hand, run):
+    person, opened = at_hand
+    viewer = person.viewer
+    first = opened("Deform tissue")
+    run(first)
+    viewer.window.remove_dock_widget(first.native)
+    viewer.layers["Tissue"].data[30:40] = 0
+    assert opened("Deform tissue").solution is None
+
+
+def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(at_hand, settle, qtbot):
+    person, opened = at_hand
+    viewer = person.viewer
+    first = opened("Grab and pull")
+    grab(first)
+    person.drag((24, 30), (28, 36))
+    settle(first)
+    told = []
+    first.seen.connect(told.append)
+    viewer.window.remove_dock_widget(first.native)
+    second = opened("Grab and pull")
+    grab(second)
+    assert len(second.drawing.marks) == 1
+    settle(second)
+    second.tool = "pin"
+    person.paint((24, 12), (24, 20))
+    settle(second)
+    assert not told
+    assert pictures(viewer) == ["Deformed image"]
+    names = [layer.name for layer in viewer.layers]
+    assert len(names) == len({name.partition(" [")[0] for name in names}), names
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(second)
+    assert not told
+
+
+def test_a_closed_dock_that_looked_leaves_no_second_colours(at_hand, run, wait_for):
+    person, opened = at_hand
+    viewer = person.viewer
+    run(opened("Deform tissue"))
+    for _ in range(2):
+        look = opened("Look at the result")
+        look.colours = "magnitude"
+        wait_for(lambda look=look: look.idle)
+        viewer.window.remove_dock_widget(look.native)
+    assert len([layer for layer in viewer.layers if known_of(layer).get("kind") == "colours"]) <= 1
+    assert np.unique([layer.name for layer in viewer.layers]).size == len(viewer.layers)
+    assert not any("[1]" in layer.name for layer in viewer.layers)
+
+
+def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, qtbot):
+    person, opened = at_hand
+    first = opened("Deform tissue")
+    old = first.rules
+    person.viewer.window.remove_dock_widget(first.native)
+    second = opened("Deform tissue")
+    second.rules = (second.rules[0],)
+    person.viewer.layers["Boundary"].data[20:24, 30:34] = 5
+    person.viewer.layers["Boundary"].refresh()
+    qtbot.waitUntil(lambda: len(second.rules) > 1)
+    qtbot.wait(200)
+    assert first.rules == old
+    assert rows_of(person.viewer.layers["Boundary"], BOUNDARY) == second.rules
+    person.viewer.window.remove_dock_widget(second.native)
+    person.viewer.window.add_dock_widget(first.native)
+    assert first.rules == second.rules
