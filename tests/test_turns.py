@@ -6,6 +6,7 @@ from conftest import quick
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 
+from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
 
@@ -84,7 +85,7 @@ def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
     grab(puller)
     person.drag((24, 30), (28, 36))
     settle(puller)
-    deform.rules = (deform.rules[0], deform.rules[1].__class__(2, "move", vector=(0.0, 2.0)))
+    deform.rules = (deform.rules[0], BoundaryRule(2, "move", vector=(0.0, 2.0)))
     run(deform)
     assert seen(viewer) == {"MR deformed"}
 
@@ -138,7 +139,7 @@ def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(
     assert second.live
     assert second.status == said
     before = viewer.layers["MR deformed"].data.copy()
-    second.rules = (second.rules[0], second.rules[1].__class__(2, "move", vector=(0.0, 1.0)))
+    second.rules = (second.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     wait_for(lambda: not second.following and (viewer.layers["MR deformed"].data != before).any())
     assert pictures(viewer) == ["MR deformed"]
 
@@ -209,3 +210,64 @@ def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, 
     person.viewer.window.remove_dock_widget(second.native)
     person.viewer.window.add_dock_widget(first.native)
     assert first.rules == second.rules
+
+
+# What an earlier result leaves behind
+
+
+def pull(widget, by):
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, by)))
+
+
+@pytest.fixture
+def folding(widget, small_sample, run):
+    """A result with folds, which are shown."""
+    small_sample(widget._viewer)
+    widget.outputs = ("image", "folds", "grid")
+    widget.settings.sweeps.value = 60
+    pull(widget, -40.0)
+    assert run(widget).folds > 5
+    return widget
+
+
+def test_folds_are_gone_with_what_folded(folding, run):
+    layer = folding._viewer.layers["MR folds"]
+    assert "'folds' shows where" in folding.status
+    assert "tick" not in folding.status
+    pull(folding, 1.0)
+    assert not run(folding).folds
+    assert not layer.data.any()
+    pull(folding, -40.0)
+    outputs = run(folding)
+    assert layer.visible
+    assert layer.data.sum() == outputs.folds
+
+
+def test_what_is_no_longer_ticked_shows_no_earlier_result(folding, run):
+    grid = folding._viewer.layers["MR grid"]
+    folding.outputs = ("image",)
+    pull(folding, 1.0)
+    run(folding)
+    assert "MR deformed" in seen(folding._viewer)
+    assert not grid.visible
+    folding.outputs = ("image", "grid")
+    run(folding)
+    assert grid.visible
+
+
+def test_folds_are_asked_for_where_there_are_none(widget, small_sample, run, wait_for):
+    small_sample(widget._viewer)
+    pull(widget, 1.0)
+    run(widget)
+    widget.outputs = (*widget.outputs, "folds")
+    assert "Nothing folds" in widget.status
+
+
+def test_the_boxes_of_a_look_say_which_layers_are_seen(at_hand, run, wait_for):
+    person, opened = at_hand
+    run(opened("Deform tissue"))
+    look = opened("Look at the result")
+    wait_for(lambda: look.idle)
+    for seen_or_not in (False, True):
+        person.viewer.layers["MR arrows"].visible = seen_or_not
+        assert look.arrows == seen_or_not

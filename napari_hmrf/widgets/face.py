@@ -101,6 +101,11 @@ class Face:
         return tuple(self._checks.values())
 
     @property
+    def folds(self) -> CheckBox:
+        """The box for the layer of folds, which not every result has."""
+        return self._checks["folds"]
+
+    @property
     def outputs(self) -> tuple[Kind, ...]:
         """The kinds of layers that are ticked."""
         return tuple(kind for kind, check in self._checks.items() if check.value)
@@ -138,7 +143,7 @@ class Face:
                 self.tissue,
                 self.boundary,
                 self.model,
-                Label(value="Show as layers"),
+                Label(value="Layers to make of a result"),
                 *rows,
             ],
             labels=False,

@@ -20,6 +20,7 @@ from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.live_job import News
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.viewer_layers import shared
+from napari_hmrf.widgets.words import NO_FOLDS
 from napari_hmrf.widgets.words import details as details_of
 
 
@@ -43,6 +44,7 @@ class ResultDock(Chooser):
         self._status = ""
         self._latest = Latest()
         self._results = shared(self._viewer, ResultLayers)
+        self._face.folds.changed.connect(self._on_folds)
         self._source: weakref.ref[Any] | None = None
 
     # What there is to see
@@ -140,6 +142,11 @@ class ResultDock(Chooser):
         self._source = weakref.ref(source)
         self._results.show(outputs, source)
         self._face.energy.show_solution(outputs.solution)
+
+    def _on_folds(self, ticked: bool) -> None:
+        done = self._latest.done
+        if ticked and done is not None and self._latest.fresh and not done.outputs.folds:
+            self.say(NO_FOLDS)
 
     def _take_over(self) -> Any:
         """Go on with the result of a dock that was closed, if it is still that of the layers.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import weakref
 from typing import Any, NamedTuple
 
+import numpy as np
 from napari.layers import Layer
 
+from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.outputs import FILLING, Kind, LayerData, Outputs
 from napari_hmrf.widgets.latest import Latest
@@ -40,6 +42,8 @@ class ResultLayers:
         self._layers: weakref.WeakKeyDictionary[Any, dict[tuple[Kind, str], _Shown]]
         self._layers = weakref.WeakKeyDictionary()
         self._aside: list[weakref.ref[Any]] = []
+        #: Layers of earlier results, until a newer one has them, too.
+        self._stale: weakref.WeakSet[Any] = weakref.WeakSet()
         self._left: tuple[Latest, weakref.ref[Any]] | None = None
 
     def leave(self, latest: Latest, source: Any) -> None:
@@ -89,6 +93,9 @@ class ResultLayers:
                     known[key] = _Shown(weakref.ref(layer), made.attributes["name"], layer.name)
                 else:
                     update_layer(layer, made)
+                    if layer in self._stale:
+                        layer.visible = True
+                        self._stale.discard(layer)
                     known[key] = _rename(layer, made.attributes["name"], known[key])
                 if kind in FILLING:
                     above = layers.index(layer) + 1
@@ -97,6 +104,7 @@ class ResultLayers:
             if (layer := reference()) is not None:
                 layer.visible = True
         self._aside.clear()
+        self._outdate(outputs, known)
         return shown
 
     def show_picture(self, source: Any, where: str, data: Any) -> bool:
@@ -139,6 +147,19 @@ class ResultLayers:
                     layer.visible = False
                     self._aside.append(made.reference)
         return bool(self._aside)
+
+    def _outdate(self, outputs: Outputs, known: dict[tuple[Kind, str], _Shown]) -> None:
+        """Hide what an earlier result of the slice has shown and this one does not."""
+        here = Frame.from_dict(outputs.solution.frame or {}).slice_name
+        for (kind, where), made in known.items():
+            layer = self._existing(made)
+            if where != here or kind in outputs.layers or layer is None:
+                continue
+            if kind == "folds" and not outputs.folds:
+                layer.data = np.zeros_like(layer.data)
+            elif layer.visible:
+                layer.visible = False
+                self._stale.add(layer)
 
     def _existing(self, made: _Shown | None) -> Any:
         return still_there(self._viewer, None if made is None else made.reference())

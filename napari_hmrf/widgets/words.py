@@ -29,6 +29,7 @@ CURVE = (
 )
 CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
+NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
 CANCELLED = "Cancelled; nothing was changed."
 COMPILING = "Compiling for the first time: up to a minute, once."
 
@@ -89,10 +90,11 @@ def report(done: Done) -> str:
     parts = [f"{where} moved up to {_farthest(done)}."]
     if outputs.folds > _HANDFUL and outputs.worst is not None:
         row, col = outputs.worst
+        where = "'folds' shows where" if "folds" in outputs.layers else "tick 'folds' to see where"
         parts.append(
             f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
             "pushed through itself (it folds), which no tissue does. Let it move less or over a "
-            "wider boundary; tick 'folds' to see where."
+            f"wider boundary; {where}."
         )
     if outputs.overlaps > _HANDFUL:
         parts.append(

@@ -125,14 +125,20 @@ class LookAtResult(LookControls):
             return
         if self._followed is not None:
             self._followed.events.data.disconnect(self._on_arrows)
+            self._followed.events.visible.disconnect(self._on_eye)
         self._followed = layer
         if layer is not None:
             layer.events.data.connect(self._on_arrows)
+            layer.events.visible.connect(self._on_eye)
 
     def _on_arrows(self, *_: Any) -> None:
         """Arrows were drawn anew: by whom is seen when their metadata have followed."""
         if not self.away:
             self._settling.start()
+
+    def _on_eye(self, *_: Any) -> None:
+        if not self.away:
+            self._scene.look_at_eyes()
 
     def _on_settled(self) -> None:
         if not self.away and self._scene.outdated:

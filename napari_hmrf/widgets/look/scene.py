@@ -122,16 +122,23 @@ class Scene:
     def _take_layers(self, result: FoundResult) -> None:
         """Let the parts of the widget say what the layers are, and the layers what it says."""
         face, shown = self._face, self.shown
-        grid = shown.layer("grid")
-        with face.grid.changed.blocked(), face.arrows.changed.blocked():
-            face.grid.value = grid is not None and grid.visible
-            face.arrows.value = shown.arrows.visible
+        self.look_at_eyes()
         self._set_slider(FULL)
         shown.remember()
         self.prepare()
         self._arrows.apply()
         if face.colours.value != NOTHING:
             self._on_colours(face.colours.value)
+
+    def look_at_eyes(self) -> None:
+        """Let the boxes say which layers are seen, whoever has hidden or shown them."""
+        face, shown = self._face, self.shown
+        if shown.held or shown.arrows is None:
+            return
+        grid = shown.layer("grid")
+        with face.grid.changed.blocked(), face.arrows.changed.blocked():
+            face.grid.value = grid is not None and grid.visible
+            face.arrows.value = shown.arrows.visible
 
     def prepare(self) -> None:
         """Collect what moves: copies of what is chosen now."""
