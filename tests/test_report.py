@@ -6,8 +6,8 @@ import validation
 from fem import plane_stress_displacement, rmsd
 from report import analytic, calculix, contenders, levels
 from report.assembly import assemble, solve_directly
-from report.bounds import moved_patch
 from report.page import Section, Settings, Target, write_page
+from report.warm import moved_patch
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
 

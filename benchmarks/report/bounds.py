@@ -1,20 +1,19 @@
-"""What bounds the rest: sweeps against the whole, and a sweep against memory; warm starts."""
+"""What bounds the rest: sweeps against the whole, and a sweep against memory."""
 
 from __future__ import annotations
 
-import statistics
 import time
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from napari_hmrf import Multigrid, Problem, Solution, phantom, solve
+from napari_hmrf import Problem, phantom
 from napari_hmrf.backends import compute_thread, open_backend
 from napari_hmrf.backends import host as on_host
 from napari_hmrf.optimizers.cycle import chebyshev
-from report.contenders import PHANTOM, PRIOR, WITHIN, Measured
-from report.page import Section, Settings, Target, duration
+from report.contenders import PHANTOM, PRIOR, Measured
+from report.page import Section, duration
 
 # Bytes per site that moves of one sweep, if nothing is read twice: the displacement, that before
 # the last sweep, load, Lame's parameters and inverse diagonal are read, the displacement written.
@@ -115,61 +114,3 @@ def triad(size: int) -> float:
         return 12 * len(a) / best
 
     return float(compute_thread.submit(job).result())
-
-
-def moved_patch(problem: Problem, pixels: float = 1.0) -> Problem:
-    """The problem with an eighth of its moving boundary moved further down."""
-    y = problem.y.copy()
-    moving = (problem.c > 0).all(axis=-1) & (np.abs(y).max(axis=-1) > 0)
-    place = np.argwhere(moving)
-    angle = np.arctan2(*(place - place.mean(axis=0)).T)
-    patch = place[np.abs(angle) < np.pi / 8]
-    y[patch[:, 0], patch[:, 1], 0] += pixels
-    return Problem(y, problem.c, problem.m, problem.spacing)
-
-
-def add_warm_start(page: Section, settings: Settings) -> None:
-    """Say how much a small edit costs."""
-    size = settings.choose(300, 48)
-    before = phantom(PHANTOM, size).problem
-    after, half = moved_patch(before), moved_patch(before, 0.5)
-    optimizer = Multigrid(WITHIN)
-    earlier = solve(before, PRIOR, optimizer, backend="cpu")
-    cold, warm, again = [], [], []
-    first: Solution | None = None
-    second: Solution | None = None
-    third: Solution | None = None
-    for number in range(15):
-        # Stiffness in another unit: what was set up for the last problem is of no use to this.
-        other = Problem(after.y, after.c, after.m * (2 + number), after.spacing)
-        started = time.perf_counter()
-        first = solve(other, PRIOR, optimizer, backend="cpu")
-        cold.append(time.perf_counter() - started)
-        earlier = solve(before, PRIOR, optimizer, backend="cpu")
-        started = time.perf_counter()
-        second = solve(after, PRIOR, optimizer, backend="cpu", start=earlier)
-        warm.append(time.perf_counter() - started)
-        known = [earlier, solve(half, PRIOR, optimizer, backend="cpu", start=earlier)]
-        started = time.perf_counter()
-        third = solve(after, PRIOR, optimizer, backend="cpu", start=known)
-        again.append(time.perf_counter() - started)
-    ratio = statistics.median(warm) / statistics.median(cold)
-    assert first is not None
-    assert second is not None
-    assert third is not None
-    drag = statistics.median(again) / statistics.median(cold)
-    apart = float(np.abs(first.displacement - second.displacement)[before.tissue].max())
-    page.say(
-        f"""**Asked.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size} x
-        {size}, how much of a cold solve is a solve that starts with the earlier one? Cold
-        {duration(statistics.median(cold))} in {first.iterations} cycles, warm
-        {duration(statistics.median(warm))} in {second.iterations}: {ratio:.2f} of it, and the two
-        fields are {apart:.0e} px apart at most. **Reading.** What is saved is the set-up (the
-        tissue is the same) and those cycles that the earlier field has behind it; an error of a
-        pixel still has to fall by as many powers of ten as the tolerance asks. Where the patch was
-        moved before, as in every step but the first of a drag, both earlier fields are a start, and
-        what is left is {duration(statistics.median(again))} in {third.iterations}: {drag:.2f} of a
-        cold solve."""
-    )
-    page.targets.append(Target(f"warm restart over cold, {size}, first move", ratio, 1 / 3))
-    page.targets.append(Target(f"warm restart over cold, {size}, moved before", drag, 1 / 3))

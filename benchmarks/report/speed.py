@@ -13,9 +13,10 @@ import numpy.typing as npt
 from napari_hmrf import Multigrid, Problem, phantom, solve
 from report import contenders
 from report.assembly import assemble, solve_directly
-from report.bounds import add_bounds, add_warm_start
+from report.bounds import add_bounds
 from report.contenders import PHANTOM, PRIOR, SOLVERS, WITHIN, Measured
 from report.page import Section, Settings, Target, duration
+from report.warm import add_warm_start
 
 #: Above these sizes a solver is left out: its time or its memory, as measured at smaller ones.
 LARGEST = {"superlu": 600, "superlu-tuned": 600, "calculix": 300}

@@ -1,0 +1,123 @@
+"""How much of a cold solve a small edit costs.
+
+    python -m report.warm SIZE REPEATS
+
+A process of its own, as the solvers have that are held against each other; it prints one line of
+JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from napari_hmrf import Multigrid, Problem, Solution, phantom, solve
+from report.contenders import PHANTOM, PRIOR, WITHIN
+from report.page import Section, Settings, Target, duration
+
+# A warm process's first few are slower.
+_DISCARDED = 3
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """Median seconds, and cycles.
+
+    Attributes
+    ----------
+    cold, warm, again : float
+        Of a solve from nothing, from the earlier field, and from two earlier fields.
+    cycles : list of int
+        Of the three.
+    apart : float
+        The largest distance of the cold field from that begun with the earlier one, in pixels.
+    """
+
+    cold: float
+    warm: float
+    again: float
+    cycles: list[int]
+    apart: float
+
+
+def add_warm_start(page: Section, settings: Settings) -> None:
+    """Say how much a small edit costs."""
+    size = settings.choose(300, 48)
+    command = [sys.executable, "-m", "report.warm", str(size), "25"]
+    done = subprocess.run(
+        command, cwd=Path(__file__).parent.parent, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        page.say(
+            f"*The warm start failed: {(done.stderr.strip() or 'no message').splitlines()[-1]}*"
+        )
+        return
+    found = Warmth(**json.loads(done.stdout.splitlines()[-1]))
+    first, drag = found.warm / found.cold, found.again / found.cold
+    page.say(
+        f"""**Asked.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size} x
+        {size}, how much of a cold solve is a solve that starts with the earlier one? In a process
+        of its own, cold {duration(found.cold)} in {found.cycles[0]} cycles, warm
+        {duration(found.warm)} in {found.cycles[1]}: {first:.2f} of it, and the two
+        fields are {found.apart:.0e} px apart at most. **Reading.** What is saved is the set-up (the
+        tissue is the same) and those cycles that the earlier field has behind it; an error of a
+        pixel still has to fall by as many powers of ten as the tolerance asks. Where the patch was
+        moved before, as in every step but the first of a drag, both earlier fields are a start, and
+        what is left is {duration(found.again)} in {found.cycles[2]}: {drag:.2f} of a
+        cold solve."""
+    )
+    page.targets.append(Target(f"warm restart over cold, {size}, first move", first, 1 / 3))
+    page.targets.append(Target(f"warm restart over cold, {size}, moved before", drag, 1 / 3))
+
+
+def main(size: int, repeats: int) -> Warmth:
+    """Measure here."""
+    before = phantom(PHANTOM, size).problem
+    after, half = moved_patch(before), moved_patch(before, 0.5)
+    times: list[tuple[float, ...]] = []
+    for number in range(_DISCARDED + repeats):
+        # Stiffness in another unit: what was set up for the last problem is of no use to this.
+        other = Problem(after.y, after.c, after.m * (2 + number), after.spacing)
+        cold = _timed(lambda other=other: _solved(other))
+        earlier = _solved(before)
+        warm = _timed(lambda earlier=earlier: _solved(after, earlier))
+        known = [earlier, _solved(half, earlier)]
+        again = _timed(lambda known=known: _solved(after, known))
+        times.append((cold[0], warm[0], again[0]))
+    found = [cold[1], warm[1], again[1]]
+    apart = np.abs(found[0].displacement - found[1].displacement)[before.tissue].max()
+    medians = [statistics.median(each) for each in zip(*times[_DISCARDED:], strict=True)]
+    return Warmth(*medians, cycles=[each.iterations for each in found], apart=float(apart))
+
+
+def _solved(problem: Problem, start: Solution | list[Solution] | None = None) -> Solution:
+    return solve(problem, PRIOR, Multigrid(WITHIN), backend="cpu", start=start)
+
+
+def _timed(job: Callable[[], Solution]) -> tuple[float, Solution]:
+    started = time.perf_counter()
+    found = job()
+    return time.perf_counter() - started, found
+
+
+def moved_patch(problem: Problem, pixels: float = 1.0) -> Problem:
+    """The problem with an eighth of its moving boundary moved further down."""
+    y = problem.y.copy()
+    moving = (problem.c > 0).all(axis=-1) & (np.abs(y).max(axis=-1) > 0)
+    place = np.argwhere(moving)
+    angle = np.arctan2(*(place - place.mean(axis=0)).T)
+    patch = place[np.abs(angle) < np.pi / 8]
+    y[patch[:, 0], patch[:, 1], 0] += pixels
+    return Problem(y, problem.c, problem.m, problem.spacing)
+
+
+if __name__ == "__main__":
+    print(json.dumps(asdict(main(*map(int, sys.argv[1:3])))))
