@@ -54,3 +54,32 @@ def test_the_sample_brain_lies_in_air():
 @pytest.mark.parametrize("value", [0.0, 7.0, np.nan])
 def test_an_image_of_one_value_has_no_background(value):
     assert not background_of(np.full((5, 6), value)).any()
+
+
+def test_one_press_of_the_button_is_one_undo(widget, wait_for):
+    picture = np.zeros((30, 40), np.uint8)
+    picture[8:22, 10:30] = 200
+    widget._viewer.add_image(picture, name="CT")
+    widget.make_layers()
+    tissue, rows = widget.tissue, widget.materials
+    tissue.data_setitem((np.array([0]), np.array([0])), 1)
+    before = tissue.data.copy()
+    widget.mark_background()
+    (void,) = set(widget.materials) - set(rows)
+    assert void.stiffness == 0
+    assert (tissue.data == void.label).sum() > 500
+    assert "background" in widget._steps.steps.undo_tooltip
+    tissue.data[1, 1] = 2
+    widget.undo()
+    before[1, 1] = 2
+    wait_for(lambda: not widget._face.tissue.painted._timer.isActive())
+    np.testing.assert_array_equal(tissue.data, before, "what was painted since stays")
+    assert widget.materials == rows, "and no row comes back for paint that is gone"
+    widget.redo()
+    wait_for(lambda: not widget._face.tissue.painted._timer.isActive())
+    assert widget.materials == (*rows, void)
+    assert (tissue.data == void.label).sum() > 500
+    assert tissue.data[1, 1] == 2
+    widget.undo()
+    assert widget.materials == rows
+    assert widget._steps.steps.edits.next_undo is None

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from napari_hmrf.annotation import Material
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
+from napari_hmrf.layers.steps import Place
 from napari_hmrf.layers.view import View
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
@@ -19,6 +22,40 @@ _APART = 0.35
 _PART = 0.02
 # What is dark surrounds something from this part of the picture's edge on.
 _AROUND = 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """What was painted as no tissue at once.
+
+    Attributes
+    ----------
+    pixels : tuple of ndarray of int, shape (N,)
+        Of each axis of the layer; they were unpainted.
+    material : Material
+        What they are now.
+    new : bool
+        Whether the material was not in the table before.
+    place : Place
+        The slice.
+    """
+
+    pixels: tuple[npt.NDArray[Any], ...]
+    material: Material
+    new: bool
+    place: Place
+
+    def paint(self, layer: Any) -> None:
+        """Paint those that are unpainted; napari remembers it as a stroke of its own."""
+        self._exchange(layer, 0, self.material.label)
+
+    def erase(self, layer: Any) -> None:
+        """Have those that still are as they were painted be unpainted again."""
+        self._exchange(layer, self.material.label, 0)
+
+    def _exchange(self, layer: Any, before: int, after: int) -> None:
+        there = np.asarray(layer.data[self.pixels]) == before
+        layer.data_setitem(tuple(axis[there] for axis in self.pixels), after)
 
 
 def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

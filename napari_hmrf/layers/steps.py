@@ -20,6 +20,8 @@ from napari_hmrf.layers.view import View, unit_factor
 DRAWING = "drawing"
 #: And that with the curve of a layer of stiffness.
 CURVE = "curve"
+#: And that with what was painted as no tissue at once, in a slice.
+BACKGROUND = "background"
 #: And that with the points of a Points layer.
 POINTS = "points"
 
@@ -37,6 +39,11 @@ class Place:
     plane: tuple[int, int]
     index: tuple[int, ...]
     numbers: tuple[int, ...] = field(default=(), compare=False)
+
+    @classmethod
+    def of(cls, frame: Frame) -> Place:
+        """Where a slice lies."""
+        return cls(frame.plane, frame.index, frame.numbers)
 
     @property
     def name(self) -> str:

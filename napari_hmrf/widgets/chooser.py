@@ -10,12 +10,14 @@ from napari.layers import Image, Labels, Vectors
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.intensity import StiffnessCurve
-from napari_hmrf.layers.background import unpainted_background
+from napari_hmrf.layers.background import Filling, unpainted_background
+from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
+from napari_hmrf.layers.steps import Place
 from napari_hmrf.layers.view import View
 from napari_hmrf.material_files import load_materials, save_materials
 from napari_hmrf.presets import Preset
@@ -231,7 +233,7 @@ class Chooser(Dock):
         Returns
         -------
         int
-            How many pixels that are now; Ctrl+Z on the layer takes them back.
+            How many pixels that are now; `undo` takes them back, with the row of their label.
 
         Raises
         ------
@@ -244,14 +246,20 @@ class Chooser(Dock):
         if not isinstance(tissue, Labels):
             raise HmrfError("No tissue layer to paint on: press 'Make layers to paint on'.")
         indices = unpainted_background(image, tissue, self._view())
-        void = [row.label for row in self.materials if row.stiffness == 0 and row.label > 0]
-        label = void[0] if void else max([0, *(row.label for row in self.materials)]) + 1
-        if not void:
-            self.materials = (*self.materials, Material(label, "background", 0.0))
+        void = [row for row in self.materials if row.stiffness == 0 and row.label > 0]
+        label = max([0, *(row.label for row in self.materials)]) + 1
+        material = void[0] if void else Material(label, "background", 0.0)
+        place = Place.of(Frame.of(tissue, self._view()))
+        filling = Filling(indices, material, not void, place)
+        painted = self._face.tissue.painted
+        if filling.new:
+            with painted.by_nobody():
+                self.materials = (*self.materials, material)
         # What is painted is to be seen; and on a hidden layer napari may paint nothing, for want of
         # a slice that it has looked at.
         tissue.visible = True
-        tissue.data_setitem(indices, label)
+        filling.paint(tissue)
+        painted.filled.emit(filling)
         return len(indices[0])
 
     def reset_choices(self, *_: Any) -> None:

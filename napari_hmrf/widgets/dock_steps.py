@@ -10,7 +10,7 @@ from napari_hmrf.layers.steps import DRAWING, Slot, ViewerSteps
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.point_steps import PointSteps
-from napari_hmrf.widgets.table_steps import CurveSteps, TableSteps
+from napari_hmrf.widgets.table_steps import CurveSteps, FillingSteps, TableSteps
 
 
 class DockSteps:
@@ -37,6 +37,7 @@ class DockSteps:
             TableSteps(TISSUE, tissue.painted, tissue.table, steps),
             TableSteps(BOUNDARY, boundary.painted, boundary.table, steps),
         )
+        self._fillings = FillingSteps(tissue.painted, tissue.table, steps)
         self._curve = CurveSteps(tissue.curve, tissue.choice.choose, steps)
         tissue.choice.changed.connect(self._curve.look)
         self._points = PointSteps(boundary.landmarks, steps, boundary.table)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,8 @@ class PaintedLabels:
     picked = Signal(object)
     #: What new labels were painted, in words.
     found = Signal(str)
+    #: Pixels were painted as no tissue at once: a `Filling`.
+    filled = Signal(object)
 
     def __init__(self, role: Role, table: LabelTable, view: Callable[[], View | None]) -> None:
         self._role = role
@@ -97,15 +100,23 @@ class PaintedLabels:
             self._look()
             self.changed.emit()
 
+    @contextmanager
+    def by_nobody(self) -> Iterator[None]:
+        """Rows that come meanwhile are no step of their own."""
+        before, self.by_itself = self.by_itself, True
+        try:
+            yield
+        finally:
+            self.by_itself = before
+
     def _look(self, quietly: bool = False) -> None:
         self._timer.stop()
         labels = {int(label) for label in labels_in(self._layer, self._view())}
         if self._role == BOUNDARY:
             labels = {label for label in labels if label > 0}
         new = sorted(labels - set(self._table.labels))
-        self.by_itself = True
-        self._table.ensure(new)
-        self.by_itself = False
+        with self.by_nobody():
+            self._table.ensure(new)
         if new and not quietly:
             said = " and ".join(f"label {label} ({self._table.words(label)})" for label in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")

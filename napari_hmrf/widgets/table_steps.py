@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from napari_hmrf.layers.background import Filling
 from napari_hmrf.layers.metadata import Role
-from napari_hmrf.layers.steps import CURVE, Slot, ViewerSteps
+from napari_hmrf.layers.steps import BACKGROUND, CURVE, Slot, ViewerSteps
 from napari_hmrf.layers.tables import Table, change
 from napari_hmrf.widgets.curve.tissue import TissueCurve
 from napari_hmrf.widgets.label_table import LabelTable
@@ -57,6 +58,53 @@ class TableSteps:
             self._table.unit = value.unit
         if self._table.rows != value.rows:
             self._table.rows = value.rows
+
+
+class FillingSteps:
+    """Keeps what was painted as no tissue by one press of a button, with its row, as one step.
+
+    Parameters
+    ----------
+    painted : PaintedLabels
+        Of the tissue.
+    table : LabelTable
+    steps : ViewerSteps
+    """
+
+    def __init__(self, painted: PaintedLabels, table: LabelTable, steps: ViewerSteps) -> None:
+        self._painted, self._table, self._edits = painted, table, steps.edits
+        # What is painted of each slot: the steps say what should be.
+        self._there: dict[Slot, tuple[Filling, ...]] = {}
+        painted.filled.connect(self._on_filled)
+        self._edits.changed.connect(self._on_changed)
+
+    def _on_filled(self, filling: Filling) -> None:
+        slot = Slot(BACKGROUND, self._painted.layer, filling.place)
+        fillings = (*self._edits.open(slot, ()), filling)
+        self._there = {each: kept for each, kept in self._there.items() if each in self._edits}
+        self._there[slot] = fillings
+        self._edits.do(slot, fillings, f"made the background of '{slot.layer.name}' no tissue")
+
+    def _on_changed(self, slot: Any, fillings: Any) -> None:
+        if not isinstance(slot, Slot) or slot.what != BACKGROUND or slot not in self._there:
+            return
+        before, self._there[slot] = self._there[slot], fillings
+        for filling in reversed(before[len(fillings) :]):
+            filling.erase(slot.layer)
+            self._have_row(slot.layer, filling, there=False)
+        for filling in fillings[len(before) :]:
+            self._have_row(slot.layer, filling, there=True)
+            filling.paint(slot.layer)
+
+    def _have_row(self, layer: Any, filling: Filling, there: bool) -> None:
+        """Have the table say what the paint is, or no longer."""
+        if not filling.new or self._painted.layer is not layer:
+            return
+        label, rows = filling.material.label, self._table.rows
+        if there != (label in self._table.labels):
+            with self._painted.by_nobody():
+                kept = [row for row in rows if row.label != label]
+                self._table.rows = (*rows, filling.material) if there else tuple(kept)
 
 
 class CurveSteps:

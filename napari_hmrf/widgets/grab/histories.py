@@ -34,5 +34,5 @@ class Histories:
         frame : Frame
             Of the slice.
         """
-        slot = Slot(DRAWING, image, Place(frame.plane, frame.index, frame.numbers))
+        slot = Slot(DRAWING, image, Place.of(frame))
         return History(edits=self.steps.edits, slot=slot)
