@@ -6,7 +6,7 @@ Segments and arrows are in pixels, (row, col), as napari's Vectors layer takes t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,9 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.warp import BoolArray, Float64Array, moved_sites
 
 FloatArray = npt.NDArray[np.float32]
+
+# Rows that are looked at together.
+_STRIP = 64
 
 
 def magnitude(displacement: npt.ArrayLike) -> FloatArray:
@@ -66,8 +69,7 @@ def jacobian_determinant(
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     # The mean over the four quadrants around a site is the determinant of its central differences.
-    mean = sum(_quadrants(moved, mask)) / 4
-    return np.where(mask, mean, np.nan).astype(np.float32)
+    return _over_quadrants(lambda quadrants: np.add.reduce(quadrants) / 4, moved, mask)
 
 
 def count_folds(
@@ -116,8 +118,7 @@ def smallest_determinant(
         Naming the input at fault.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
-    smallest = np.minimum.reduce(_quadrants(moved, mask))
-    return np.where(mask, smallest, np.nan).astype(np.float32)
+    return _over_quadrants(np.minimum.reduce, moved, mask)
 
 
 def deformation_grid(
@@ -212,6 +213,22 @@ def _lattice(sites: float, spacing: Sequence[float]) -> tuple[int, int]:
     return row, col
 
 
+def _over_quadrants(
+    reduced: Callable[[list[Float64Array]], Float64Array], moved: Float64Array, mask: BoolArray
+) -> FloatArray:
+    """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void.
+
+    Strip by strip, with a row of each neighbour: what lies between stays in the cache.
+    """
+    made = np.full(mask.shape, np.nan, dtype=np.float32)
+    for begin in range(0, len(mask), _STRIP):
+        first, last = max(begin - 1, 0), begin + _STRIP + 1
+        values = reduced(_quadrants(moved[first:last], mask[first:last]))
+        inner = slice(begin, begin + _STRIP)
+        np.copyto(made[inner], values[begin - first :][:_STRIP], where=mask[inner])
+    return made
+
+
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
     """The determinant from one-sided differences in each quadrant around a site, (H, W) each.
 
@@ -248,16 +265,16 @@ def one_sided_differences(
     list of two ndarrays, shape (H, W, 2)
         To the next site, and from the previous one.
     """
-    exists = mask[1:] & mask[:-1]
-    steps = np.diff(moved, axis=0)
-    has_next, has_previous = np.zeros_like(mask), np.zeros_like(mask)
-    has_next[:-1], has_previous[1:] = exists, exists
-    following, previous = np.empty_like(moved), np.empty_like(moved)
-    following[:], previous[:] = unstrained, unstrained
-    following[:-1][exists], previous[1:][exists] = steps[exists], steps[exists]
-    only_previous, only_next = has_previous & ~has_next, has_next & ~has_previous
-    following[only_previous] = previous[only_previous]
-    previous[only_next] = following[only_next]
+    height = len(mask)
+    # Of site i: whether there is a next one, at i + 1, and a previous one, at i.
+    exists = np.zeros((height + 1, *mask.shape[1:], 1), dtype=bool)
+    exists[1:-1, :, 0] = mask[1:] & mask[:-1]
+    steps = np.empty((height + 1, *moved.shape[1:]))
+    np.subtract(moved[1:], moved[:-1], out=steps[1:-1])
+    steps[[0, -1]] = unstrained
+    np.copyto(steps, unstrained, where=~exists)
+    following = np.where(exists[1:], steps[1:], steps[:-1])
+    previous = np.where(exists[:-1], steps[:-1], steps[1:])
     return [following, previous]
 
 

@@ -151,7 +151,8 @@ def moved_sites(
     """
     d, sizes, mask = checked_field(displacement, spacing, tissue)
     moved = d / sizes
-    moved += np.moveaxis(np.indices(mask.shape), 0, -1)
+    moved[..., 0] += np.arange(mask.shape[0])[:, np.newaxis]
+    moved[..., 1] += np.arange(mask.shape[1])
     return moved, mask
 
 
@@ -191,8 +192,8 @@ def checked_field(
                 f"{d.shape[:2]} is needed. Give both on the same pixel grid.",
             )
     d = np.where(mask[..., None], d, 0).astype(np.float64)
-    bad = ~np.isfinite(d).all(axis=-1)
-    if bad.any():
+    if not np.isfinite(d).all():
+        bad = ~np.isfinite(d).all(axis=-1)
         at = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ProblemError(
             "displacement",
