@@ -15,14 +15,16 @@ def another(qtbot):
     return made
 
 
-def test_what_is_shown_and_the_device_are_remembered(qtbot):
+def test_the_device_is_remembered(qtbot):
+    another(qtbot).settings.device.value = "cpu"
+    assert another(qtbot).settings.backend == "cpu"
+
+
+def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
     first = another(qtbot)
-    assert "grid" not in first.outputs
-    first.outputs = (*first.outputs, "grid")
-    first.settings.device.value = "cpu"
-    second = another(qtbot)
-    assert second.outputs == first.outputs
-    assert second.settings.backend == "cpu"
+    before = first.outputs
+    first.outputs = (*before, "grid", "folds")
+    assert another(qtbot).outputs == before == ("image", "arrows")
 
 
 def test_what_is_computed_begins_with_the_paper_each_time(qtbot):
@@ -47,7 +49,7 @@ def test_how_arrows_look_is_remembered(qtbot):
         if first is None:
             made._face.count.value, made._face.length.value, made._face.grid.value = 50, 2.5, True
     assert (second._face.count.value, second._face.length.value) == (50, 2.5)
-    assert second._face.grid.value is True
+    assert second._face.grid.value is False
 
 
 def test_nonsense_in_the_file_is_left_alone(qtbot):

@@ -78,14 +78,7 @@ class Face:
         self.tissue.choice.changed.connect(self.model.tissue_is)
         self.model.energy.changed.connect(self._on_energy)
         self.keys = Prose()
-        remember(
-            "deform",
-            {
-                **{str(kind): check for kind, check in self._checks.items()},
-                "preview": self.boundary.preview,
-                "device": self.settings.device,
-            },
-        )
+        remember("deform", {"preview": self.boundary.preview, "device": self.settings.device})
         self._assemble(outer)
 
     @property

@@ -1,6 +1,7 @@
-"""What outlasts a session: how results are shown, and where they are computed.
+"""What outlasts a session: how arrows look, and where results are computed.
 
-Never what is computed: whoever opens a dock has the paper's model, whatever was tried last.
+Never what is computed, and never which layers a result makes: whoever opens a dock has the paper's
+model and the calm picture of the first minute, whatever was tried last.
 """
 
 from __future__ import annotations

@@ -107,8 +107,7 @@ class LookFace:
         self.status = Prose()
         self.keys = Prose()
         self.keys.say(KEYS)
-        shown = {"arrows": self.arrows, "grid": self.grid, "count": self.count}
-        remember("look", {**shown, "length": self.length})
+        remember("look", {"count": self.count, "length": self.length})
         self._assemble(outer)
 
     def _assemble(self, outer: Container) -> None:
