@@ -222,8 +222,27 @@ def test_points_are_taken_as_landmarks(pulling, settle):
     assert len(widget.drawing.marks) == 2
     assert displacement(widget)[30, 30] == pytest.approx((3, 0), abs=0.02)
     assert displacement(widget)[40, 20] == pytest.approx((0, 2), abs=0.02)
+    should.data = [[34, 30], [40, 22]]
+    form.take.native.click()
+    assert len(widget.drawing.marks) == 2, "those taken before are replaced"
+    assert widget.drawing.marks[0].target == (34, 30)
+    assert widget.status.endswith("in place of those taken before.")
     viewer.layers.remove(should)
     assert not form.take.native.isVisible()
+
+
+def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling, settle):
+    person, widget = pulling
+    fields = widget.form.fields
+    person.key(EXPAND)
+    assert fields.amount.value == 2
+    person.key(MOVE)
+    person.paint((30, 28), (30, 34))
+    assert "say in the fields above how far" in widget.status
+    fields.by_col.value = 3
+    assert fields.words == "Move 3 right"
+    settle(widget)
+    assert displacement(widget)[30, 31] == pytest.approx((0, 3), abs=0.02), "as it is told now"
 
 
 def test_undo_and_redo_go_through_all_tools(pulling, settle):

@@ -153,6 +153,12 @@ class Stroke:
         _set(self, confidence=_share("a confidence", self.confidence))
         _set(self, softness=_share("a softness", self.softness), label=int(self.label))
 
+    @property
+    def moves_nowhere(self) -> bool:
+        """Whether it says that tissue moves, by nothing."""
+        by = {"move": self.by, "expand": (self.amount,)}.get(self.action, (1.0,))
+        return not any(by)
+
     def onward(self, point: Point) -> Stroke:
         """The stroke, with the brush moved on to another place."""
         *before, line = self.lines

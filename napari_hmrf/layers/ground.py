@@ -20,7 +20,7 @@ from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.drawn import NAME as ARROWS
 from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.landmarks import usual_radius
+from napari_hmrf.layers.landmarks import usual_radius, usual_step
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
 from napari_hmrf.layers.naming import LayerError, Named, naming
 from napari_hmrf.layers.outputs import Pictures
@@ -89,6 +89,11 @@ class Ground:
     def usual_radius(self) -> float:
         """A radius to take hold of tissue with, in the unit of the frame's spacing."""
         return usual_radius(self.shape, self.frame.spacing)
+
+    @property
+    def usual_step(self) -> float:
+        """How far a brush moves tissue to begin with, in the unit of the frame's spacing."""
+        return usual_step(self.shape, self.frame.spacing)
 
     def same_as(self, other: Ground) -> bool:
         """Whether a drawing moves the same tissue in the same way on the other."""

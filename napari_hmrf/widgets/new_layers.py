@@ -12,6 +12,7 @@ from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.colours import boundary_colours
 from napari_hmrf.layers.defaults import UNPAINTED
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.landmarks import usual_step
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.transform import place_of
 from napari_hmrf.layers.view import View, layer_extents
@@ -48,10 +49,11 @@ def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
         place = frame.placement(image=True)
     paper = PRESETS[0]
     materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
-    push = 0.03 * max(shape[axis] for axis in frame.plane) * min(frame.spacing)
+    rows, cols = (shape[axis] for axis in frame.plane)
+    push = usual_step((rows, cols), frame.spacing)
     rules = (
         BoundaryRule(1, "fixed", name="holds"),
-        BoundaryRule(2, "expand", amount=float(f"{push:.1g}"), name="grows"),
+        BoundaryRule(2, "expand", amount=push, name="grows"),
     )
     tissue = Labels(
         np.zeros(shape, np.uint8),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from napari_hmrf.drawing.marks import Point
+from napari_hmrf.drawing.marks import Point, Stroke
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.words import (
     CANCELLED,
     HALF,
     NO_OUTSIDE,
+    NO_STEP,
     NOTHING,
     NOTHING_DRAWN,
     NOTHING_SELECTED,
@@ -44,6 +45,8 @@ class Answers:
         elif hand.pending is not None:
             puller.said.emit(HALF)
         if puller.tool.is_brush:
+            if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
+                puller.said.emit(NO_STEP)
             puller.display.touch(hand, point, first=True)
         if hand.holding:
             puller.display.arrows.hide_circle()

@@ -88,7 +88,8 @@ class GrabAndPull(GrabControls):
             self._started = before
         else:
             if not self._sized and self._puller.ground is not None:
-                self.form.radius.value = self._puller.ground.usual_radius
+                ground = self._puller.ground
+                self.form.fields.begin_with(ground.usual_radius, ground.usual_step)
                 self._sized = True
             self._watch.hide_paint()
             self._puller.take(self.form.radius.value)

@@ -170,6 +170,14 @@ class ToolFields(Container):
             with field.changed.blocked():
                 field.value = values[name]
 
+    def begin_with(self, radius: float, step: float) -> None:
+        """Have lengths that suit an image, so that what is to expand does.
+
+        A step has a direction, which nobody can guess: it stays 0 until it is given.
+        """
+        self.radius.value = radius
+        self.amount.value = self.amount.value or step
+
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way the rows and columns run on the screen.
 

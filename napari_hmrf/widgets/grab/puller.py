@@ -21,7 +21,7 @@ from napari_hmrf.widgets.grab.histories import Histories
 from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
-from napari_hmrf.widgets.grab.words import OFF, OPEN
+from napari_hmrf.widgets.grab.words import OFF, OPEN, PREPARING
 from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import COMPILING, in_short
 
@@ -172,7 +172,7 @@ class Puller:
         with self.display.own_doing():
             self.display.arrows.take(ground.frame, ground.shape, radius)
         self.draw()
-        self.said.emit(self.tool.how)
+        self.said.emit(self.tool.how if self._working else PREPARING)
         if not self._working:
             self._compiling.start()
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from napari_hmrf.drawing import Drawing
+from napari_hmrf.drawing import Drawing, Landmark
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.landmarks import landmarks_of
 from napari_hmrf.layers.naming import LayerError
@@ -45,6 +45,9 @@ class Toolbox:
         self._form, self._puller, self._say = form, puller, say
         self._start, self._stop = start, stop
         self._badge = Badge(viewer)
+        #: The landmarks that were taken from points last, and from which, for which drawing.
+        self._taken: tuple[Landmark, ...] = ()
+        self._taken_of: tuple[int, ...] = ()
         for name, button in form.tools.items():
             button.native.clicked.connect(partial(self._on_button, name))
         for field in form.fields:
@@ -86,9 +89,14 @@ class Toolbox:
         except LayerError as error:
             self._say(in_short(error))
             return False
-        drawing = Drawing((*puller.history.drawing.marks, *found))
-        puller.set_drawing(drawing, f"took {len(found)} landmarks from points")
-        self._say(f"Took {len(found)} landmarks from '{where.name}' and '{should.name}'.")
+        marks, key = puller.history.drawing.marks, (id(puller.history), id(where), id(should))
+        # What was taken from these points before is replaced: they may have moved since.
+        before = self._taken if self._taken_of == key else ()
+        kept = [mark for mark in marks if mark not in before and mark not in found]
+        self._taken, self._taken_of = tuple(found), key
+        puller.set_drawing(Drawing((*kept, *found)), f"took {len(found)} landmarks from points")
+        again = ", in place of those taken before" if len(kept) < len(marks) else ""
+        self._say(f"Took {len(found)} landmarks from '{where.name}' and '{should.name}'{again}.")
         return True
 
     def show(self) -> None:

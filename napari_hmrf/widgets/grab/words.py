@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 START = "Press 'Grab and pull', then drag tissue in the image."
+PREPARING = "Getting ready ..."
 OFF = "Paused: press 'Grab and pull', or choose the layer 'Arrows', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
 ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
@@ -15,6 +16,7 @@ NOTHING_DRAWN = "Nothing is drawn there: nothing is selected."
 NOTHING_SELECTED = "Nothing is selected: Shift+click what was drawn."
 CANCELLED = "Cancelled; everything is as before."
 OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
+NO_STEP = "That is by 0, so it only holds: say in the fields above how far, and it goes there."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
     "patch, or take 'Move'."
