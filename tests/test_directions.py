@@ -115,3 +115,13 @@ def test_a_boundary_without_paint_here_names_the_slice_by_the_slider(qtbot):
     widget.deform()
     assert "(axis 0 = 4)" in widget.status
     assert "go to slice 2" in widget.status
+
+
+def test_without_an_image_nobody_is_sent_to_a_button_that_is_greyed_out(qtbot):
+    viewer = ViewerModel()
+    viewer.add_vectors(np.ones((3, 2, 2)))
+    widget = DeformTissue(viewer)
+    qtbot.addWidget(widget.native)
+    assert not widget._face.make.enabled
+    assert "Make layers" not in widget.status
+    assert widget.status.startswith("Open or choose an image")

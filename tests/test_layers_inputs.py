@@ -671,3 +671,10 @@ def test_a_boundary_that_slips_through_the_coarse_levels_is_told(width, thin):
     )
     told = any("at least 3 pixels wide" in note for note in read_layers(wanted).notes)
     assert told == thin
+
+
+def test_one_layer_for_both_is_taken_but_spoken_of():
+    both = Labels(boundary_labels(SHAPE), name="Both")
+    materials = tuple(Material(label, "gel", 20.0) for label in range(4))
+    wanted = replace(request(tissue=both, boundary=both), materials=materials)
+    assert read_layers(wanted).notes[0].startswith("'Both' is both the tissue and the boundary")

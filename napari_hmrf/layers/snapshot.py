@@ -240,6 +240,11 @@ def look_of(layer: Any) -> dict[str, Any]:
 
 def _notes(request: Request, frames: dict[int, Frame], shape: tuple[int, int]) -> tuple[str, ...]:
     notes = []
+    if request.tissue is request.boundary:
+        notes.append(
+            f"'{request.tissue.name}' is both the tissue and the boundary: choose another layer "
+            "for one of them, unless that is meant"
+        )
     frame = frames[id(request.layers[0])]
     if frame.skew > _RIGHT_ANGLE:
         notes.append(

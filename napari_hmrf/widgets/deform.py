@@ -21,6 +21,7 @@ from napari_hmrf.widgets.timers import repeating
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
     CANCELLED,
+    CHOOSE,
     CURVE,
     MAKE,
     PAINT,
@@ -186,7 +187,7 @@ class DeformTissue(ResultDock):
             self._face.energy.show_solution(None)
             self._say(WELCOME)
         if self._latest.done is None:
-            if self._status in (WELCOME, MAKE, READY):
+            if self._status in (WELCOME, CHOOSE, MAKE, READY):
                 self._say(self._invitation())
             return
         news = self._latest.compare(self.request, self._solver)
@@ -264,7 +265,9 @@ class DeformTissue(ResultDock):
     def _invitation(self) -> str:
         if self.tissue is not None and self.boundary is not None:
             return READY
-        return MAKE if self._viewer.layers else WELCOME
+        if self.image is None:
+            return CHOOSE if self._viewer.layers else WELCOME
+        return MAKE
 
     # What Qt and napari tell
 

@@ -14,6 +14,7 @@ from napari_hmrf.widgets.job import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 MAKE = "Press 'Make layers to paint on', or choose a tissue and a boundary layer."
+CHOOSE = "Open or choose an image first, or choose a tissue and a boundary layer."
 READY = "Press Deform."
 PAINT = (
     "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
@@ -31,7 +32,7 @@ CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
 CANCELLED = "Cancelled; nothing was changed."
-COMPILING = "Compiling for the first time: up to a minute, once."
+COMPILING = "Compiling, as for the first image of its kind on this machine: up to a minute."
 
 MODELS: dict[Model, str] = {
     "paper": "paper's: Markov random field",
@@ -46,16 +47,18 @@ PLANES: dict[Plane, str] = {
     "strain": "slice held between its neighbours",
 }
 # The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
-_SAMPLE = "px from finite elements on a sample brain that moves by 7.4 px"
 _WHEN_PAPERS: dict[Schedule, str] = {
-    "paper": f"To have the paper's own results, which stop early: after 0.02 s, 1.03 {_SAMPLE}. "
+    "paper": "The paper's own results. It stops a little early: where the sample brain moves by "
+    "7.4 px, it is 1.03 px from finite elements, the engineers' standard (0.02 s). "
     "Squeezed tissue does not bulge.",
-    "converged": f"To have all that the paper's energy can give: after 0.02 s, 0.23 {_SAMPLE}. "
+    "converged": "The paper's model, computed to the end: where the sample brain moves by 7.4 px, "
+    "it is 0.23 px from finite elements, the engineers' standard (0.02 s). "
     "Squeezed tissue does not bulge.",
 }
 _WHEN_ELASTIC = (
-    "To have tissue stretch and bulge as linear elasticity says: after 0.02 s, 0.0002 "
-    f"{_SAMPLE}. Boundaries are held exactly. "
+    "Tissue stretches and bulges as elastic material does: where the sample brain moves by 7.4 px, "
+    "it is 0.0002 px from finite elements, the engineers' standard (0.02 s). Boundaries are held "
+    "exactly. "
 )
 _WHEN_PLANE: dict[Plane, str] = {
     "stress": "Squeezed tissue can bulge out of the image.",
@@ -129,7 +132,8 @@ def details(done: Done) -> str:
     seconds = f"{run.seconds:.2g} s"
     if run.preparation_seconds >= 0.1:
         seconds += f" (after {run.preparation_seconds:.1f} s of preparation)"
-    folds = f", {done.outputs.folds} folded pixels" if done.outputs.folds else ""
+    count = done.outputs.folds
+    folds = f", {count} folded pixel{'s' if count > 1 else ''}" if count else ""
     turns = "cycles" if is_multigrid(run.parameters) else "sweeps"
     model, reached = in_words(run.parameters), solution.convergence
     near = "" if reached is None else f", within {reached.error:.1g} px of the converged field"
