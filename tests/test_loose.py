@@ -76,7 +76,7 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     field = widget._puller.display.seen.solution.displacement
     assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
     assert not field[22, 3].any()
-    assert "2 pieces of tissue that nothing holds stay where they are (9 pixels)" in widget.status
+    assert "2 pieces of tissue that nothing holds stay where they are (9 pixels)" in widget.warning
     assert by_name(person.viewer, "Deformed image").visible
 
 

@@ -9,6 +9,7 @@ from qtpy.QtCore import Qt
 from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
+from napari_hmrf.widgets.grab.words import START
 
 
 @pytest.fixture
@@ -271,3 +272,75 @@ def test_the_boxes_of_a_look_say_which_layers_are_seen(at_hand, run, wait_for):
     for seen_or_not in (False, True):
         person.viewer.layers["MR arrows"].visible = seen_or_not
         assert look.arrows == seen_or_not
+
+
+# What Grab and pull says
+
+
+@pytest.fixture
+def folded(pulling, settle):
+    """Somebody who has pushed tissue through itself."""
+    person, widget = pulling
+    widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
+    settle(widget)
+    assert "folds" in widget.warning
+    return person, widget
+
+
+def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded, settle):
+    _, widget = folded
+    widget.clear()
+    settle(widget)
+    assert (widget.warning, widget.status) == ("", "Removed all; undo brings it back.")
+    widget.undo()
+    settle(widget)
+    assert "folds" in widget.warning
+    assert "Took back" in widget.status
+    widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 1), 4))
+    settle(widget)
+    assert not widget.warning
+
+
+def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
+    person, widget = folded
+    person.press(50, 30)
+    person.move(52, 30)
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    assert "Cancelled" in widget.status
+    widget.tool = "pin"
+    assert widget.status == "Paint what does not move."
+    assert "folds" in widget.warning
+
+
+def test_what_was_said_is_over_when_the_next_thing_is_done(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (33, 30))
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert "Took back" in widget.status
+    person.drag((30, 30), (33, 30))
+    settle(widget)
+    assert widget.status.startswith("Drag tissue")
+    person.pick(33, 30)
+    assert widget.status.startswith("Selected")
+    person.key(Qt.Key.Key_Delete)
+    settle(widget)
+    assert widget.status.startswith("Removed")
+    person.drag((30, 30), (33, 30))
+    person.pick(33, 30)
+    person.key(Qt.Key.Key_Escape)
+    assert widget.status.startswith("Drag tissue")
+
+
+def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, qtbot):
+    viewer = make_napari_viewer(show=True)
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+    widget.form.grab.native.click()
+    assert "image" in widget.status
+    small_sample(viewer)
+    qtbot.wait(100)
+    assert not widget.active
+    assert not widget.busy
+    assert "Deformed image" not in [layer.name for layer in viewer.layers]
+    assert widget.status == START

@@ -15,6 +15,7 @@ from napari_hmrf.widgets.grab.words import (
     NOTHING_SELECTED,
     OUTSIDE,
     PICKED,
+    REMOVED,
 )
 
 
@@ -34,6 +35,7 @@ class Answers:
         puller, seen = self._puller, self._puller.display.seen
         if seen is None:
             return False
+        puller.begun.emit()
         if puller.tool.is_brush and not seen.is_inside(point):
             puller.said.emit(OUTSIDE)
             return False
@@ -106,13 +108,14 @@ class Answers:
             self._puller.said.emit(CANCELLED)
         else:
             self._puller.hand.select(None)
+            self._puller.said.emit(self._puller.tool.how)
         self._puller.draw()
 
     def remove(self) -> None:
         """Remove what is selected."""
         self._puller.display.arrows.end_drag()
-        if not self._puller.hand.remove():
-            self._puller.said.emit(NOTHING_SELECTED)
+        removed = self._puller.hand.remove()
+        self._puller.said.emit(REMOVED if removed else NOTHING_SELECTED)
 
     def ask_for(self, tool: str) -> None:
         """The key of a tool."""

@@ -10,6 +10,7 @@ from napari_hmrf.widgets.forms import put_scrolled
 from napari_hmrf.widgets.grab.answers import Answers
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
+from napari_hmrf.widgets.grab.words import REMOVED_ALL
 
 #: Of the dock, in pixels: enough for the row of tools.
 _WIDTH = 350
@@ -95,3 +96,4 @@ class GrabControls(Dock):
     def clear(self) -> None:
         """Remove all that is drawn."""
         self._puller.set_drawing(Drawing(), "removed all")
+        self._puller.said.emit(REMOVED_ALL)

@@ -67,8 +67,13 @@ class GrabAndPull(GrabControls):
 
     @property
     def status(self) -> str:
-        """The sentence below the buttons."""
+        """The sentence below the buttons: what was done last, or can be done next."""
         return self._status
+
+    @property
+    def warning(self) -> str:
+        """What is to be known of the tissue that is seen, folds above all; "" if nothing."""
+        return str(self.form.warning.value)
 
     @property
     def tool(self) -> str:
@@ -187,6 +192,7 @@ class GrabAndPull(GrabControls):
             self._puller.answers.release()
             self.say(ARROWS_GONE)
         if self._puller.ground is not None and self.image is None:
+            self._started = False
             self._puller.stand_on(None)
             self.say(IMAGE_GONE)
         self.show_toggle()
@@ -195,11 +201,18 @@ class GrabAndPull(GrabControls):
         puller = self._puller
         for name in ("undo", "redo", "remove", "clear"):
             getattr(self.form, name).changed.connect(getattr(self, name))
+        self.form.image.changed.connect(self._on_image)
         puller.said.connect(self._on_said)
+        puller.begun.connect(self._on_begun)
+        puller.warned.connect(self._on_warned)
         puller.steps.said.connect(self._on_step)
         puller.steps.edits.moved.connect(self._show_steps)
         puller.changed.connect(self._on_changed)
         puller.seen.connect(self.seen.emit)
+
+    def _on_image(self, image: Any) -> None:
+        if image is not None and self._status in (WELCOME, IMAGE_GONE):
+            self.say(START)
 
     def _on_changed(self) -> None:
         if self.away:
@@ -216,6 +229,14 @@ class GrabAndPull(GrabControls):
         # On another slice, too, it is still to be read what was taken back there.
         if sentence not in (self._puller.tool.how, OFF) or self._status != self._step:
             self.say(sentence)
+
+    def _on_begun(self) -> None:
+        self._step = ""
+        self.say(self._puller.tool.how)
+
+    def _on_warned(self, warning: str) -> None:
+        if not self.away:
+            self.form.warn(warning)
 
     def _on_step(self, sentence: str, _: object) -> None:
         self._step = sentence

@@ -105,7 +105,8 @@ class GrabForm(Container):
         self.undo, self.redo = self._steps.undo, self._steps.redo
         self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
         self.clear = PushButton(text="Remove all", enabled=False)
-        self.status = Prose(value="")
+        #: What is wrong with the tissue that is seen, apart from what was done last.
+        self.warning, self.status = Prose(value=""), Prose(value="")
         about, keys = Prose(value=ABOUT), Prose(value=KEYS)
         buttons = [
             Container(widgets=pair, layout="horizontal", labels=False)
@@ -120,7 +121,7 @@ class GrabForm(Container):
         super().__init__(
             widgets=[
                 first, self.edge, self.grab, *rows, self.fields, self.points, self.take,
-                *buttons, self.status, keys, about,
+                *buttons, self.warning, self.status, keys, about,
             ],
             labels=False,
         )  # fmt: skip
@@ -130,6 +131,7 @@ class GrabForm(Container):
             words.say(str(words.value))
         self.native.layout().addStretch()
         self.show_for(BY_NAME["pull"])
+        self.warn("")
 
     @property
     def choices(self) -> tuple[LayerChoice, ...]:
@@ -154,6 +156,11 @@ class GrabForm(Container):
         """Show what can be taken back, done again and removed."""
         self.remove.enabled, self.clear.enabled = selected, bool(marks)
         self._steps.show(steps)
+
+    def warn(self, sentence: str) -> None:
+        """Show what is wrong with what is seen; "" if nothing."""
+        self.warning.visible = bool(sentence)
+        self.warning.say(sentence)
 
     def show_toggle(self, on: str) -> None:
         """Show which tool the mouse has; "" if none."""

@@ -59,6 +59,10 @@ class Puller:
     changed = Signal()
     #: What there is to say, in words.
     said = Signal(str)
+    #: Something new is begun: what was said of what came before is over.
+    begun = Signal()
+    #: What is to be known of the tissue that is seen, in words; "" if nothing.
+    warned = Signal(str)
     #: The state of the tissue that is seen from now on.
     seen = Signal(object)
     #: How the mark that was taken hold of is made.
@@ -86,8 +90,7 @@ class Puller:
         self._drawing_waits = single_shot(None, _AHEAD, self.draw)
         self._compiling = single_shot(None, _LONG, self._on_long)
         self._image: Any = None
-        self._working = self._warned = self._in_error = False
-        self._noted = ""
+        self._working = self._in_error = False
         self._histories = Histories(viewer)
 
     @property
@@ -130,6 +133,7 @@ class Puller:
             Of the tissues that can be painted.
         """
         self.answers.release()
+        self._warn_of(0)
         self.history.changed.disconnect(self._on_drawn, missing_ok=True)
         self.follower.stand_on(ground)
         self._image = image
@@ -245,9 +249,8 @@ class Puller:
         if first or self._in_error:
             self._in_error = False
             self.said.emit(self.tool.how if self.active else OFF)
-        if seen.outputs is not None:
-            self._warn_of(seen.outputs.folds)
-            self._note(seen.note)
+        if seen.outputs is not None or not seen.drawing.marks:
+            self._warn_of(0 if seen.outputs is None else seen.outputs.folds, seen.note)
         self.seen.emit(seen)
 
     def _on_long(self) -> None:
@@ -265,19 +268,14 @@ class Puller:
         self.display.show_painted(seen, hand)
         self.said.emit(in_short(seen.error))
 
-    def _note(self, note: str) -> None:
-        """Say once what is to be known about the tissue, unless there is worse to say."""
-        if not self._warned and self.active:
-            before, self._noted = self._noted, note
-            if note and note != before:
-                self.said.emit(f"{self.tool.how} {note}.")
-
-    def _warn_of(self, folds: int) -> None:
-        before, self._warned = self._warned, folds > _HANDFUL
-        if self._warned:
-            self.said.emit(
+    def _warn_of(self, folds: int, note: str = "") -> None:
+        """Say what is to be known of the tissue that is seen, as long as it is."""
+        parts = []
+        if folds > _HANDFUL:
+            parts.append(
                 f"Warning: at {folds} pixels the tissue is pushed through itself (it folds), "
                 "which no tissue does. Move it less, or a larger patch."
             )
-        elif before:
-            self.said.emit(self.tool.how if self.active else OFF)
+        if note:
+            parts.append(f"{note[0].upper()}{note[1:]}.")
+        self.warned.emit(" ".join(parts))
