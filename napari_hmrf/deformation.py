@@ -135,7 +135,8 @@ def deformation_grid(
     displacement, spacing, tissue
         As in `jacobian_determinant`; lines are drawn in tissue only.
     every : int
-        Pixels between two lines.
+        Pixels between two lines; where pixels are not square, pixels of the shorter side, and so
+        many of the other as make the cells square, as nearly as whole pixels can.
     pieces : int
         Straight pieces of a line between two crossings, where there are pixels enough: fewer are
         quicker to draw.
@@ -153,10 +154,16 @@ def deformation_grid(
     if every != int(every) or every < 1:
         raise ProblemError("every", f"is {every!r}. Give a whole number of pixels, at least 1.")
     moved, mask = moved_sites(displacement, spacing, tissue)
-    step = max(1, int(every) // pieces)
-    along_cols = _lines(moved, mask, int(every), step)
-    along_rows = _lines(moved.swapaxes(0, 1), mask.T, int(every), step)
+    rows, cols = (max(1, round(every * min(spacing) / size)) for size in spacing)
+    along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
+    along_rows = _lines(moved.swapaxes(0, 1), mask.T, cols, max(1, rows // pieces))
     return np.concatenate([along_cols, along_rows]).astype(np.float32)
+
+
+def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
+    """How far apart so many lines of `deformation_grid` are across the longer side of an image."""
+    longer = max(count * size for count, size in zip(shape, spacing, strict=True))
+    return max(1, round(longer / min(spacing) / lines))
 
 
 def arrows(

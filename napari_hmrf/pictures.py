@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import arrows, deformation_grid, jacobian_determinant, magnitude
+from napari_hmrf.deformation import (
+    arrows,
+    deformation_grid,
+    jacobian_determinant,
+    magnitude,
+    pixels_between,
+)
 from napari_hmrf.models import is_multigrid
 from napari_hmrf.problem import Problem
 from napari_hmrf.quantities import equivalent_strain, folds, green_lagrange_strain
@@ -149,7 +155,7 @@ def grid_picture(solution: Solution) -> Figure:
 
     figure, (axes,) = _figure(solution.spacing, "a regular grid, moved with the tissue")
     height, width = solution.tissue.shape
-    every = max(1, max(height, width) // GRID_LINES)
+    every = pixels_between(GRID_LINES, solution.tissue.shape, solution.spacing)
     segments = deformation_grid(
         solution.displacement, solution.spacing, every=every, tissue=solution.tissue
     )

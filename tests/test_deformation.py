@@ -104,9 +104,17 @@ def test_a_grid_at_rest_is_square_and_spans_the_image():
     assert ends.max(axis=0).tolist() == [20, 40]
 
 
+def test_cells_of_a_grid_are_square_where_pixels_are_not():
+    segments = deformation_grid(np.zeros((21, 61, 2)), spacing=(3.0, 1.0), every=12)
+    rows = segments[segments[:, 1, 0] == 0]
+    cols = segments[segments[:, 1, 1] == 0]
+    assert set(np.diff(np.unique(rows[:, 0, 0])) * 3) == {12}
+    assert set(np.diff(np.unique(cols[:, 0, 1]))) == {12}
+
+
 def test_a_grid_moves_with_the_tissue_in_pixels():
     displacement = np.broadcast_to([4.0, 1.5], (21, 21, 2))
-    still = deformation_grid(np.zeros((21, 21, 2)))
+    still = deformation_grid(np.zeros((21, 21, 2)), spacing=(2.0, 0.5))
     moved = deformation_grid(displacement, spacing=(2.0, 0.5))
     np.testing.assert_allclose(moved[:, 0] - still[:, 0], np.tile([2.0, 3.0], (len(still), 1)))
     np.testing.assert_allclose(moved[:, 1], still[:, 1], atol=1e-5)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import deformation_grid
+from napari_hmrf.deformation import deformation_grid, pixels_between
 from napari_hmrf.layers.outputs import LINES
 from napari_hmrf.resample import emptiness
 from napari_hmrf.solution import Solution
@@ -84,7 +84,7 @@ class Motion:
             parts = dict(zip(self._pictures, moved, strict=True))
         if self.grid:
             displacement = solution.displacement * np.float32(fraction)
-            every = max(1, round(max(solution.tissue.shape) / LINES))
+            every = pixels_between(LINES, solution.tissue.shape, solution.spacing)
             # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
             pieces = 5 if fraction == 1 else 2
             field = (displacement, solution.spacing, every, solution.tissue)

@@ -11,7 +11,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import arrows, deformation_grid, magnitude, smallest_determinant
+from napari_hmrf.deformation import (
+    arrows,
+    deformation_grid,
+    magnitude,
+    pixels_between,
+    smallest_determinant,
+)
 from napari_hmrf.layers.apart import apart
 from napari_hmrf.layers.colours import ARROWS as ARROW_COLOUR
 from napari_hmrf.layers.colours import fold_colours
@@ -231,9 +237,11 @@ class _Maker:
 
     def grid(self) -> LayerData:
         """A grid that has moved with the tissue."""
-        every = max(1, round(max(self._solution.tissue.shape) / LINES))
-        segments = deformation_grid(*self._field, every=every, tissue=self._solution.tissue)
-        look = {"vector_style": "line", "edge_color": "cyan", "edge_width": 0.6}
+        tissue = self._solution.tissue
+        every = pixels_between(LINES, tissue.shape, self._solution.spacing)
+        segments = deformation_grid(*self._field, every=every, tissue=tissue)
+        width = max(tissue.shape) / 500
+        look = {"vector_style": "line", "edge_color": "cyan", "edge_width": width}
         return self._vectors("grid", segments, "grid", look)
 
     def folds(self) -> LayerData | None:
