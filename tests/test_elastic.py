@@ -20,6 +20,7 @@ from napari_hmrf import (
     phantom,
     solve,
 )
+from napari_hmrf.backends.cpu import elastic_model, forces
 from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.coarsening import smoother_bounds
 from napari_hmrf.priors.elements import element_forces
@@ -72,6 +73,20 @@ def test_forces_are_the_slope_of_the_energy(plane, spacing):
         behind[site] -= step
         slope = (prior.energy(problem, ahead) - prior.energy(problem, behind)) / 2e-5
         assert forces[site] == pytest.approx(slope, abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [2, 3, 7])
+def test_however_many_threads_share_the_rows_the_field_is_the_same(count, monkeypatch):
+    problem = random_problem((123, 96), void=True, ratio=1e3)
+    monkeypatch.setattr(elastic_model, "_last", [])
+    monkeypatch.setattr(forces, "parts", lambda height: 1)
+    alone = solve(problem, ElasticPrior(), backend="cpu")
+    monkeypatch.setattr(elastic_model, "_last", [])
+    monkeypatch.setattr(forces, "parts", lambda height: min(count, height))
+    shared = solve(problem, ElasticPrior(), backend="cpu")
+    assert shared.iterations > 1
+    np.testing.assert_array_equal(shared.displacement, alone.displacement)
+    assert shared.convergence == alone.convergence
 
 
 @pytest.mark.parametrize("shape", [(31, 37), (2, 2), (13, 2), (101, 8)])
