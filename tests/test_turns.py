@@ -344,3 +344,46 @@ def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, sma
     assert not widget.busy
     assert "Deformed image" not in [layer.name for layer in viewer.layers]
     assert widget.status == START
+
+
+# What is painted on
+
+
+def test_paint_is_put_on_the_image_as_it_was(at_hand, settle, run):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller, deform = opened("Grab and pull"), opened("Deform tissue")
+    grab(puller)
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    deform._face.make.native.click()
+    assert not any(viewer.layers[name].visible for name in pictures(viewer))
+    grab(puller)
+    settle(puller)
+    assert viewer.layers["Deformed image"].visible
+    deform._face.boundary.table.picked.emit(1)
+    assert "hidden meanwhile" in deform.status
+    assert not viewer.layers["Deformed image"].visible
+
+
+def test_painting_is_spoken_of_as_long_as_somebody_paints(widget, small_sample, run):
+    image, tissue, _ = small_sample(widget._viewer)
+    widget.hand_brush(tissue)
+    assert widget.status.startswith("Painting label")
+    widget._viewer.layers.selection = {image}
+    assert widget.status == "Press Deform."
+    run(widget)
+    said = widget.status
+    widget.hand_brush(tissue)
+    widget._viewer.layers.selection = {image}
+    assert widget.status == said
+
+
+def test_nothing_is_said_of_a_point_before_anybody_points(at_hand, run, wait_for):
+    person, opened = at_hand
+    run(opened("Deform tissue"))
+    look = opened("Look at the result")
+    wait_for(lambda: look.idle)
+    person.viewer.mouse_over_canvas = False
+    person.viewer.status = "Brain"
+    assert look.point.startswith("Point at the tissue")

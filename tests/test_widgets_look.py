@@ -505,6 +505,7 @@ def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wai
     QApplication.processEvents()
     assert "Shift+B" not in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
+    viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
     assert "Jacobian" not in str(viewer.status)
     _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")

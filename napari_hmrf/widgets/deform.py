@@ -84,7 +84,7 @@ class DeformTissue(ResultDock):
         face.footer.cancel.changed.connect(self._on_cancel)
         self.reset_choices()
         self.choose_by_role(list(self._viewer.layers))
-        self._say(self._invitation())
+        self._say(self.invitation)
         if (source := self._take_over()) is not None and (shown := self.shown) is not None:
             self._live.result_shown(*shown, source)
 
@@ -117,7 +117,7 @@ class DeformTissue(ResultDock):
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer to paint on, on the pixels of the image."""
-        self._try(self.add_layers, PAINT if self.curve is None else PAINT_BOUNDARY)
+        self._try(self._add_layers, PAINT if self.curve is None else PAINT_BOUNDARY)
 
     def make_from_intensity(self) -> None:
         """Add a layer of stiffness made from the image's intensity, by a curve to be edited."""
@@ -167,14 +167,15 @@ class DeformTissue(ResultDock):
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""
         if layer not in self._viewer.layers:
             return
-        hidden = not self._live.begun and self._results.set_aside()
+        begun = self._live.begun
+        hidden = self._results.take_turn() if begun else self._results.set_aside()
         self._viewer.layers.selection.active = layer
         layer.visible = True
         layer.mode = "paint"
         note = " What was deformed is hidden meanwhile." if hidden else ""
-        if self._live.begun:
+        if begun:
             note = " The tissue follows; paint lies where it was before it moved."
-        self.say(f"Painting label {layer.selected_label} in '{layer.name}'.{note}")
+        self.say_painting(f"Painting label {layer.selected_label} in '{layer.name}'.{note}", layer)
 
     # How it goes on
 
@@ -188,7 +189,7 @@ class DeformTissue(ResultDock):
             self._say(WELCOME)
         if self._latest.done is None:
             if self._status in (WELCOME, CHOOSE, MAKE, READY):
-                self._say(self._invitation())
+                self._say(self.invitation)
             return
         news = self._latest.compare(self.request, self._solver)
         if self._latest.fresh and self._latest.lacks(self.outputs):
@@ -262,12 +263,9 @@ class DeformTissue(ResultDock):
         else:
             self.say(success)
 
-    def _invitation(self) -> str:
-        if self.tissue is not None and self.boundary is not None:
-            return READY
-        if self.image is None:
-            return CHOOSE if self._viewer.layers else WELCOME
-        return MAKE
+    def _add_layers(self) -> None:
+        self.add_layers()
+        self._results.set_aside()
 
     # What Qt and napari tell
 

@@ -20,7 +20,7 @@ from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.live_job import News
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.viewer_layers import shared
-from napari_hmrf.widgets.words import NO_FOLDS
+from napari_hmrf.widgets.words import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.widgets.words import details as details_of
 
 
@@ -43,6 +43,7 @@ class ResultDock(Chooser):
         super().__init__(napari_viewer)
         self._status = ""
         self._latest = Latest()
+        self._painting: tuple[str, weakref.ref[Any] | None] = ("", None)
         self._results = shared(self._viewer, ResultLayers)
         self._face.folds.changed.connect(self._on_folds)
         self._source: weakref.ref[Any] | None = None
@@ -103,6 +104,30 @@ class ResultDock(Chooser):
         """Say what was found in the paint, until the next result."""
         self._latest.note = found
         self.say(found)
+
+    def say_painting(self, sentence: str, layer: Any) -> None:
+        """Say what is painted, as long as its layer is the active one."""
+        self._painting = sentence, weakref.ref(layer)
+        self.say(sentence)
+
+    def active_changed(self, active: Any) -> None:
+        """Another layer feels the mouse: nothing is painted in the one before."""
+        sentence, reference = self._painting
+        if self._status != sentence or reference is None or active is reference():
+            return
+        if self._latest.done is None:
+            self.say(self.invitation)
+        else:
+            self.say_result()
+
+    @property
+    def invitation(self) -> str:
+        """What can be done first."""
+        if self.tissue is not None and self.boundary is not None:
+            return READY
+        if self.image is None:
+            return CHOOSE if self._viewer.layers else WELCOME
+        return MAKE
 
     def show_live(self, done: Done, source: Any) -> None:
         """The result has followed an edit."""

@@ -135,18 +135,24 @@ class ResultLayers:
                 self._aside.append(made.reference)
         return True
 
+    def take_turn(self) -> bool:
+        """Hide what other docks have moved; whether there was anything."""
+        return take_turn(self._viewer, "deform")
+
     def set_aside(self) -> bool:
         """Hide what covers the image, until the next result; whether there was anything.
 
         Paint says where tissue is before it moves, so it must be put on the image as it was.
+        What other docks show waits for their turn.
         """
+        others = self.take_turn()
         for known in self._layers.values():
             for (kind, _), made in known.items():
                 layer = made.reference()
                 if kind in FILLING and layer is not None and layer.visible:
                     layer.visible = False
                     self._aside.append(made.reference)
-        return bool(self._aside)
+        return others or bool(self._aside)
 
     def _outdate(self, outputs: Outputs, known: dict[tuple[Kind, str], _Shown]) -> None:
         """Hide what an earlier result of the slice has shown and this one does not."""

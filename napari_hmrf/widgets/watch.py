@@ -19,6 +19,7 @@ from napari_hmrf.widgets.preview import BoundaryPreview, LandmarkPreview
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.sections import NO_PREVIEW, PREVIEW
 from napari_hmrf.widgets.timers import single_shot
+from napari_hmrf.widgets.viewer_layers import is_selection_kept
 from napari_hmrf.widgets.words import READY
 
 #: How long after the last change it is asked what that means for the result, in milliseconds.
@@ -146,6 +147,8 @@ class Watch:
     def _on_active(self, *_: Any) -> None:
         if not self._widget.away:
             self._mark()
+            if not is_selection_kept(self._viewer):
+                self._widget.active_changed(self._viewer.layers.selection.active)
 
     def _mark(self) -> None:
         active = self._viewer.layers.selection.active

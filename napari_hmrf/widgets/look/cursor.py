@@ -120,7 +120,9 @@ class UnderCursor:
         said = status.get("coordinates", "") if isinstance(status, dict) else str(status)
         if self._line and said.endswith(self._line):
             return  # our own addition, coming back
-        _, line = self.at(self._viewer.cursor.position)
+        # napari tells of its layers, too, before anybody has pointed at anything.
+        pointed = self._viewer.mouse_over_canvas
+        line = self.at(self._viewer.cursor.position)[1] if pointed else ""
         if line != self._line:
             self._line = line
             self._say(line)
