@@ -387,3 +387,16 @@ def test_nothing_is_said_of_a_point_before_anybody_points(at_hand, run, wait_for
     person.viewer.mouse_over_canvas = False
     person.viewer.status = "Brain"
     assert look.point.startswith("Point at the tissue")
+
+
+def test_words_of_a_result_are_cut_between_lines(at_hand, qtbot):
+    _, opened = at_hand
+    footer = opened("Deform tissue").footer
+    label = footer._status
+    room = label.parent().parent().height() - label.y()
+    heights = []
+    for more in (0, 6):
+        footer.say("word\n" * (5 + more) + "word")
+        heights.append(label.sizeHint().height())
+    six = heights[1] - heights[0]
+    assert six <= room < six * 13 / 12

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
 from magicgui.widgets import CheckBox, Container, PushButton
 from napari.utils import progress as napari_progress
-from qtpy.QtCore import Qt
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtGui import QFontMetricsF
 from qtpy.QtWidgets import (
     QFrame,
     QLabel,
@@ -22,10 +24,35 @@ from napari_hmrf.widgets.step_buttons import StepButtons
 
 #: Lines of text that are seen without scrolling.
 _LINES = 6
+#: What napari's style may draw around them, in pixels.
+_FRAME = 4
 #: Work shorter than this is over before anybody has looked at napari's activity panel, in seconds.
 _SHORT = 1.0
 #: How often that panel is told: it has the whole window drawn each time.
 _SELDOM = 0.5
+
+
+class _WholeLines(QObject):
+    """Keeps an area as high as so many lines of a label, of which none is cut.
+
+    How high a line is, is known when the window's style has come to the label.
+    """
+
+    def __init__(self, label: QLabel, area: QScrollArea, above: int) -> None:
+        super().__init__(label)
+        self._label, self._area, self._above = label, area, above
+        label.installEventFilter(self)
+        self._fit()
+
+    def _fit(self) -> None:
+        # Text that can be selected is laid out in whole pixels, the metrics' fractions rounded up.
+        lines = _LINES * math.ceil(QFontMetricsF(self._label.font()).lineSpacing())
+        self._area.setFixedHeight(lines + self._above + _FRAME)
+
+    def eventFilter(self, watched: Any, event: Any) -> bool:
+        if event.type() in (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show):
+            self._fit()
+        return False
 
 
 class Footer:
@@ -82,7 +109,7 @@ class Footer:
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setWidgetResizable(True)
         area.setWidget(words)
-        area.setFixedHeight(_LINES * self._status.fontMetrics().lineSpacing() + 8)
+        self._whole_lines = _WholeLines(self._status, area, above=lines.contentsMargins().top())
         layout.addWidget(area)
         footer.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         return footer
