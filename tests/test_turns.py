@@ -120,6 +120,7 @@ def test_a_reopened_dock_goes_on_with_the_result_that_is_there(
     run(second)
     assert pictures(viewer) == ["MR deformed"]
     viewer.window.remove_dock_widget(second.native)
+    assert "boundary preview" not in [layer.name for layer in viewer.layers]
     third = opened("Deform tissue")
     run(third)
     assert pictures(viewer) == ["MR deformed"]

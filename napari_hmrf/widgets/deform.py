@@ -293,6 +293,7 @@ class DeformTissue(ResultDock):
         self.cancel()
         self._results.leave(self._latest, None if self._source is None else self._source())
         self._live.leave()
+        self._watch.leave()
         self._steps.leave()
         self._face.release()
 

@@ -98,6 +98,12 @@ class Watch:
         self.preview.hide()
         self.pairs.hide()
 
+    def leave(self) -> None:
+        """The dock was closed: nobody would keep the previews true."""
+        self._drawing.stop()
+        self.preview.remove()
+        self.pairs.remove()
+
     def settle(self) -> None:
         """Forget what has changed so far: there is something else to read at the bottom."""
         self._checking.stop()
