@@ -77,6 +77,28 @@ def test_what_is_deformed_after_a_pull_is_seen_and_the_pull_again_at_the_next(at
     assert seen(viewer) == {"Deformed image", "Arrows"}, "choosing the layer goes on pulling"
 
 
+def test_what_is_looked_at_lies_on_top(at_hand, run, settle, wait_for):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller, deform = opened("Grab and pull"), opened("Deform tissue")
+    grab(puller)
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    run(deform)
+    look = opened("Look at the result")
+    look.result = viewer.layers["Displacement"]
+    look.percent = 50
+    wait_for(lambda: look.idle)
+    shown = [name for name in pictures(viewer) if viewer.layers[name].visible]
+    assert shown[-1] == look._scene.shown.layer("image").name
+    assert not seen(viewer) & DEFORMED
+    look.result = viewer.layers["MR arrows"]
+    look.percent = 40
+    wait_for(lambda: look.idle)
+    assert seen(viewer) >= DEFORMED
+    assert "Deformed image" not in seen(viewer)
+
+
 def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
     person, opened = at_hand
     viewer = person.viewer

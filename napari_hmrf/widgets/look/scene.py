@@ -166,6 +166,7 @@ class Scene:
         motion, shown = self.player.motion, self.shown
         if motion is None:
             return False
+        shown.take_turn()
         if motion.image is not None and shown.layer("image") is None:
             self._make_image()
         image = shown.layer("image")

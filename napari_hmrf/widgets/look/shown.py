@@ -12,6 +12,7 @@ from napari_hmrf.layers.found import FoundResult, companion
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.moving import Moment
 from napari_hmrf.layers.outputs import Kind, LayerData
+from napari_hmrf.widgets.turns import take_turn
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 #: The layers that take the pixels of a moment.
@@ -142,6 +143,12 @@ class ShownLayers:
             self._hidden.append((weakref.ref(self.source), self.source.visible))
             self.source.visible = True
 
+    def take_turn(self) -> None:
+        """Have the result that is looked at seen, and no other of its slice."""
+        facts = {} if self.result is None else self.result.facts
+        if self.result is not None and "by" in facts:
+            take_turn(self._viewer, facts["by"], self.result.source, facts.get("slice"))
+
     def release(self) -> None:
         """Show again what `hold_before` hid."""
         hidden, self._hidden = self._hidden, []
@@ -167,10 +174,18 @@ class ShownLayers:
                 yield layer
 
     def _place(self, kind: str) -> int:
-        """Pictures go directly above what was deformed, lines on top."""
+        """Pictures go directly above what was deformed and has moved, lines on top."""
         layers = self._viewer.layers
         if kind not in _BELOW:
             return len(layers)
-        below = [self.source, self.layer("image")]
+        here = None if self.result is None else self.result.facts.get("slice")
+        moved = [layer for layer in layers if _is_moved(layer, here)]
+        below = [self.source, self.layer("image"), *moved]
         places = [layers.index(layer) + 1 for layer in below if layer in layers]
         return max(places, default=0)
+
+
+def _is_moved(layer: Any, where: Any) -> bool:
+    """Whether a layer shows an image of a slice where its tissue has moved to."""
+    known = known_of(layer)
+    return known.get("kind") == "image" and known.get("slice") == where
