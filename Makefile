@@ -36,7 +36,7 @@ demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
 test: setup-for-windows
-	@$(HEADLESS) $(RUN) -m pytest
+	@$(HEADLESS) $(RUN) -m pytest -n 2 --dist worksteal
 
 format: setup
 	@$(RUN) -m ruff format .
