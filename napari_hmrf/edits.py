@@ -35,13 +35,13 @@ class Edits:
 
     Attributes
     ----------
-    changed : Signal(object, object)
-        Emitted with a slot and its value whenever that is another.
+    changed : Signal(object, object, object)
+        Emitted with a slot, its value, and what it held before, whenever that is another.
     moved : Signal()
         Emitted whenever there are other steps to take back or to do again.
     """
 
-    changed = Signal(object, object)
+    changed = Signal(object, object, object)
     moved = Signal()
 
     def __init__(self, depth: int = DEPTH) -> None:
@@ -54,6 +54,12 @@ class Edits:
 
     def __contains__(self, slot: Hashable) -> bool:
         return slot in self._now
+
+    def has_steps(self, slot: Hashable) -> bool:
+        """Whether anything that was done to a slot can be taken back, or done again."""
+        return slot == self.in_progress or any(
+            step.slot == slot for steps in (self._past, self._future) for step in steps
+        )
 
     def get(self, slot: Hashable, default: Any = None) -> Any:
         """What a slot holds now, an edit in progress included."""
@@ -199,6 +205,7 @@ class Edits:
         return back
 
     def _show(self, slot: Hashable, value: Any) -> None:
-        if value != self._now[slot]:
+        before = self._now[slot]
+        if value != before:
             self._now[slot] = value
-            self.changed.emit(slot, value)
+            self.changed.emit(slot, value, before)

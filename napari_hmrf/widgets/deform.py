@@ -15,9 +15,11 @@ from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.widgets.dock_steps import DockSteps
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
 from napari_hmrf.widgets.live_mode import LiveMode
+from napari_hmrf.widgets.point_steps import PointSteps
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.timers import repeating
+from napari_hmrf.widgets.viewer_layers import shared
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
     CANCELLED,
@@ -72,7 +74,8 @@ class DeformTissue(ResultDock):
             rested=self.check,
             removed=self._on_layer_removed,
         )
-        self._steps = DockSteps(face, steps_of(self._viewer), self._life, self.say)
+        points = shared(self._viewer, PointSteps)
+        self._steps = DockSteps(face, steps_of(self._viewer), points, self._life, self.say)
         StepKeys(self.native, self._steps.steps)
         self._poll = repeating(self.native, _POLL, self._on_poll)
         face.make.changed.connect(self.make_layers)

@@ -21,7 +21,8 @@ class DockSteps:
     face : Face
         Of the dock.
     steps : ViewerSteps
-        Of the viewer.
+    points : PointSteps
+        Of the viewer, both.
     life : Life
         Of the dock.
     say : callable
@@ -29,7 +30,12 @@ class DockSteps:
     """
 
     def __init__(
-        self, face: Face, steps: ViewerSteps, life: Life, say: Callable[[str], None]
+        self,
+        face: Face,
+        steps: ViewerSteps,
+        points: PointSteps,
+        life: Life,
+        say: Callable[[str], None],
     ) -> None:
         self._buttons, self.steps, self._life, self._say = face.footer.steps, steps, life, say
         tissue, boundary = face.tissue, face.boundary
@@ -40,7 +46,10 @@ class DockSteps:
         self._fillings = FillingSteps(tissue.painted, tissue.table, steps)
         self._curve = CurveSteps(tissue.curve, tissue.choice.choose, steps)
         tissue.choice.changed.connect(self._curve.look)
-        self._points = PointSteps(boundary.landmarks, steps, boundary.table)
+        self._landmarks = boundary.landmarks
+        self._points = points
+        self._landmarks.edited.connect(self._on_landmarks)
+        self._on_landmarks()
         self._buttons.undo.changed.connect(steps.undo)
         self._buttons.redo.changed.connect(steps.redo)
         steps.edits.moved.connect(self._show)
@@ -50,16 +59,20 @@ class DockSteps:
     def come(self) -> None:
         """The dock is there: have the keys."""
         self.steps.bind_keys(self)
-        self._points.look()
+        self._on_landmarks()
 
     def leave(self) -> None:
         """The dock is gone."""
         self.steps.unbind_keys(self)
-        self._points.release()
+        self._points.listen(self, ())
 
     def interrupt(self) -> bool:
         """Nothing here is ever half done."""
         return False
+
+    def _on_landmarks(self) -> None:
+        if not self._life.away:
+            self._points.listen(self, self._landmarks.layers)
 
     def _show(self) -> None:
         if not self._life.away:

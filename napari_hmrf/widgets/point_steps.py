@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Iterable
+from functools import partial
+from operator import eq
 from typing import Any
 
 from napari.layers import Points
-from qtpy.QtCore import QObject, Qt
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf.layers.placed import Placed
-from napari_hmrf.layers.steps import POINTS, Slot, ViewerSteps
-from napari_hmrf.widgets.landmark_choice import LandmarkChoice
+from napari_hmrf.layers.steps import POINTS, Slot, steps_of
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.timers import single_shot
 
@@ -19,46 +22,56 @@ _REST = 200
 
 
 class PointSteps:
-    """Keeps what is done to points while they are landmarks, and puts back what is undone.
+    """Keeps what is done to points that are landmarks, and puts back what is undone.
 
-    A drag is one step, however many times napari tells of it.
+    A drag is one step, however many times napari tells of it. Points that have steps are listened
+    to until their layer is removed, landmarks or not, whichever docks are closed: what is put back
+    is all of a layer, and would take along what nobody heard of.
 
     Parameters
     ----------
-    landmarks : LandmarkChoice
-    steps : ViewerSteps
-    parent : QObject
-        With which this ends.
+    viewer : napari.Viewer or ViewerModel
+        Have one of them in a viewer, by `shared`.
     """
 
-    def __init__(self, landmarks: LandmarkChoice, steps: ViewerSteps, parent: QObject) -> None:
-        self._landmarks, self._edits = landmarks, steps.edits
-        self._layers: tuple[Any, ...] = ()
-        self._listening = Listening()
+    def __init__(self, viewer: Any) -> None:
+        self._edits = steps_of(viewer).edits
+        self._chosen: weakref.WeakKeyDictionary[Any, tuple[Any, ...]] = weakref.WeakKeyDictionary()
+        self._heard: dict[Any, Listening] = {}
         self._undoing = False
-        self._resting = single_shot(parent, _REST, self._on_rest)
-        landmarks.edited.connect(self.look)
+        self._resting = single_shot(None, _REST, self._on_rest)
         self._edits.changed.connect(self._on_undone)
-        self.look()
+        viewer.layers.events.removed.connect(self._on_removed)
 
-    def look(self) -> None:
-        """Listen to the layers that are chosen, and to no others."""
-        layers = tuple(each for each in self._landmarks.layers if isinstance(each, Points))
-        if [id(layer) for layer in layers] == [id(layer) for layer in self._layers]:
+    def listen(self, owner: Any, layers: Iterable[Any]) -> None:
+        """Listen to the layers that are an owner's landmarks now, none or more.
+
+        Parameters
+        ----------
+        owner : object
+            Who chose them; known weakly.
+        layers : iterable of napari.layers.Layer
+            Those that are no points do not matter.
+        """
+        points = tuple(layer for layer in layers if isinstance(layer, Points))
+        if points == self._chosen.get(owner, ()):
             return
-        self.release()
-        self._layers = layers
-        for layer in layers:
-            slot, now = Slot(POINTS, layer), Placed.of(layer)
-            if self._edits.open(slot, now) != now:
-                self._edits.amend(slot, now)
-        self._listening = Listening(*((layer.events.data, self._on_data) for layer in layers))
-
-    def release(self) -> None:
-        """Listen to no layer."""
         self._end()
-        self._listening.release()
-        self._layers = ()
+        self._chosen[owner] = points
+        wanted = {layer for chosen in self._chosen.values() for layer in chosen}
+        for layer in self._heard.keys() - wanted:
+            slot = Slot(POINTS, layer)
+            if not self._edits.has_steps(slot):
+                self._heard.pop(layer).release()
+                self._edits.drop(partial(eq, slot))
+        for layer in wanted - self._heard.keys():
+            self._edits.open(Slot(POINTS, layer), Placed.of(layer))
+            self._heard[layer] = Listening((layer.events.data, self._on_data))
+
+    def _on_removed(self, event: Any) -> None:
+        """The steps go with the layer, too."""
+        if event.value in self._heard:
+            self._heard.pop(event.value).release()
 
     def _on_data(self, event: Any) -> None:
         layer = event.source
