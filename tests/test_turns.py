@@ -99,6 +99,38 @@ def test_what_is_looked_at_lies_on_top(at_hand, run, settle, wait_for):
     assert "Deformed image" not in seen(viewer)
 
 
+def topmost(viewer):
+    """The picture that is seen: whatever lies below it is covered."""
+    return [name for name in pictures(viewer) if viewer.layers[name].visible][-1]
+
+
+def test_a_picture_of_a_look_makes_way_for_the_next_pull(at_hand, settle, wait_for):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller = opened("Grab and pull")
+    grab(puller)
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    look = opened("Look at the result")
+    wait_for(lambda: look.idle)
+    look.percent, look.grid = 50, True
+    wait_for(lambda: look.idle)
+    assert topmost(viewer) == "MR deformed"
+    before = look._scene.shown.layer("grid").data.copy()
+    person.drag((24, 20), (20, 20))
+    assert topmost(viewer) == "Deformed image", "while one pulls"
+    settle(puller)
+    wait_for(lambda: look.idle and not look._scene.outdated)
+    assert topmost(viewer) == "Deformed image", "and afterwards"
+    grid = look._scene.shown.layer("grid")
+    assert grid.data.shape != before.shape or (grid.data != before).any()
+    look.percent = 40
+    wait_for(lambda: look.idle)
+    assert topmost(viewer) == "MR deformed"
+    viewer.window.remove_dock_widget(look.native)
+    assert topmost(viewer) == "Deformed image", "nobody moves the other any more"
+
+
 def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
     person, opened = at_hand
     viewer = person.viewer

@@ -9,7 +9,7 @@ from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.outputs import LayerData
 
 #: A dock whose layers show a result.
-Maker = Literal["deform", "grab"]
+Maker = Literal["deform", "grab", "look"]
 #: Layers that wait for the turn of their dock. Those that somebody hid by hand are not among them.
 _waiting: weakref.WeakSet[Any] = weakref.WeakSet()
 
@@ -29,7 +29,7 @@ def take_turn(viewer: Any, maker: Maker, source: str = "", where: str | None = N
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    maker : {"deform", "grab"}
+    maker : {"deform", "grab", "look"}
         Who shows something.
     source : str
         The image's name, as in the layers' metadata; "": of whatever image.

@@ -89,6 +89,7 @@ class Scene:
         if arrows is not shown.arrows:
             self.put_back()
         shown.release()
+        shown.hide_own_picture()
         self.player.stop()
         self._errands.forget()
         self._colours = None
@@ -129,6 +130,8 @@ class Scene:
         self._arrows.apply()
         if face.colours.value != NOTHING:
             self._on_colours(face.colours.value)
+        if face.grid.value and shown.own("grid") is not None:
+            self._make_grid(result)
 
     def look_at_eyes(self) -> None:
         """Let the boxes say which layers are seen, whoever has hidden or shown them."""
@@ -167,7 +170,8 @@ class Scene:
         if motion is None:
             return False
         shown.take_turn()
-        if motion.image is not None and shown.layer("image") is None:
+        image, own = shown.layer("image"), shown.own("image")
+        if motion.image is not None and (image is None or (image is own and not own.visible)):
             self._make_image()
         image = shown.layer("image")
         if image is not None and not image.visible and motion.image is not None:
@@ -185,6 +189,7 @@ class Scene:
         self._errands.forget()
         self.shown.release()
         self.shown.restore()
+        self.shown.hide_own_picture()
         self._set_slider(FULL)
 
     def rest(self) -> None:
@@ -273,11 +278,13 @@ class Scene:
         if layer is not None:
             layer.visible = drawn
         elif drawn:
-            work = partial(grid_of, result)
-            self._errands.send("grid", work, partial(self.shown.put, "grid"))
+            self._make_grid(result)
         self.prepare()
         if drawn:
             self.player.show(self._face.slider.value)
+
+    def _make_grid(self, result: FoundResult) -> None:
+        self._errands.send("grid", partial(grid_of, result), partial(self.shown.put, "grid"))
 
     def _make_image(self) -> None:
         result, source, motion = self.shown.result, self.shown.source, self.player.motion

@@ -50,19 +50,31 @@ class ShownLayers:
             return None
         if kind == "arrows":
             return self.arrows
-        reference = _made.get(self.arrows, {}).get(kind)
-        made = still_there(self._viewer, None if reference is None else reference())
+        made = self.own(kind)
         if made is not None:
             return made
         kinds: dict[str, Kind] = {"image": "image", "labels": "labels", "grid": "grid"}
         found = kinds.get(kind)
         return None if found is None else companion(self._viewer.layers, self.result, found)
 
+    def own(self, kind: str) -> Any:
+        """The layer of a kind that nobody but this keeps; None if there is none."""
+        reference = None if self.arrows is None else _made.get(self.arrows, {}).get(kind)
+        return still_there(self._viewer, None if reference is None else reference())
+
+    def hide_own_picture(self) -> None:
+        """Hide a picture that follows nobody's next result, until it is moved again."""
+        picture = self.own("image")
+        if picture is not None:
+            picture.visible = False
+
     def put(self, kind: str, made: LayerData) -> Any:
         """Show a layer of a kind: the one that is there, with other data, or a new one."""
         layer = self.layer(kind)
         if self.result is not None and "by" in self.result.facts:
-            made.attributes["metadata"][METADATA]["by"] = self.result.facts["by"]
+            # Whoever made the result does not know of another picture of it, and moves on.
+            by = "look" if kind == "image" else self.result.facts["by"]
+            made.attributes["metadata"][METADATA]["by"] = by
         if layer is not None:
             named_by_us = _names.get(layer) == layer.name
             update_layer(layer, made)
