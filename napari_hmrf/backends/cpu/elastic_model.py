@@ -94,7 +94,7 @@ class CpuElasticLevel(CpuLevel):
     def _forget(self, before: npt.NDArray[np.int64]) -> None:
         """The kernels write within the spans only: beyond them there must be 0."""
         if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
-            for vector in (self.correction, self._other, self._rest):
+            for vector in (self.correction, self._other):
                 vector.fill(0)
 
     @property

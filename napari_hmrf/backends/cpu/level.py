@@ -48,8 +48,13 @@ class CpuLevel:
         self._memory = memory
         self._spare: list[Vector] = []
         self.inverse = self.vector()
-        self.load, self.correction, self._other, self._rest = (self.vector() for _ in range(4))
+        self.load, self.correction, self._other = (self.vector() for _ in range(3))
         self._rows, self._most = np.zeros((2, grid[0]))
+
+    @cached_property
+    def _rest(self) -> Vector:
+        """What is left of a load, for models whose kernels do not restrict it at once."""
+        return self.vector()
 
     @cached_property
     def _step(self) -> Vector:

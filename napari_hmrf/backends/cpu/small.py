@@ -17,7 +17,7 @@ from napari_hmrf.backends.cpu import forces, vectors
 _alone = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})
 
 # A level's arrays, in this order.
-INVERSE, LOAD, CORRECTION, OTHER, REST, LAME, PINS, WEIGHT = range(8)
+INVERSE, LOAD, CORRECTION, OTHER, LAME, PINS, WEIGHT, REST = range(8)
 ARRAYS = 8
 
 # Where the first site lies, and the only row there is.
