@@ -94,6 +94,9 @@ class ArrowsLayer:
         else:
             for name, value in frame.placement().items():
                 setattr(layer, name, value)
+            known = layer.metadata.get(METADATA)
+            if isinstance(known, dict):  # by which it is known when it is its turn to be seen
+                known["slice"] = frame.slice_name
         self._frame = frame
 
     def show(
