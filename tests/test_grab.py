@@ -206,6 +206,28 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
 
 
+def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (33, 33))
+    settle(widget)
+    moved = by_name(person.viewer, "Deformed image")
+    moved.gamma = 0.8
+    dark = (by_name(person.viewer, "MR").data // 8).astype(np.uint8)
+    other = person.viewer.add_image(dark, name="CT", colormap="magma", contrast_limits=(0, 30))
+    widget.image = other
+    settle(widget)
+    widget.start()
+    person.drag((20, 20), (22, 22))
+    settle(widget)
+    assert by_name(person.viewer, "Deformed image") is moved
+    assert moved.metadata[METADATA]["source"] == "CT"
+    assert (moved.colormap.name, moved.contrast_limits) == ("magma", [0, 30])
+    moved.gamma = 0.7
+    person.drag((40, 40), (42, 42))
+    settle(widget)
+    assert moved.gamma == 0.7, "how somebody has it drawn stays"
+
+
 def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_window(stack, scale=(5, 1, 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from napari.layers import Layer
 
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import Ground
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.widgets.grab.quick import overwrite
 from napari_hmrf.widgets.grab.seen import Seen
@@ -36,6 +37,8 @@ class LiveLayers:
         self._picture: Any = None
         self._arrows: Any = None
         self._frame: Frame | None = None
+        #: The image it shows; none yet.
+        self._of: Callable[[], Any] = lambda: None
         self._hidden = False
         #: What the picture's layer shows, if nobody else holds it.
         self._own: Any = None
@@ -94,19 +97,23 @@ class LiveLayers:
         data = frame.put_image(seen.picture)
         rgb = seen.picture.ndim == 3
         if layer is not None and (layer.ndim, layer.rgb) == (frame.ndim, rgb):
-            if frame == self._frame:
+            same = known_of(layer).get("source") == seen.ground.pictures.name
+            if same and frame == self._frame:
                 # Whoever takes the layer's data is told of others, and may write to them.
                 if quick and layer.data is self._own and overwrite(self._viewer, layer, data):
                     return
                 layer.data = self._own = np.array(data) if quick else data
             else:
                 update_layer(layer, LayerData(data, self._attributes(seen.ground, rgb), "image"))
+                if self._of() is not image:  # nobody has chosen yet how that one is drawn
+                    for name, value in seen.ground.pictures.look.items():
+                        setattr(layer, name, value)
         else:
             made = LayerData(data, self._attributes(seen.ground, rgb), "image")
             layers = self._viewer.layers
             above = layers.index(image) + 1 if image in layers else len(layers)
             self._picture = self._add(made, above)
-        self._frame = frame
+        self._frame, self._of = frame, weakref.ref(image)
 
     def _attributes(self, ground: Ground, rgb: bool) -> dict[str, Any]:
         facts = {"kind": "image", "by": "grab", "source": ground.pictures.name}
