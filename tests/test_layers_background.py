@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from napari_hmrf.layers.background import background_of
+from napari_hmrf.layers.metadata import TISSUE, rows_of
 from napari_hmrf.phantoms import sample
+from napari_hmrf.widgets.deform import DeformTissue
 
 
 def head(dtype=np.float32, low=0.0, high=1.0):
@@ -83,3 +85,66 @@ def test_one_press_of_the_button_is_one_undo(widget, wait_for):
     widget.undo()
     assert widget.materials == rows
     assert widget._steps.steps.edits.next_undo is None
+
+
+def tissue_rows(layer):
+    return rows_of(layer, TISSUE)
+
+
+@pytest.fixture
+def scanned(widget):
+    """The dock with a bright block in air, and a layer of tissue to paint on."""
+    picture = np.zeros((30, 40), np.uint8)
+    picture[8:22, 10:30] = 200
+    widget._viewer.add_image(picture, name="CT")
+    widget.make_layers()
+    return widget
+
+
+def test_no_tissue_that_was_painted_elsewhere_stays_no_tissue(scanned):
+    tissue, rows = scanned.tissue, scanned.materials
+    scanned.mark_background()
+    (void,) = set(scanned.materials) - set(rows)
+    tissue.data_setitem((np.array([15]), np.array([15])), void.label)
+    scanned.undo()
+    scanned._face.tissue.painted.look()
+    assert (tissue.data == void.label).sum() == 1
+    assert void in scanned.materials, "its label is still used"
+    tissue.data_setitem((np.array([15]), np.array([15])), 0)
+    scanned.redo()
+    scanned.undo()
+    assert scanned.materials == rows
+    tissue.data_setitem((np.array([15]), np.array([15])), void.label)
+    scanned._face.tissue.painted.look()
+    assert void not in scanned.materials, "a tissue of its own by then"
+    scanned.redo()
+    assert void in scanned.materials
+
+
+def test_a_background_is_taken_back_whatever_is_chosen_or_closed(scanned):
+    tissue, rows = scanned.tissue, scanned.materials
+    scanned.mark_background()
+    scanned.tissue = scanned._viewer.add_labels(np.ones((30, 40), np.uint8), name="other")
+    scanned.undo()
+    assert not tissue.data.any()
+    scanned.tissue = tissue
+    assert scanned.materials == rows
+    scanned.redo()
+    scanned._on_closed()
+    other = DeformTissue(scanned._viewer)
+    other.tissue = tissue
+    assert other.materials == tissue_rows(tissue) != rows
+    other.undo()
+    assert not tissue.data.any()
+    assert other.materials == tissue_rows(tissue) == rows
+
+
+def test_a_script_marks_the_background_in_a_closed_dock(scanned):
+    tissue, rows = scanned.tissue, scanned.materials
+    scanned._on_closed()
+    scanned.mark_background()
+    (void,) = set(tissue_rows(tissue)) - set(rows)
+    assert (tissue.data == void.label).sum() > 500
+    scanned.undo()
+    assert not tissue.data.any()
+    assert tissue_rows(tissue) == rows

@@ -483,6 +483,23 @@ def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     assert widget.materials == before
 
 
+def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opened(
+    widget, small_sample
+):
+    small_sample(viewer_of(widget))
+    widget.make_from_intensity()
+    curve, steps = widget._face.tissue.curve, widget._steps
+    before = curve.curve
+    curve.editor.plot.select(1)
+    curve.editor.stiffness.setValue(curve.editor.stiffness.value() * 3)
+    edited = curve.curve
+    steps.leave()
+    steps.steps.undo()
+    assert curve.curve == edited != before
+    steps.come()
+    assert curve.curve == before
+
+
 def test_a_curve_is_undone_with_its_layer(widget, small_sample):
     small_sample(viewer_of(widget))
     widget.make_from_intensity()

@@ -18,6 +18,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.steps import Place
+from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.view import View
 from napari_hmrf.material_files import load_materials, save_materials
 from napari_hmrf.presets import Preset
@@ -27,6 +28,8 @@ from napari_hmrf.widgets.material_menu import materials_of
 from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.new_layers import layers_to_paint_on
 from napari_hmrf.widgets.settings import SolverSettings
+from napari_hmrf.widgets.table_steps import FillingSteps
+from napari_hmrf.widgets.viewer_layers import shared
 from napari_hmrf.widgets.words import WELCOME
 
 
@@ -246,20 +249,17 @@ class Chooser(Dock):
         if not isinstance(tissue, Labels):
             raise HmrfError("No tissue layer to paint on: press 'Make layers to paint on'.")
         indices = unpainted_background(image, tissue, self._view())
-        void = [row for row in self.materials if row.stiffness == 0 and row.label > 0]
-        label = max([0, *(row.label for row in self.materials)]) + 1
+        # Of the layer: a dock that is closed does not follow it.
+        rows = Table.of(tissue, TISSUE).rows
+        void = [row for row in rows if row.stiffness == 0 and row.label > 0]
+        label = max([0, *(row.label for row in rows)]) + 1
         material = void[0] if void else Material(label, "background", 0.0)
         place = Place.of(Frame.of(tissue, self._view()))
         filling = Filling(indices, material, not void, place)
-        painted = self._face.tissue.painted
-        if filling.new:
-            with painted.by_nobody():
-                self.materials = (*self.materials, material)
         # What is painted is to be seen; and on a hidden layer napari may paint nothing, for want of
         # a slice that it has looked at.
         tissue.visible = True
-        filling.paint(tissue)
-        painted.filled.emit(filling)
+        shared(self._viewer, FillingSteps).fill(tissue, filling)
         return len(indices[0])
 
     def reset_choices(self, *_: Any) -> None:

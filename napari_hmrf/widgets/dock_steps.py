@@ -9,8 +9,9 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.steps import DRAWING, Slot, ViewerSteps
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.life import Life
+from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.point_steps import PointSteps
-from napari_hmrf.widgets.table_steps import CurveSteps, FillingSteps, TableSteps
+from napari_hmrf.widgets.table_steps import CurveSteps, TableSteps
 
 
 class DockSteps:
@@ -43,7 +44,6 @@ class DockSteps:
             TableSteps(TISSUE, tissue.painted, tissue.table, steps),
             TableSteps(BOUNDARY, boundary.painted, boundary.table, steps),
         )
-        self._fillings = FillingSteps(tissue.painted, tissue.table, steps)
         self._curve = CurveSteps(tissue.curve, tissue.choice.choose, steps)
         tissue.choice.changed.connect(self._curve.look)
         self._landmarks = boundary.landmarks
@@ -54,21 +54,34 @@ class DockSteps:
         self._buttons.redo.changed.connect(steps.redo)
         steps.edits.moved.connect(self._show)
         steps.said.connect(self._on_said)
+        self._listening = Listening()
+        self._listen()
         self._show()
 
     def come(self) -> None:
         """The dock is there: have the keys."""
         self.steps.bind_keys(self)
+        self._listen()
+        self._curve.catch_up()
         self._on_landmarks()
 
     def leave(self) -> None:
         """The dock is gone."""
         self.steps.unbind_keys(self)
+        self._listening.release()
+        self._curve.leave()
         self._points.listen(self, ())
 
     def interrupt(self) -> bool:
         """Nothing here is ever half done."""
         return False
+
+    def _listen(self) -> None:
+        """Show what is undone; a dock that is closed leaves that to the others."""
+        self._listening.release()
+        changed = self.steps.edits.changed
+        shown = (*self._tables, self._curve)
+        self._listening = Listening(*((changed, each.show) for each in shown))
 
     def _on_landmarks(self) -> None:
         if not self._life.away:

@@ -45,8 +45,6 @@ class PaintedLabels:
     picked = Signal(object)
     #: What new labels were painted, in words.
     found = Signal(str)
-    #: Pixels were painted as no tissue at once: a `Filling`.
-    filled = Signal(object)
 
     def __init__(self, role: Role, table: LabelTable, view: Callable[[], View | None]) -> None:
         self._role = role

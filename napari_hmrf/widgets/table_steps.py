@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from napari_hmrf.layers.background import Filling
-from napari_hmrf.layers.metadata import Role
-from napari_hmrf.layers.steps import BACKGROUND, CURVE, Slot, ViewerSteps
+from napari_hmrf.layers.metadata import TISSUE, Role
+from napari_hmrf.layers.steps import BACKGROUND, CURVE, Slot, ViewerSteps, steps_of
 from napari_hmrf.layers.tables import Table, change
 from napari_hmrf.widgets.curve.tissue import TissueCurve
 from napari_hmrf.widgets.label_table import LabelTable
@@ -33,7 +33,6 @@ class TableSteps:
         self._edits = steps.edits
         self._layer: Any = None
         painted.changed.connect(self._on_table)
-        self._edits.changed.connect(self._on_undone)
         self._on_table()
 
     def _on_table(self) -> None:
@@ -50,7 +49,8 @@ class TableSteps:
         else:
             self._edits.do(slot, now, change(before, now, layer.name))
 
-    def _on_undone(self, slot: Any, value: Any) -> None:
+    def show(self, slot: Any, value: Any) -> None:
+        """Show what a slot holds, if it is the table that is shown."""
         layer = self._painted.layer
         if layer is None or slot != Slot(self._role, layer):
             return
@@ -63,48 +63,44 @@ class TableSteps:
 class FillingSteps:
     """Keeps what was painted as no tissue by one press of a button, with its row, as one step.
 
+    Which dock did it, and what it shows now, makes no difference: the row is that of the layer.
+
     Parameters
     ----------
-    painted : PaintedLabels
-        Of the tissue.
-    table : LabelTable
-    steps : ViewerSteps
+    viewer : napari.Viewer or ViewerModel
+        Have one of them in a viewer, by `shared`.
     """
 
-    def __init__(self, painted: PaintedLabels, table: LabelTable, steps: ViewerSteps) -> None:
-        self._painted, self._table, self._edits = painted, table, steps.edits
-        # What is painted of each slot: the steps say what should be.
-        self._there: dict[Slot, tuple[Filling, ...]] = {}
-        painted.filled.connect(self._on_filled)
+    def __init__(self, viewer: Any) -> None:
+        self._edits = steps_of(viewer).edits
         self._edits.changed.connect(self._on_changed)
 
-    def _on_filled(self, filling: Filling) -> None:
-        slot = Slot(BACKGROUND, self._painted.layer, filling.place)
+    def fill(self, layer: Any, filling: Filling) -> None:
+        """Paint it in a layer of tissue labels, and have that undone in one step."""
+        slot = Slot(BACKGROUND, layer, filling.place)
         fillings = (*self._edits.open(slot, ()), filling)
-        self._there = {each: kept for each, kept in self._there.items() if each in self._edits}
-        self._there[slot] = fillings
-        self._edits.do(slot, fillings, f"made the background of '{slot.layer.name}' no tissue")
+        self._edits.do(slot, fillings, f"made the background of '{layer.name}' no tissue")
 
-    def _on_changed(self, slot: Any, fillings: Any) -> None:
-        if not isinstance(slot, Slot) or slot.what != BACKGROUND or slot not in self._there:
+    def _on_changed(self, slot: Any, fillings: Any, before: Any) -> None:
+        if not isinstance(slot, Slot) or slot.what != BACKGROUND:
             return
-        before, self._there[slot] = self._there[slot], fillings
         for filling in reversed(before[len(fillings) :]):
             filling.erase(slot.layer)
-            self._have_row(slot.layer, filling, there=False)
+            label = filling.material.label
+            # Whoever painted it elsewhere since goes on meaning no tissue by it.
+            if filling.new and not (slot.layer.data == label).any():
+                self._have_row(slot.layer, label)
         for filling in fillings[len(before) :]:
-            self._have_row(slot.layer, filling, there=True)
+            self._have_row(slot.layer, filling.material.label, filling.material)
             filling.paint(slot.layer)
 
-    def _have_row(self, layer: Any, filling: Filling, there: bool) -> None:
-        """Have the table say what the paint is, or no longer."""
-        if not filling.new or self._painted.layer is not layer:
-            return
-        label, rows = filling.material.label, self._table.rows
-        if there != (label in self._table.labels):
-            with self._painted.by_nobody():
-                kept = [row for row in rows if row.label != label]
-                self._table.rows = (*rows, filling.material) if there else tuple(kept)
+    def _have_row(self, layer: Any, label: int, *row: Any) -> None:
+        """Have the table say what the paint is, or no longer; that is no step of its own."""
+        slot, table = Slot(TISSUE, layer), Table.of(layer, TISSUE)
+        rows = (*(each for each in table.rows if each.label != label), *row)
+        self._edits.open(slot, table)
+        by_label = tuple(sorted(rows, key=lambda each: int(each.label)))
+        self._edits.amend(slot, table._replace(rows=by_label))
 
 
 class CurveSteps:
@@ -121,9 +117,9 @@ class CurveSteps:
     def __init__(self, curve: TissueCurve, choose: Any, steps: ViewerSteps) -> None:
         self._curve, self._choose, self._edits = curve, choose, steps.edits
         self._undoing = False
+        self._left: tuple[Slot, Any] | None = None
         curve.changed.connect(self._on_changed)
         curve.settled.connect(self._on_settled)
-        self._edits.changed.connect(self._on_undone)
         self.look()
 
     def look(self, *_: Any) -> None:
@@ -142,7 +138,21 @@ class CurveSteps:
             self._edits.open(slot, curve)
             self._edits.do(slot, curve, f"changed the curve of '{layer.name}'")
 
-    def _on_undone(self, slot: Any, value: Any) -> None:
+    def leave(self) -> None:
+        """Nobody will listen: know what should be shown now."""
+        slot = Slot(CURVE, self._curve.layer)
+        self._left = (slot, self._edits.get(slot)) if slot in self._edits else None
+
+    def catch_up(self) -> None:
+        """Show what was undone meanwhile."""
+        left, self._left = self._left, None
+        if left is not None and left[0] in self._edits:
+            now = self._edits.get(left[0])
+            if now != left[1]:
+                self.show(left[0], now)
+
+    def show(self, slot: Any, value: Any) -> None:
+        """Show what a slot holds, if it is a curve, and the layer it is of."""
         if not isinstance(slot, Slot) or slot.what != CURVE or self._undoing:
             return
         self._undoing = True
