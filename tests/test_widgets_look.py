@@ -229,6 +229,23 @@ def test_before_is_seen_as_long_as_the_button_is_held(look, qtbot):
     assert not viewer.layers["Tissue deformed"].visible
 
 
+def test_the_grid_is_still_ticked_after_a_look_at_before(look, set_to):
+    set_to(look, grid=True)
+    layer = look._scene.shown.layer("grid")
+    look.before = True
+    assert not layer.visible
+    assert look.grid
+    look.before = False
+    assert layer.visible
+    assert look.grid
+    layer.visible = False
+    assert not look.grid, "its eye was closed by hand"
+    layer.visible = True
+    viewer_of(look).layers.remove(layer)
+    set_to(look)
+    assert not look.grid
+
+
 def test_before_is_on_a_key_as_well(look):
     viewer = viewer_of(look)
     (action,) = [held for key, held in viewer.keymap.items() if str(key) == "Shift+B"]

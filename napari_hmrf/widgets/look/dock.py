@@ -46,7 +46,10 @@ class LookAtResult(LookControls):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._settling = single_shot(self.native, _SETTLED, self._on_settled)
+        # A layer is known to be the grid of a result only after it has come.
+        self._eyes = single_shot(self.native, 0, self._on_eye)
         self._followed: Any = None
+        self._grid: Any = None
         self._connect()
         self._on_theme()
         self._choose_newest()
@@ -56,7 +59,8 @@ class LookAtResult(LookControls):
     @property
     def idle(self) -> bool:
         """Whether all that was asked for is seen."""
-        return not (self._settling.isActive() or self._scene.busy)
+        waiting = self._settling.isActive() or self._eyes.isActive()
+        return not (waiting or self._scene.busy)
 
     # What can be done
 
@@ -118,6 +122,7 @@ class LookAtResult(LookControls):
         self._follow(self.result)
         self._taken = None if self.result is None else result_of(self.result)
         self._scene.take(self.result)
+        self._follow_grid(self._scene.shown.layer("grid"))
         self._face.status.say(self._scene.words if self.result is not None else NO_RESULT)
 
     def _follow(self, layer: Any) -> None:
@@ -131,6 +136,15 @@ class LookAtResult(LookControls):
             layer.events.data.connect(self._on_arrows)
             layer.events.visible.connect(self._on_eye)
 
+    def _follow_grid(self, layer: Any) -> None:
+        if layer is self._grid:
+            return
+        if self._grid is not None:
+            self._grid.events.visible.disconnect(self._on_eye)
+        self._grid = layer
+        if layer is not None:
+            layer.events.visible.connect(self._on_eye)
+
     def _on_arrows(self, *_: Any) -> None:
         """Arrows were drawn anew: by whom is seen when their metadata have followed."""
         if not self.away:
@@ -138,6 +152,7 @@ class LookAtResult(LookControls):
 
     def _on_eye(self, *_: Any) -> None:
         if not self.away:
+            self._follow_grid(self._scene.shown.layer("grid"))
             self._scene.look_at_eyes()
 
     def _on_settled(self) -> None:
@@ -155,6 +170,7 @@ class LookAtResult(LookControls):
         if not self.away:
             self._face.result.refresh()
             self._face.image.refresh()
+            self._eyes.start()
 
     def _on_image(self, *_: Any) -> None:
         if not self.away:
@@ -225,6 +241,7 @@ class LookAtResult(LookControls):
 
     def _on_end(self) -> None:
         self._follow(None)
+        self._follow_grid(None)
         self._events.release()
         self._unbind_key()
         self._scene.release()

@@ -140,7 +140,8 @@ class Scene:
             return
         grid = shown.layer("grid")
         with face.grid.changed.blocked(), face.arrows.changed.blocked():
-            face.grid.value = grid is not None and grid.visible
+            if not self._errands.busy("grid"):  # else there is one soon
+                face.grid.value = grid is not None and grid.visible
             face.arrows.value = shown.arrows.visible
 
     def prepare(self) -> None:
@@ -166,9 +167,12 @@ class Scene:
 
     def ready_to_move(self) -> bool:
         """Have a layer that can be moved; whether there is one."""
-        motion, shown = self.player.motion, self.shown
-        if motion is None:
+        shown = self.shown
+        if self.player.motion is None:
             return False
+        if self.player.motion.grid != self._face.grid.value:  # its eye was opened or closed since
+            self.prepare()
+        motion = self.player.motion
         shown.take_turn()
         image, own = shown.layer("image"), shown.own("image")
         if motion.image is not None and (image is None or (image is own and not own.visible)):
