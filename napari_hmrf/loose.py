@@ -35,8 +35,9 @@ class _Known(NamedTuple):
         if not self.firm:
             return np.array_equal(self.held, held)
         # To hold more, as a brush does, frees nothing; but what was left out may matter now.
-        more = (held & ~self.held).any(axis=-1)
-        return not (self.held & ~held).any() and not (more & self.found).any()
+        if (self.held > held).any():
+            return False
+        return not (self.found.any() and (held > self.held)[self.found].any())
 
 
 # The last that was found, and for what: to find it takes as long as a few cycles.
