@@ -162,6 +162,38 @@ def test_results_of_another_slice_stay_as_they_are(
     assert seen(viewer) >= before - {"Boundary", "Tissue"}
 
 
+def test_to_go_to_another_slice_is_no_turn_of_the_dock_that_follows(
+    make_napari_viewer, small_sample, run, settle, wait_for, qtbot
+):
+    viewer = make_napari_viewer()
+    small_sample(viewer, (3, 20, 24))
+    _, deform = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    viewer.dims.set_current_step(0, 0)
+    run(quick(deform))
+    deform.live = True
+    _, puller = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+    assert puller.start()
+    puller.drawing = Drawing().with_mark(Arrow((10, 12), (2, 2), 3))
+    settle(puller)
+
+    def at_rest():
+        qtbot.wait(20)
+        wait_for(lambda: not deform.following, 60_000)
+        settle(puller)
+
+    viewer.dims.set_current_step(0, 2)
+    at_rest()
+    of_this = {layer for layer in viewer.layers if "= 2" in known_of(layer).get("slice_seen", "")}
+    followed = [layer for layer in of_this if known_of(layer).get("by") == "deform"]
+    assert followed
+    assert not any(layer.visible for layer in followed)
+    assert viewer.layers["Arrows"].visible
+    deform.rules = (deform.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    at_rest()
+    assert any(layer.visible for layer in followed), "an edit is"
+    assert not viewer.layers["Arrows"].visible
+
+
 def test_a_reopened_dock_goes_on_with_the_result_that_is_there(
     at_hand, run, settle, wait_for, qtbot
 ):

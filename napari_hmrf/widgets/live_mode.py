@@ -55,6 +55,9 @@ class LiveMode:
         self._newest = Newest(self._on_news)
         self._asked: tuple[Snapshot, Any] | None = None
         self._source: weakref.ref[Any] | None = None
+        #: Where it was looked last, and whether what was asked for last is somebody's edit.
+        self._place: Any = None
+        self._turn = True
         self._layers: tuple[Any, ...] = ()
         #: Whether what was asked for last is not shown yet.
         self._pending = False
@@ -170,10 +173,16 @@ class LiveMode:
         rows, cols = (axis - missing for axis in dims.displayed[-2:])
         return (extents[rows], extents[cols]) if extents and min(rows, cols) >= 0 else (0, 0)
 
+    def _shown_place(self) -> tuple[Any, ...]:
+        """Which slice is shown."""
+        dims = self._widget.dims
+        return (*(dims.current_step[axis] for axis in dims.not_displayed), *dims.order)
+
     def _look(self) -> None:
         widget = self._widget
         if not self.begun or widget.away:
             return
+        before, self._place = self._place, self._shown_place()
         prior, optimizer, backend = widget.solver
         try:
             request = widget.request()
@@ -188,6 +197,8 @@ class LiveMode:
         if asked is not None and asked[1] == settings and asked[0].same_as(snapshot):
             return
         self._asked, self._layers = (snapshot, settings), request.layers
+        # To go to another slice is no work in this dock, and hides nothing of another's.
+        self._turn = before in (None, self._place)
         self._source = weakref.ref(request.layers[0])
         job = self._job
         if job is None or job.made_with != (optimizer, backend):
@@ -212,11 +223,12 @@ class LiveMode:
             self._fail(news.error)
         elif news.done is not None:
             self._pending = job.busy
-            self._widget.show_live(news.done, source)
+            self._widget.show_live(news.done, source, self._turn)
             self._said = ""
         else:
             self._since = time.monotonic()
-            shown = news.picture is not None and self._widget.show_picture(news, source)
+            seen = self._widget.show_picture
+            shown = news.picture is not None and seen(news, source, self._turn)
             self._resting.start(_REST if shown else 0)
 
     def _complete(self) -> None:

@@ -129,25 +129,25 @@ class ResultDock(Chooser):
             return CHOOSE if self._viewer.layers else WELCOME
         return MAKE
 
-    def show_live(self, done: Done, source: Any) -> None:
-        """The result has followed an edit."""
+    def show_live(self, done: Done, source: Any, turn: bool = True) -> None:
+        """The result has followed an edit, which has a turn, or the slice that is shown."""
         if source not in self._viewer.layers:
             return
         self._latest.done, self._latest.settings = done, self._solver
         self._latest.compare(self.request, self._solver)
-        self._put(done.outputs, source)
+        self._put(done.outputs, source, turn)
         if self._latest.fresh:
             self.say_result()
         self.followed.emit(done.outputs)
 
-    def show_picture(self, news: News, source: Any) -> bool:
+    def show_picture(self, news: News, source: Any, turn: bool = True) -> bool:
         """Show at once how the image has followed an edit; whether there was a place for it."""
         here = source in self._viewer.layers and "image" in self.outputs
         if not here or news.picture is None:
             return False
         frame = news.snapshot.frame
         data = frame.put_image(news.picture)
-        return self._results.show_picture(source, frame.slice_name, data)
+        return self._results.show_picture(source, frame.slice_name, data, turn=turn)
 
     def outdate(self) -> None:
         """The result is not that of the layers."""
@@ -160,12 +160,12 @@ class ResultDock(Chooser):
             self._say(f"{words} {self._latest.note}".rstrip(), small)
             self._latest.note = ""
 
-    def _put(self, outputs: Outputs, source: Any) -> None:
+    def _put(self, outputs: Outputs, source: Any, turn: bool = True) -> None:
         for made in outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
         self._hide_preview()
         self._source = weakref.ref(source)
-        self._results.show(outputs, source)
+        self._results.show(outputs, source, turn=turn)
         self._face.energy.show_solution(outputs.solution)
 
     def _on_folds(self, ticked: bool) -> None:

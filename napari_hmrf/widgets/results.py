@@ -12,7 +12,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.outputs import FILLING, Kind, LayerData, Outputs
 from napari_hmrf.widgets.latest import Latest
-from napari_hmrf.widgets.turns import sign, take_turn
+from napari_hmrf.widgets.turns import give_way, sign, take_turn
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 
@@ -60,7 +60,7 @@ class ResultLayers:
     def _viewer(self) -> Any:
         return self._viewer_ref()
 
-    def show(self, outputs: Outputs, source: Any) -> dict[Kind, Any]:
+    def show(self, outputs: Outputs, source: Any, *, turn: bool = True) -> dict[Kind, Any]:
         """Update the layers of the same source and slice; make those that are not there.
 
         Parameters
@@ -68,6 +68,8 @@ class ResultLayers:
         outputs : Outputs
         source : napari.layers.Layer
             What was deformed.
+        turn : bool
+            Whether somebody is at work here; else what another dock shows stays seen.
 
         Returns
         -------
@@ -77,9 +79,16 @@ class ResultLayers:
         known = self._layers.setdefault(source, {})
         layers = self._viewer.layers
         above = layers.index(source) + 1 if source in layers else len(layers)
+        places = set()
         for made in outputs.layers.values():
             facts = sign(made, "deform").attributes["metadata"][METADATA]
-            take_turn(self._viewer, "deform", facts["source"], facts["slice"])
+            places.add((facts["source"], facts["slice"]))
+        given = set()
+        for place in places:
+            if not turn and give_way(self._viewer, "deform", *place):
+                given.add(place)
+            else:
+                take_turn(self._viewer, "deform", *place)
         with same_selection(self._viewer):
             for kind, made in outputs.layers.items():
                 where = str(made.attributes["metadata"][METADATA]["slice"])
@@ -105,9 +114,11 @@ class ResultLayers:
                 layer.visible = True
         self._aside.clear()
         self._outdate(outputs, known)
+        for place in given:
+            give_way(self._viewer, "deform", *place)
         return shown
 
-    def show_picture(self, source: Any, where: str, data: Any) -> bool:
+    def show_picture(self, source: Any, where: str, data: Any, *, turn: bool = True) -> bool:
         """Show another picture in the *deformed image* there is; whether there is one.
 
         All that is not the picture is that of an earlier result, and hidden until it is shown
@@ -121,12 +132,17 @@ class ResultLayers:
             The slice, as in the layers' metadata.
         data : ndarray
             As the layer takes it.
+        turn : bool
+            As of `show`; while it is another dock's turn no picture is seen.
         """
         known = self._layers.get(source, {})
         layer = self._existing(known.get(("image", where)))
         if layer is None or layer.data.shape != data.shape:
             return False
-        take_turn(self._viewer, "deform", str(known_of(layer).get("source", "")), where)
+        name = str(known_of(layer).get("source", ""))
+        if not turn and give_way(self._viewer, "deform", name, where):
+            return False
+        take_turn(self._viewer, "deform", name, where)
         layer.data = data
         for (kind, _), made in known.items():
             other = self._existing(made)

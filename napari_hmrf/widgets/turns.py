@@ -42,13 +42,7 @@ def take_turn(viewer: Any, maker: Maker, source: str = "", where: str | None = N
         Whether anything was hidden.
     """
     hidden = False
-    for layer in list(viewer.layers):
-        known = known_of(layer)
-        by = known.get("by")
-        if by is None or (where is not None and known.get("slice") != where):
-            continue
-        if source and known.get("source") and known["source"] != source:
-            continue
+    for layer, by in _signed(viewer, source, where):
         if by == maker:
             if layer in _waiting:
                 layer.visible = True
@@ -58,3 +52,33 @@ def take_turn(viewer: Any, maker: Maker, source: str = "", where: str | None = N
         if layer.visible:
             _waiting.discard(layer)
     return hidden
+
+
+def give_way(viewer: Any, maker: Maker, source: str = "", where: str | None = None) -> bool:
+    """Have a dock's layers wait if it is another's turn; whether it is.
+
+    Parameters
+    ----------
+    viewer, maker, source, where
+        As of `take_turn`.
+    """
+    found = _signed(viewer, source, where)
+    if not any(layer.visible for layer, by in found if by not in (maker, "look")):
+        return False
+    for layer, by in found:
+        if by == maker and layer.visible:
+            layer.visible = False
+            _waiting.add(layer)
+    return True
+
+
+def _signed(viewer: Any, source: str, where: str | None) -> list[tuple[Any, Maker]]:
+    """The layers of a slice that show a result, and who makes them."""
+    found = []
+    for layer in viewer.layers:
+        known = known_of(layer)
+        here = where is None or known.get("slice") == where
+        same = not source or not known.get("source") or known["source"] == source
+        if "by" in known and here and same:
+            found.append((layer, known["by"]))
+    return found
