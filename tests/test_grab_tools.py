@@ -227,6 +227,10 @@ def test_points_are_taken_as_landmarks(pulling, settle):
     assert len(widget.drawing.marks) == 2, "those taken before are replaced"
     assert widget.drawing.marks[0].target == (34, 30)
     assert widget.status.endswith("in place of those taken before.")
+    widget._puller.stand_on(widget._puller.ground, widget.image)
+    should.data = [[35, 30], [40, 22]]
+    form.take.native.click()
+    assert len(widget.drawing.marks) == 2, "nor when the tissue was read anew in between"
     viewer.layers.remove(should)
     assert not form.take.native.isVisible()
 

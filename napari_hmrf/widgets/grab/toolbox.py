@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
@@ -47,7 +48,7 @@ class Toolbox:
         self._badge = Badge(viewer)
         #: The landmarks that were taken from points last, and from which, for which drawing.
         self._taken: tuple[Landmark, ...] = ()
-        self._taken_of: tuple[int, ...] = ()
+        self._taken_of: tuple[Any, ...] = ()
         for name, button in form.tools.items():
             button.native.clicked.connect(partial(self._on_button, name))
         for field in form.fields:
@@ -89,7 +90,9 @@ class Toolbox:
         except LayerError as error:
             self._say(in_short(error))
             return False
-        marks, key = puller.history.drawing.marks, (id(puller.history), id(where), id(should))
+        marks = puller.history.drawing.marks
+        slot: Any = puller.history.slot
+        key = (slot.place, *(weakref.ref(layer) for layer in (slot.layer, where, should)))
         # What was taken from these points before is replaced: they may have moved since.
         before = self._taken if self._taken_of == key else ()
         kept = [mark for mark in marks if mark not in before and mark not in found]
