@@ -116,6 +116,14 @@ def test_a_confidence_of_zero_is_refused_by_the_layer():
         read_layers(request([[20, 20]], [[22, 20]], confidence=0.0))
 
 
+def test_a_landmark_that_is_given_twice_leaves_its_neighbours_their_tissue():
+    where = [[12, 12], [12, 16], [12, 12]]
+    should = [[14, 12], [12, 19], [14, 12]]
+    marks = read_layers(request(where, should, radius=9.0)).problem
+    np.testing.assert_array_equal(marks.y[12, 16], (0, 3))
+    np.testing.assert_array_equal(marks.y[12, 12], (2, 0))
+
+
 # Before a window
 
 
@@ -208,6 +216,19 @@ def test_without_live_mode_a_moved_point_outdates_the_result(chosen, run, wait_f
     assert widget.status.startswith("Tissue moved up to")
     should.data = should.data + 1
     wait_for(lambda: widget.status.startswith("Changed since the last result"))
+
+
+def test_a_dock_that_is_opened_again_hears_its_landmarks(chosen, wait_for):
+    widget, where, should = chosen
+    widget.landmarks = (where, should)
+    window = widget._viewer.window
+    window.remove_dock_widget(widget.native)
+    window.add_dock_widget(widget)
+    assert (widget.landmarks.where, widget.landmarks.should) == (where, should)
+    watch = widget._watch
+    wait_for(lambda: not (watch._drawing.isActive() or watch._checking.isActive()))
+    where.add([5.0, 5.0])
+    wait_for(lambda: widget.status.startswith("'ought' has 2 points, but 'is' has 3"))
 
 
 def test_moved_added_and_removed_points_are_taken_back_in_their_order(chosen, wait_for):

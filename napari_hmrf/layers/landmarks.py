@@ -244,8 +244,10 @@ def _radii(
     Of two patches that overlap the later would win, and the earlier point not go where it should.
     """
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
-    if len(at) == 1:
-        return [wanted]
-    lengths = at * frame.spacing
+    # Those of one pixel lead to one place: they are one patch, and not in each other's way.
+    _, first, which = np.unique(np.rint(at), axis=0, return_index=True, return_inverse=True)
+    if len(first) == 1:
+        return [wanted] * len(at)
+    lengths = at[first] * frame.spacing
     away = KDTree(lengths).query(lengths, k=2)[0][:, 1]
-    return [min(wanted, half) if half > 0 else wanted for half in (away / 2).tolist()]
+    return [min(wanted, half) for half in (away / 2)[which.reshape(-1)].tolist()]

@@ -115,6 +115,7 @@ class Face:
         """Listen to the layers that are chosen, again."""
         for section in (self.tissue, self.boundary):
             section.painted.layer = section.choice.value
+        self.boundary.landmarks.listen()
 
     def release(self) -> None:
         """Stop listening to layers."""

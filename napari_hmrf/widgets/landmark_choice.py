@@ -157,6 +157,10 @@ class LandmarkChoice(Container):
         usual = usual_radius(shape, frame.spacing)
         self.radius.native.setSpecialValueText(f"{usual:g} (usual)")
 
+    def listen(self) -> None:
+        """Listen to the layers that are chosen, again."""
+        self._pixels.listen_to(self.layers)
+
     def release(self) -> None:
         """Stop listening to layers."""
         self._pixels.release()
@@ -170,7 +174,7 @@ class LandmarkChoice(Container):
             self._on_choice()
 
     def _on_choice(self, *_: Any) -> None:
-        self._pixels.listen_to(self.layers)
+        self.listen()
         self.look()
         self.edited.emit()
 
