@@ -102,4 +102,4 @@ def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
     what = "1 piece" if count == 1 else f"{count} pieces"
     size = "1 pixel" if pixels == 1 else f"{pixels} pixels"
     verb = "holds stays where it is" if count == 1 else "holds stay where they are"
-    return f"{what} of tissue that nothing {verb} ({size})"
+    return f"{what} of tissue that too little {verb} ({size})"

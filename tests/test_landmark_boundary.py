@@ -167,7 +167,9 @@ def test_without_points_there_are_no_menus_for_them(make_napari_viewer, wait_for
 def test_points_alone_are_boundary_enough(chosen, run):
     widget, where, should = chosen
     widget.boundary = None
+    assert widget.invitation.startswith("Press 'Make layers")
     widget.landmarks = LandmarkLayers(where, should, 1.5)
+    assert widget.invitation == "Press Deform."
     widget.model.energy.value = "elastic"
     assert run(widget) is not None, widget.status
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)

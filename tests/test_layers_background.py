@@ -66,6 +66,7 @@ def test_one_press_of_the_button_is_one_undo(widget, wait_for):
     tissue, rows = widget.tissue, widget.materials
     tissue.data_setitem((np.array([0]), np.array([0])), 1)
     before = tissue.data.copy()
+    assert "Undo at the bottom takes it back" in widget._face.tissue.background.toolTip()
     widget.mark_background()
     (void,) = set(widget.materials) - set(rows)
     assert void.stiffness == 0

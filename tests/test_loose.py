@@ -34,7 +34,9 @@ def test_what_could_turn_or_drift_is_a_scrap_and_what_it_hangs_on_is_not():
     assert found[18, 18], "it could turn"
     assert not found[17, 17], "the corner it hangs on is the block's"
     assert found.sum() == 6 + 3
-    assert left_at_rest(found).startswith("2 pieces of tissue that nothing holds stay where they")
+    assert left_at_rest(found).startswith(
+        "2 pieces of tissue that too little holds stay where they"
+    )
     solution = solve(Problem(0.0 * held, 1.0 * held, 1.0 * (tissue & ~found)), ElasticPrior())
     assert not solution.displacement.any()
     with pytest.raises(ProblemError, match="free"):
@@ -76,7 +78,9 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     field = widget._puller.display.seen.solution.displacement
     assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
     assert not field[22, 3].any()
-    assert "2 pieces of tissue that nothing holds stay where they are (9 pixels)" in widget.warning
+    assert (
+        "2 pieces of tissue that too little holds stay where they are (9 pixels)" in widget.warning
+    )
     assert by_name(person.viewer, "Deformed image").visible
 
 
@@ -113,7 +117,9 @@ def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
     widget.model.energy.value = "elastic"
     outputs = run(widget)
     assert outputs is not None
-    assert "2 pieces of tissue that nothing holds stay where they are (9 pixels)." in widget.status
+    assert (
+        "2 pieces of tissue that too little holds stay where they are (9 pixels)." in widget.status
+    )
 
 
 def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):

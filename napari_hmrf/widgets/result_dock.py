@@ -121,9 +121,15 @@ class ResultDock(Chooser):
             self.say_result()
 
     @property
+    def can_deform(self) -> bool:
+        """Whether there is tissue, and a boundary or landmarks that say how it moves."""
+        held = self.boundary is not None or self._face.boundary.landmarks.complete
+        return self.tissue is not None and held
+
+    @property
     def invitation(self) -> str:
         """What can be done first."""
-        if self.tissue is not None and self.boundary is not None:
+        if self.can_deform:
             return READY
         if self.image is None:
             return CHOOSE if self._viewer.layers else WELCOME

@@ -114,7 +114,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self._background = QPushButton("Background is no tissue")
         self._background.setToolTip(
             "Paints what is dark around the image with a label of stiffness 0, as far as it is "
-            "unpainted; undo with Ctrl+Z on the layer"
+            "unpainted; Undo at the bottom takes it back with its row"
         )
         self.menu = MaterialMenu(self._table, layers, lambda: self._painted.layer)
         self._put_below(

@@ -131,7 +131,7 @@ class Watch:
         widget.choose_by_role([event.value])
         if role_of(event.value) and len(self._viewer.layers) == 1:
             self._fitting.start()
-        if role_of(event.value) and widget.tissue and widget.boundary:
+        if role_of(event.value) and widget.can_deform:
             widget.say(READY)
 
     def _fit_view(self) -> None:
