@@ -243,12 +243,12 @@ def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):
     settle(widget)
     assert not widget.drawing.marks, "nothing is drawn on this slice"
     assert by_name(viewer, "Arrows").data.shape[0] == 0
+    here = by_name(viewer, "Deformed image").metadata[METADATA]["slice"]
+    assert by_name(viewer, "Arrows").metadata[METADATA]["slice"] == here
     viewer.dims.set_current_step(0, 1)
     settle(widget)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag ended with the slice"
     assert (by_name(viewer, "Arrows").data[:, 0, 0] == 1).all()
-    here = by_name(viewer, "Deformed image").metadata[METADATA]["slice"]
-    assert by_name(viewer, "Arrows").metadata[METADATA]["slice"] == here
     assert by_name(viewer, "Deformed image").data.shape == (1, 48, 64)
     viewer.dims.ndisplay = 3
     qtbot.wait(50)

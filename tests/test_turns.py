@@ -388,6 +388,20 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     assert not widget.warning
 
 
+def test_a_dock_that_is_put_back_says_nothing_of_what_was(folded, settle, qtbot):
+    person, widget = folded
+    widget.tool = "pin"
+    window = person.viewer.window
+    window.remove_dock_widget(widget.native)
+    window.add_dock_widget(widget.native, name="Grab and pull")
+    qtbot.wait(50)
+    assert (widget.warning, widget.status) == ("", START)
+    assert not any(button.native.isChecked() for button in widget.form.tools.values())
+    assert widget.start()
+    settle(widget)
+    assert "folds" in widget.warning, "it does again"
+
+
 def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
     person, widget = folded
     person.press(50, 30)

@@ -253,6 +253,13 @@ class GrabAndPull(GrabControls):
     def _on_opened(self) -> None:
         self._puller.steps.bind_keys(self._puller.answers)
         self.reset_choices()
+        if not self._started:
+            # Of what was said and shown when the dock was closed nothing is so any more.
+            self._step = ""
+            self._on_warned("")
+            self.say(START if self.image is not None else WELCOME)
+            self._show_steps()
+            self.show_toggle()
 
     def _on_closed(self) -> None:
         self._started = False
