@@ -112,7 +112,7 @@ def small_sample():
 def run(qtbot):
     """Press Deform and wait for the end; what `finished` said."""
 
-    def deform(widget, timeout=60_000):
+    def deform(widget, timeout=240_000):
         said = []
         widget.finished.connect(said.append)
         widget.deform()

@@ -251,7 +251,7 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     options = ("--prior", "elastic", "--poisson", "0.3", "--plane", "strain")
     assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect", *options) == 0
     (widget,) = viewer.window.dock_widgets.values()
-    qtbot.waitUntil(lambda: widget.idle, timeout=60_000)
+    qtbot.waitUntil(lambda: widget.idle, timeout=240_000)
     assert widget.solution.displacement.shape == (48, 48, 2)
     prior = widget.solution.provenance.parameters["prior"]
     assert (prior["name"], prior["poisson"], prior["plane"]) == ("ElasticPrior", 0.3, "strain")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from patience import LONG
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf import live as live_module
@@ -107,7 +108,7 @@ def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, 
                     live.submit((lambda s=latest: pulled(**s)) if late else pulled(**latest))
                 time.sleep(seconds)
             number = live.submit(pulled(**latest))
-            assert live.wait(60)
+            assert live.wait(LONG)
     last = updates[-1]
     assert (last.number, last.final, last.error) == (number, True, None)
     assert furthest(last.solution, cold(pulled(**latest), prior)) <= 0.02
@@ -125,7 +126,7 @@ def test_of_edits_that_wait_only_the_newest_is_looked_at(live, updates, pause):
     for row in range(6):
         live.submit(lambda row=row: reading((row, 0.0)))
     pause.set()
-    assert live.wait(30)
+    assert live.wait(LONG)
     assert read == [(5, 0.0)]
     assert [(update.number, update.final) for update in updates] == [(6, True)]
 
@@ -143,7 +144,7 @@ def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
 
     with LiveSolver(next_edit, backend="cpu") as live:
         live.submit(pulled((0.0, 1.0)))
-        assert live.wait(60)
+        assert live.wait(LONG)
     assert {update.number for update in updates} == set(range(1, 9))
     assert [update.final for update in updates if update.number == 8][-1]
 
@@ -151,7 +152,7 @@ def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
 def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
     for step in range(8):
         live.submit(pulled((0.4 * step, 0.1 * step**2)))
-        assert live.wait(30)
+        assert live.wait(LONG)
     cycles = [update.solution.iterations for update in updates]
     assert max(cycles[4:]) < max(cycles[:2])
 
@@ -159,7 +160,7 @@ def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
 def test_a_glance_comes_first_where_a_solve_takes_long(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     live.submit(pulled())
-    assert live.wait(30)
+    assert live.wait(LONG)
     glance, answer = updates
     assert (glance.final, answer.final) == (False, True)
     assert (glance.number, answer.number) == (1, 1)
@@ -179,14 +180,14 @@ def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
 
     with LiveSolver(edit_during_the_first, backend="cpu") as live:
         live.submit(pulled((3.0, 0.0)))
-        assert live.wait(30)
+        assert live.wait(LONG)
     assert [(u.number, u.final) for u in updates] == [(1, False), (2, True)]
 
 
 def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates):
     for problem in (unreadable, unheld, lambda: Problem(1, 2, 3), pulled):
         live.submit(problem)
-        assert live.wait(30)
+        assert live.wait(LONG)
     assert [type(update.error) for update in updates] == [ProblemError] * 3 + [type(None)]
     assert [update.problem is None for update in updates] == [True, False, True, False]
     assert all((update.solution is None) != (update.error is None) for update in updates)
@@ -194,7 +195,7 @@ def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates)
 
 def test_what_nobody_meant_is_delivered_too_and_logged(live, updates, caplog):
     live.submit(lambda: 1 / 0)
-    assert live.wait(30)
+    assert live.wait(LONG)
     assert isinstance(updates[0].error, ZeroDivisionError)
     assert "a live solve failed" in caplog.text
 
@@ -205,7 +206,7 @@ def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
         unreadable()
 
     live.submit(hesitating)
-    assert live.wait(30)
+    assert live.wait(LONG)
     assert [update.error for update in updates] == [None]
 
 
@@ -215,7 +216,7 @@ def test_what_is_dropped_is_never_shown(updates, pause, end):
     live.submit(pulled())
     getattr(live, end)()
     pause.set()
-    assert live.wait(30)
+    assert live.wait(LONG)
     assert updates == []
 
 
@@ -225,10 +226,10 @@ def test_what_is_being_solved_when_all_is_forgotten_is_not_shown(live, updates):
         return pulled()
 
     live.submit(interrupted)
-    assert live.wait(30)
+    assert live.wait(LONG)
     assert updates == []
     live.submit(pulled())
-    assert live.wait(30)
+    assert live.wait(LONG)
     assert [update.number for update in updates] == [2]
 
 
@@ -243,7 +244,7 @@ def test_nothing_is_taken_after_the_end(updates):
 def test_another_image_may_follow(live, updates):
     for size in (SIZE, 28, SIZE):
         live.submit(pulled(size=size))
-        assert live.wait(30)
+        assert live.wait(LONG)
     for update, size in zip(updates, (SIZE, 28, SIZE), strict=True):
         assert furthest(update.solution, cold(pulled(size=size))) <= 0.02
 
@@ -255,7 +256,7 @@ def test_the_papers_prior_lives_too(updates, prior, optimizer):
     with LiveSolver(updates.append, prior, optimizer, "cpu") as live:
         for row in (1.0, 2.0):
             live.submit(pulled((row, 0.0)))
-            assert live.wait(30)
+            assert live.wait(LONG)
     expected = solve(pulled((2.0, 0.0)), prior, optimizer, "cpu")
     assert furthest(updates[-1].solution, expected) <= 0.02
 
@@ -264,9 +265,9 @@ def test_the_prior_may_change_with_the_edits(live, updates):
     softer, flat = ElasticPrior(0.1), ElasticPrior(0.3, plane="strain")
     live.prior = softer
     live.submit(pulled())
-    assert live.wait(30)
+    assert live.wait(LONG)
     live.submit((pulled(), flat))
-    assert live.wait(30)
+    assert live.wait(LONG)
     for update, prior in zip(updates, (softer, flat), strict=True):
         assert furthest(update.solution, cold(pulled(), prior)) <= 0.02
 
@@ -277,7 +278,7 @@ def test_results_come_on_the_compute_thread_and_there_is_no_other():
     before = set(threading.enumerate())
     with LiveSolver(lambda _: came.append(compute_thread.is_current()), backend="cpu") as live:
         live.submit(pulled())
-        assert live.wait(30)
+        assert live.wait(LONG)
         assert set(threading.enumerate()) <= before
     assert came == [True]
 
@@ -292,7 +293,7 @@ def test_a_window_that_fails_to_show_does_not_end_it(caplog):
     with LiveSolver(fragile, backend="cpu") as live:
         for _ in range(2):
             live.submit(pulled())
-            assert live.wait(30)
+            assert live.wait(LONG)
     assert seen == [1, 2]
     assert "could not be shown" in caplog.text
 
@@ -301,5 +302,5 @@ def test_what_is_being_done_is_said(updates):
     said = []
     with LiveSolver(updates.append, backend="cpu", progress=said.append) as live:
         live.submit(pulled())
-        assert live.wait(30)
+        assert live.wait(LONG)
     assert said[0].message.startswith("preparing")

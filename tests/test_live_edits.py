@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from patience import LONG
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.annotation import (
@@ -120,15 +121,15 @@ def test_live_results_are_those_of_a_cold_solve(prior, sequence):
             edit(steps, what, place, move, tell)
             time.sleep(seconds)
             if seconds == 0.01:
-                assert live.wait(60)
+                assert live.wait(LONG)
                 check(updates[-1], now(), prior)
         last = now()
-        assert live.wait(60)
+        assert live.wait(LONG)
         check(updates[-1], last, prior)
         while steps.undo() is not None:
             tell()
         assert now() == FIRST
-        assert live.wait(60)
+        assert live.wait(LONG)
     check(updates[-1], FIRST, prior)
 
 
