@@ -13,6 +13,7 @@ from napari_hmrf.edits import Edits, Step
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
+from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.view import View, unit_factor
 
@@ -64,7 +65,7 @@ class Slot(NamedTuple):
     layer : napari.layers.Layer
         With it goes all that is edited of it.
     place : Place, optional
-        Of a drawing.
+        Of a drawing, and of what was painted in a slice at once.
     """
 
     what: str
@@ -223,16 +224,9 @@ class ViewerSteps:
         self.edits.drop(lambda slot: isinstance(slot, Slot) and slot.layer is gone)
 
 
-_steps: weakref.WeakKeyDictionary[Any, ViewerSteps] = weakref.WeakKeyDictionary()
-
-
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
-    viewer = getattr(viewer, "__wrapped__", viewer)
-    found = _steps.get(viewer)
-    if found is None:
-        found = _steps[viewer] = ViewerSteps(viewer)
-    return found
+    return shared(getattr(viewer, "__wrapped__", viewer), ViewerSteps)
 
 
 def _index_shown(layer: Any, view: View) -> tuple[int, ...]:

@@ -17,6 +17,7 @@ from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
+from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.steps import Place
 from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.view import View
@@ -29,7 +30,6 @@ from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.new_layers import layers_to_paint_on
 from napari_hmrf.widgets.settings import SolverSettings
 from napari_hmrf.widgets.table_steps import FillingSteps
-from napari_hmrf.widgets.viewer_layers import shared
 from napari_hmrf.widgets.words import WELCOME
 
 

@@ -11,6 +11,7 @@ from psygnal import Signal
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.inputs import Request, copy_layers
+from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.widgets.dock_steps import DockSteps
 from napari_hmrf.widgets.job import Done, Job, Work, deforming, drawing
@@ -19,7 +20,6 @@ from napari_hmrf.widgets.point_steps import PointSteps
 from napari_hmrf.widgets.result_dock import ResultDock
 from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.timers import repeating
-from napari_hmrf.widgets.viewer_layers import shared
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
     CANCELLED,

@@ -10,6 +10,7 @@ from psygnal import Signal
 from napari_hmrf.layers.inputs import Snapshot
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import Outputs
+from napari_hmrf.layers.shared import shared
 from napari_hmrf.optimizers import Optimizer
 from napari_hmrf.priors import Prior
 from napari_hmrf.solution import Solution
@@ -19,7 +20,6 @@ from napari_hmrf.widgets.job import Done
 from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.live_job import News
 from napari_hmrf.widgets.results import ResultLayers
-from napari_hmrf.widgets.viewer_layers import shared
 from napari_hmrf.widgets.words import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.widgets.words import details as details_of
 

@@ -2,35 +2,16 @@
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.transform import PLACE
 
-_Shared = TypeVar("_Shared")
-_shared: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
 #: Viewers whose selection will be as it was.
 _kept: list[Any] = []
-
-
-def shared(viewer: Any, kind: Callable[[Any], _Shared]) -> _Shared:
-    """The one object of a kind in a viewer, for a dock that is closed and for the next that comes.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or ViewerModel
-    kind : type
-        Made of the viewer; must not keep it alive.
-    """
-    known = _shared.setdefault(viewer, {})
-    if kind not in known:
-        known[kind] = kind(viewer)
-    found: _Shared = known[kind]
-    return found
 
 
 def still_there(viewer: Any, layer: Any) -> Any:

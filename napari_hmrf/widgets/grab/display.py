@@ -14,13 +14,13 @@ from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.drawn import Lines
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import outline_of
+from napari_hmrf.layers.shared import shared
 from napari_hmrf.widgets.grab.arrows import ArrowsLayer
 from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.live_layers import LiveLayers
 from napari_hmrf.widgets.grab.paint import PaintedLayer
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.timers import single_shot
-from napari_hmrf.widgets.viewer_layers import shared
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
