@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +23,30 @@ _NOTHING = 1e-9
 # Of a motion that costs nothing: pieces that take so small a part in it are at rest.
 _REST = 1e-6
 _MOTIONS = ("along rows", "along columns", "by turning")
-# Where a problem was found to be held, and where it has tissue: checking takes as long as a few
-# cycles.
-_held: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
+
+
+class Firm(NamedTuple):
+    """Tissue that was found to be held, and where: to find that takes as long as a few cycles."""
+
+    tissue: npt.NDArray[np.bool_]
+    held: npt.NDArray[np.bool_]
+
+    def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
+        """Whether that is held, too: to hold more of the same tissue, as a brush does, frees none.
+
+        Parameters
+        ----------
+        tissue : ndarray of bool, shape (H, W)
+        held : ndarray of bool, shape (H, W, 2)
+        """
+        return np.array_equal(self.tissue, tissue) and not (self.held > held).any()
+
+
+# The last that was found.
+_firm: list[Firm] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +77,12 @@ def check_held(problem: Problem) -> None:
         Naming the piece by its size and centre, and how it could move.
     """
     held = problem.c > 0
-    for known, tissue in _held:
-        # To hold more, as a brush does, frees nothing.
-        if np.array_equal(tissue, problem.tissue) and not (known > held).any():
-            return
+    if any(known.covers(problem.tissue, held) for known in _firm):
+        return
     free = free_motion(problem, held)
     if free is not None:
         raise refusal(free)
-    _held[:] = [(held, problem.tissue)]
+    _firm[:] = [Firm(problem.tissue, held)]
 
 
 def refusal(free: FreeMotion) -> ProblemError:

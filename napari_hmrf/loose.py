@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.held import free_pieces
+from napari_hmrf.held import Firm, free_pieces
 
 #: What is observed of a piece of this part of all tissue, or more, is meant: it is not a scrap.
 _MATTERS = 0.01
@@ -23,21 +23,18 @@ _ROUNDS = 4
 class _Known(NamedTuple):
     """What was found, for what, and whether nothing of the rest could move."""
 
-    tissue: npt.NDArray[np.bool_]
-    held: npt.NDArray[np.bool_]
+    asked: Firm
     found: npt.NDArray[np.bool_]
     firm: bool
 
     def serves(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Whether it is what would be found again."""
-        if not np.array_equal(self.tissue, tissue):
+        if not self.asked.covers(tissue, held):
             return False
         if not self.firm:
-            return np.array_equal(self.held, held)
-        # To hold more, as a brush does, frees nothing; but what was left out may matter now.
-        if (self.held > held).any():
-            return False
-        return not (self.found.any() and (held > self.held)[self.found].any())
+            return np.array_equal(self.asked.held, held)
+        # What was left out may matter now.
+        return not (self.found.any() and (held > self.asked.held)[self.found].any())
 
 
 # The last that was found, and for what: to find it takes as long as a few cycles.
@@ -66,7 +63,7 @@ def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.ND
             return known.found
     found, firm = _scraps(tissue, held)
     found.setflags(write=False)
-    _known[:] = [_Known(tissue.copy(), held.copy(), found, firm)]
+    _known[:] = [_Known(Firm(tissue.copy(), held.copy()), found, firm)]
     return found
 
 

@@ -31,6 +31,13 @@ def grab(dock):
     assert dock.active
 
 
+def drag_a_patch(person, dock, settle):
+    """Grab, drag a patch, and wait for the tissue."""
+    grab(dock)
+    person.drag((24, 30), (28, 36))
+    settle(dock)
+
+
 def seen(viewer):
     """The names of the layers that are seen, but for the image."""
     return {layer.name for layer in viewer.layers if layer.visible} - {"MR"}
@@ -61,9 +68,7 @@ def test_what_is_deformed_after_a_pull_is_seen_and_the_pull_again_at_the_next(at
     person, opened = at_hand
     viewer = person.viewer
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
-    grab(puller)
-    person.drag((24, 30), (28, 36))
-    settle(puller)
+    drag_a_patch(person, puller, settle)
     run(deform)
     assert seen(viewer) == DEFORMED
     person.drag((24, 20), (20, 20))
@@ -81,9 +86,7 @@ def test_what_is_looked_at_lies_on_top(at_hand, run, settle, wait_for):
     person, opened = at_hand
     viewer = person.viewer
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
-    grab(puller)
-    person.drag((24, 30), (28, 36))
-    settle(puller)
+    drag_a_patch(person, puller, settle)
     run(deform)
     look = opened("Look at the result")
     look.result = viewer.layers["Displacement"]
@@ -108,9 +111,7 @@ def test_a_picture_of_a_look_makes_way_for_the_next_pull(at_hand, settle, wait_f
     person, opened = at_hand
     viewer = person.viewer
     puller = opened("Grab and pull")
-    grab(puller)
-    person.drag((24, 30), (28, 36))
-    settle(puller)
+    drag_a_patch(person, puller, settle)
     look = opened("Look at the result")
     wait_for(lambda: look.idle)
     look.percent, look.grid = 50, True
@@ -137,9 +138,7 @@ def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
     deform, puller = opened("Deform tissue"), opened("Grab and pull")
     run(deform)
     viewer.layers["MR arrows"].visible = False
-    grab(puller)
-    person.drag((24, 30), (28, 36))
-    settle(puller)
+    drag_a_patch(person, puller, settle)
     deform.rules = (deform.rules[0], BoundaryRule(2, "move", vector=(0.0, 2.0)))
     run(deform)
     assert seen(viewer) == {"MR deformed"}
@@ -454,9 +453,7 @@ def test_paint_is_put_on_the_image_as_it_was(at_hand, settle, run):
     person, opened = at_hand
     viewer = person.viewer
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
-    grab(puller)
-    person.drag((24, 30), (28, 36))
-    settle(puller)
+    drag_a_patch(person, puller, settle)
     deform._face.make.native.click()
     assert not any(viewer.layers[name].visible for name in pictures(viewer))
     grab(puller)

@@ -4,9 +4,25 @@ from __future__ import annotations
 
 from typing import Any
 
-from magicgui.widgets import Container, Label
+from magicgui.widgets import Container, FloatSlider, Label
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
+
+#: The lowest confidence that is asked for; below, it says nothing.
+LEAST_CONFIDENCE = 0.05
+
+
+def confidence_slider(tooltip: str) -> FloatSlider:
+    """A field for how sure something is; it speaks when the mouse lets go."""
+    return FloatSlider(
+        value=1.0,
+        min=LEAST_CONFIDENCE,
+        max=1.0,
+        step=0.05,
+        tracking=False,
+        label="confidence",
+        tooltip=tooltip,
+    )
 
 
 class Prose(Label):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import Container, FloatSlider, FloatSpinBox
+from magicgui.widgets import Container, FloatSpinBox
 from napari.layers import Points, Shapes
 from psygnal import Signal
 
@@ -13,12 +13,10 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import LandmarkLayers, usual_radius
 from napari_hmrf.layers.view import unit_symbol
-from napari_hmrf.widgets.forms import align_labels
+from napari_hmrf.widgets.forms import align_labels, confidence_slider
 from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.pixels import Pixels
 
-#: Less than that says nothing.
-_LEAST = 0.05
 _RADIUS = "radius"
 
 
@@ -76,15 +74,9 @@ class LandmarkChoice(Container):
             tooltip="Of the patch of tissue that goes with each landmark; smaller where landmarks "
             "are close to each other. 0: a sixteenth of the image",
         )
-        self.confidence = FloatSlider(
-            value=1.0,
-            min=_LEAST,
-            max=1.0,
-            step=0.05,
-            tracking=False,
-            label="confidence",
-            tooltip="How sure the landmarks are. Below 1 the tissue may pull them away from where "
-            "they should be",
+        self.confidence = confidence_slider(
+            "How sure the landmarks are. Below 1 the tissue may pull them away from where they "
+            "should be"
         )
         super().__init__(widgets=[self.where, self.should, self.radius, self.confidence])
         self._pixels = Pixels(self._on_points)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -66,7 +67,8 @@ class CpuElasticLevel(CpuLevel):
         self.lame, self.pins = self.vector(), self.vector()
         self.weight = None if finest else self.vector()
         self._memory = None
-        self._count = forces.parts(grid[0])
+        #: Among how many threads its rows are divided.
+        self.parts = forces.parts(grid[0])
         self.together: _SmallLevels | None = None
 
     def hold(self, held: HeldPlanes) -> None:
@@ -112,28 +114,23 @@ class CpuElasticLevel(CpuLevel):
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = _paces(steps, from_zero)
-        about = self.load, self.lame, self.inverse, self.weight, self.shape, self.spans
+        about = self._about
         if from_zero:
             # What is between the first two is not kept; a third would ask for it.
             second = paces[1] if len(paces) == 2 else _NO_STEP
-            elastic.begin(*about, self.correction, paces[0, 0], *second, self._count)
+            elastic.begin(*about, self.correction, paces[0, 0], *second, self.parts)
             paces = paces[2 if len(paces) == 2 else 1 :]
         for pace in paces:
-            elastic.smooth(self.correction, *about, self._other, *pace, self._count)
+            elastic.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
     def _hand_down(self, coarse: CpuElasticLevel) -> None:
-        elastic.leave(
-            self.correction,
-            self.load,
-            self.lame,
-            self.inverse,
-            self.weight,
-            self.shape,
-            self.spans,
-            coarse.load,
-            self._count,
-        )
+        elastic.leave(self.correction, *self._about, coarse.load, self.parts)
+
+    @property
+    def _about(self) -> tuple[Any, ...]:
+        """What smoothing goes by."""
+        return self.load, self.lame, self.inverse, self.weight, self.shape, self.spans
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
@@ -145,7 +142,7 @@ class CpuElasticLevel(CpuLevel):
             self.spans,
             image,
             self._rows,
-            self._count,
+            self.parts,
         )
         return float(self._rows.sum())
 
@@ -245,7 +242,7 @@ class CpuElasticModel(CpuModel):
             self._rest,
             most,
             squares,
-            forces.parts(finest.grid[0]),
+            finest.parts,
         )
         return float(most.max()), math.sqrt(squares.sum())
 
@@ -261,15 +258,8 @@ class CpuElasticModel(CpuModel):
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
-        products, squares = self._rows
-        elastic_exact.work(
-            d,
-            self.levels[0].lame,
-            self._exact_shape,
-            products,
-            squares,
-            forces.parts(len(products)),
-        )
+        finest, (products, squares) = self.levels[0], self._rows
+        elastic_exact.work(d, finest.lame, self._exact_shape, products, squares, finest.parts)
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property

@@ -13,10 +13,9 @@ from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.palette import Palette
 from napari_hmrf.presets import PRESETS
+from napari_hmrf.widgets.forms import LEAST_CONFIDENCE, confidence_slider
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 
-#: The lowest confidence of what is drawn anew; below, it says nothing.
-_LEAST = 0.05
 _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
     "it by more than about that"
@@ -43,15 +42,7 @@ class ToolFields(Container):
         self.amount = _length(
             "outward", "How far the outline moves along its normal; below 0 inward: it shrinks"
         )
-        self.confidence = FloatSlider(
-            value=1.0,
-            min=_LEAST,
-            max=1.0,
-            step=0.05,
-            tracking=False,
-            label="confidence",
-            tooltip=_SURE,
-        )
+        self.confidence = confidence_slider(_SURE)
         self.sure = FloatSlider(
             value=0.5,
             min=0.0,
@@ -150,7 +141,7 @@ class ToolFields(Container):
     def show_how(self, how: Grip | Paint) -> None:
         """Show how the selected mark was made, without changing it."""
         values: dict[str, Any] = {
-            "confidence": max(how.confidence, _LEAST),
+            "confidence": max(how.confidence, LEAST_CONFIDENCE),
             "sure": how.confidence,
             "components": how.components,
         }
