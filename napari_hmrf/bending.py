@@ -29,7 +29,7 @@ def check_bent(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
-    free = free_bend(problem, problem.c > 0)
+    free = free_bend(problem, problem.observed)
     if free is not None:
         raise refusal(free)
 

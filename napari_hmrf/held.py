@@ -76,7 +76,7 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
-    held = problem.c > 0
+    held = problem.observed
     if any(known.covers(problem.tissue, held) for known in _firm):
         return
     free = free_motion(problem, held)

@@ -118,10 +118,10 @@ def save_result_pictures(
 
 
 def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
-    """Draw the image and the observed displacement where it counts (c > 0); dots are fixed."""
+    """Draw the image and the observed displacement where it counts; dots are fixed."""
     figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
     _show(axes, image)
-    known = (problem.c > 0).any(axis=-1) & problem.tissue
+    known = problem.observed.any(axis=-1)
     # Every few pixels of it: a boundary is thin, and a regular pattern would miss most.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
     vectors = problem.y[tuple(starts.T)] / np.array(problem.spacing)

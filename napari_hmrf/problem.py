@@ -80,7 +80,7 @@ class Problem:
                     "(one value per axis at each pixel). Give both on the same pixel grid.",
                 )
         _check_stiffness(m)
-        _check_confidence(c, m)
+        _check_confidence(c)
         np.copyto(y, np.float32(0), where=c <= 0)  # a copy already
         _check_finite("y", y, "where c > 0")
         _check_reach(y, pixel)
@@ -88,6 +88,7 @@ class Problem:
             array.setflags(write=False)
             object.__setattr__(self, field, array)
         object.__setattr__(self, "spacing", pixel)
+        _check_observed(self.observed)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -98,6 +99,13 @@ class Problem:
     def tissue(self) -> npt.NDArray[np.bool_]:
         """Where there is tissue: ``m > 0``, shape (H, W)."""
         mask: npt.NDArray[np.bool_] = self.m > 0
+        mask.setflags(write=False)
+        return mask
+
+    @cached_property
+    def observed(self) -> npt.NDArray[np.bool_]:
+        """Which components of tissue are observed: ``c > 0`` where ``m > 0``, shape (H, W, 2)."""
+        mask: npt.NDArray[np.bool_] = (self.c > 0) & self.tissue[..., None]
         mask.setflags(write=False)
         return mask
 
@@ -241,7 +249,7 @@ def _check_stiffness(m: FloatArray) -> None:
         )
 
 
-def _check_confidence(c: FloatArray, m: FloatArray) -> None:
+def _check_confidence(c: FloatArray) -> None:
     _check_finite("c", c)
     if c.min() < 0 or c.max() > 1:
         outside = (c < 0) | (c > 1)
@@ -250,14 +258,16 @@ def _check_confidence(c: FloatArray, m: FloatArray) -> None:
             f"has {int(outside.sum())} values outside 0 to 1, the first at "
             f"{_first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
         )
-    seen, tissue = c > 0, m > 0
-    if not seen.any():
+    if not c.any():
         raise ProblemError(
             "c",
             "is 0 everywhere: nothing says how any tissue moves. Mark at least one place as fixed "
             "or moving.",
         )
-    if not any((seen[..., axis] & tissue).any() for axis in range(m.ndim)):
+
+
+def _check_observed(observed: npt.NDArray[np.bool_]) -> None:
+    if not observed.any():
         raise ProblemError(
             "c",
             "is above 0 only where there is no tissue (m = 0). Mark a boundary on tissue, or give "

@@ -7,7 +7,7 @@ import platform
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from napari_hmrf.backends import Backend, host, open_backend
-from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.beginning import Start, beginning
 from napari_hmrf.errors import BackendError, Cancelled
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.priors import Prior, SeilerPrior
@@ -25,8 +25,6 @@ from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution
 
 Progress = Callable[[Monitor], None]
-#: What a solve may begin with.
-Start = Solution | Sequence[Solution]
 _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
 _prepared: set[tuple[str | bool, ...]] = set()
@@ -101,10 +99,12 @@ def solve(
     if compute_thread.is_current():
         return run_here(problem, prior, optimizer, backend, progress, stop, start)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
+    # To be told wakes the caller, who then competes with the work.
+    tell = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
     job: Future[Solution] = compute_thread.submit(
-        lambda: run_here(problem, prior, optimizer, backend, reports.put, either, start)
+        lambda: run_here(problem, prior, optimizer, backend, tell, either, start)
     )
     job.add_done_callback(lambda _: reports.put(None))
     try:
@@ -133,7 +133,7 @@ def run_here(
     begun = time.perf_counter()
     prior = (prior or SeilerPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
-    begin = _beginning(start, problem) if start else None
+    begin = beginning(start, problem) if start else None
     resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
@@ -187,43 +187,6 @@ def run_here(
     )
 
 
-def _beginning(start: Start, problem: Problem) -> FloatArray:
-    """The displacement to begin with, in pixels.
-
-    Raises
-    ------
-    ValueError
-        If it is of another grid.
-    """
-    first, *others = [start] if isinstance(start, Solution) else start
-    for each in (first, *others):
-        theirs, ours = (each.tissue.shape, each.spacing), (problem.shape, problem.spacing)
-        if theirs != ours:
-            raise ValueError(
-                f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
-                f"{ours[0]} pixels of size {ours[1]}. Leave it out"
-            )
-    return _combined([each.displacement for each in (first, *others)], problem)
-
-
-def _combined(displacements: Sequence[FloatArray], problem: Problem) -> FloatArray:
-    """The combination that comes closest to what is observed, in pixels."""
-    first, *others = displacements
-    weights = [1.0]
-    if others:
-        at = host.observed(problem)
-        known = first.ravel()[at]
-        changes = [each.ravel()[at] - known for each in others]
-        shares = np.linalg.lstsq(
-            np.stack(changes, axis=1).astype(np.float64), problem.y.ravel()[at] - known, rcond=1e-5
-        )[0]
-        weights = [1.0 - float(shares.sum()), *shares]
-    begin = np.float32(weights[0] / problem.unit) * first
-    for weight, each in zip(weights[1:], others, strict=True):
-        host.blend(begin, each, weight / problem.unit)
-    return begin
-
-
 class _Either:
     """Set when any of its flags is."""
 
@@ -256,7 +219,9 @@ def _prepare(
     found = rehearsal.run(small, tissue, device, lambda _: None).displacement
     host.settle(found, small.tissue, small.unit)
     if isinstance(rehearsal, Multigrid):
-        rehearsal.run(small, tissue, device, lambda _: None, _combined([found, found], small))
+        # As many as there are kernels for: two at once, and each of the others.
+        three = host.Beginning((found,) * 3, (1.0, 0.0, 0.0))
+        rehearsal.run(small, tissue, device, lambda _: None, three)
     _prepared.add(key)
 
 

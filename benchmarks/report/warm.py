@@ -13,7 +13,6 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from napari_hmrf import Multigrid, Problem, Solution, phantom, solve
 from report.contenders import PHANTOM, PRIOR, WITHIN
 from report.page import Section, Settings, Target, duration
 
+_Timed = tuple[float, Solution]
 # A warm process's first few are slower.
 _DISCARDED = 3
 
@@ -81,16 +81,15 @@ def add_warm_start(page: Section, settings: Settings) -> None:
 def main(size: int, repeats: int) -> Warmth:
     """Measure here."""
     before = phantom(PHANTOM, size).problem
-    after, half = moved_patch(before), moved_patch(before, 0.5)
     times: list[tuple[float, ...]] = []
     for number in range(_DISCARDED + repeats):
         # Stiffness in another unit: what was set up for the last problem is of no use to this.
-        other = Problem(after.y, after.c, after.m * (2 + number), after.spacing)
-        cold = _timed(lambda other=other: _solved(other))
+        after = moved_patch(before)
+        cold = _timed(Problem(after.y, after.c, after.m * (2 + number), after.spacing))
         earlier = _solved(before)
-        warm = _timed(lambda earlier=earlier: _solved(after, earlier))
-        known = [earlier, _solved(half, earlier)]
-        again = _timed(lambda known=known: _solved(after, known))
+        warm = _timed(moved_patch(before), earlier)
+        known = [earlier, _solved(moved_patch(before, 0.5), earlier)]
+        again = _timed(moved_patch(before), known)
         times.append((cold[0], warm[0], again[0]))
     found = [cold[1], warm[1], again[1]]
     apart = np.abs(found[0].displacement - found[1].displacement)[before.tissue].max()
@@ -102,9 +101,9 @@ def _solved(problem: Problem, start: Solution | list[Solution] | None = None) ->
     return solve(problem, PRIOR, Multigrid(WITHIN), backend="cpu", start=start)
 
 
-def _timed(job: Callable[[], Solution]) -> tuple[float, Solution]:
+def _timed(problem: Problem, start: Solution | list[Solution] | None = None) -> _Timed:
     started = time.perf_counter()
-    found = job()
+    found = _solved(problem, start)
     return time.perf_counter() - started, found
 
 

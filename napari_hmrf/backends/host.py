@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +18,26 @@ if TYPE_CHECKING:
 _spare: list[tuple[Planes, HeldPlanes]] = []
 
 
-def prescribed(problem: Problem, start: FloatArray | None = None) -> tuple[Planes, HeldPlanes]:
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """A weighted sum of displacements, which is formed where it is needed.
+
+    Attributes
+    ----------
+    displacements : tuple of ndarray, each of shape (H, W, 2)
+        At least one.
+    weights : tuple of float
+        One for each; with them the sum is in pixels.
+    """
+
+    displacements: tuple[FloatArray, ...]
+    weights: tuple[float, ...]
+
+
+def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:
     """Return the displacement that is observed on tissue, in pixels, and where that is.
 
-    Elsewhere it is that of `start`, (H, W, 2) in pixels, or zero.
+    Elsewhere it is that of `start`, or zero.
     """
     from napari_hmrf.backends.cpu import exact
 
@@ -30,7 +47,15 @@ def prescribed(problem: Problem, start: FloatArray | None = None) -> tuple[Plane
     else:
         _spare.clear()
         d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
-    exact.prescribe(problem.y, problem.c, problem.m, start, 1 / problem.unit, d, held)
+    about = problem.y, problem.observed, 1 / problem.unit
+    if start is None:
+        exact.prescribe(*about, None, 0.0, None, 0.0, d, held)
+        return d, held
+    first, *more = zip(start.displacements, start.weights, strict=True)
+    second = more.pop(0) if more else (first[0], 0.0)
+    exact.prescribe(*about, *first, *second, d, held)
+    for values, weight in more:
+        exact.blend(values, weight, held, d)
     return d, held
 
 
@@ -42,21 +67,6 @@ def reuse(d: Planes, held: HeldPlanes) -> None:
     _spare[:] = [(d, held)]
 
 
-def observed(problem: Problem) -> npt.NDArray[np.int64]:
-    """Return where tissue is observed: numbers of components, in the order of memory."""
-    from napari_hmrf.backends.cpu import exact
-
-    at = np.empty(problem.c.size, dtype=np.int64)
-    return at[: exact.observed(problem.c, problem.m, at)]
-
-
-def blend(out: FloatArray, values: FloatArray, weight: float) -> None:
-    """Add weight * values to `out`, in place; both (H, W, 2)."""
-    from napari_hmrf.backends.cpu import exact
-
-    exact.blend(values, np.float32(weight), out)
-
-
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
     """Bring pixels (H, W, 2) to lengths, and void to rest, in place; whether all were numbers."""
     from napari_hmrf.backends.cpu import exact
@@ -64,6 +74,12 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
     finite = np.zeros(len(displacement), dtype=np.bool_)
     exact.settle(displacement, tissue, np.float32(unit), finite)
     return bool(finite.all())
+
+
+def combined(start: Beginning) -> Planes:
+    """Return the sum that a solve begins with, as planes, in pixels."""
+    weighted = zip(start.displacements, start.weights, strict=True)
+    return planes(np.sum([weight * each for each, weight in weighted], axis=0))
 
 
 def planes(values: npt.NDArray[Any]) -> Planes:

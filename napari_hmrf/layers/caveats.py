@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from napari_hmrf.hierarchy import levels, nearest_pixels
@@ -42,7 +41,7 @@ def lacks(problem: Problem) -> tuple[str, ...]:
 
 def _at_rest(problem: Problem) -> tuple[str, ...]:
     """Say so where all that was observed stays where it is."""
-    if (problem.y[(problem.c > 0) & problem.tissue[..., None]] != 0).any():
+    if (problem.y[problem.observed] != 0).any():
         return ()
     return (
         "nothing that is painted moves: have something move or expand, by a distance other than 0",
@@ -51,7 +50,7 @@ def _at_rest(problem: Problem) -> tuple[str, ...]:
 
 def _adrift(problem: Problem) -> tuple[str, ...]:
     """Say so where something moves within tissue whose rim nothing holds or moves."""
-    seen = ((problem.c > 0) & problem.tissue[..., None]).any(axis=-1)
+    seen = problem.observed.any(axis=-1)
     rim = problem.tissue & ~ndimage.binary_erosion(problem.tissue)
     if (seen & rim).any() or (seen & ~problem.y.any(axis=-1)).any():
         return ()
@@ -64,7 +63,7 @@ def _adrift(problem: Problem) -> tuple[str, ...]:
 
 def _held_exactly(problem: Problem) -> tuple[str, ...]:
     """Say so where a doubt about the boundary does not count."""
-    doubted = (problem.c > 0) & (problem.c < 1) & problem.tissue[..., None]
+    doubted = problem.observed & (problem.c < 1)
     count = int(doubted.any(axis=-1).sum())
     if not count:
         return ()
@@ -80,7 +79,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ()
-    seen: npt.NDArray[np.bool_] = problem.tissue & np.any(problem.c > 0, axis=-1)
+    seen = np.asarray(problem.observed.any(axis=-1))
     shares = []
     for level in tree[1:4]:
         rows, cols = nearest_pixels(level, problem.shape)
@@ -102,7 +101,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
 def _loose_pieces(problem: Problem) -> tuple[str, ...]:
     """Say so where tissue hangs on nothing that was observed."""
     pieces, count = ndimage.label(problem.tissue, structure=np.ones((3, 3)))
-    held = np.unique(pieces[(problem.c > 0).any(axis=-1)])
+    held = np.unique(pieces[problem.observed.any(axis=-1)])
     loose = count - int((held > 0).sum())
     if not loose:
         return ()

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.base import Backend
+from napari_hmrf.backends.host import Beginning
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 
@@ -96,11 +97,11 @@ class Optimizer(Protocol):
         prior: Prior,
         backend: Backend[Any],
         report: Report,
-        start: npt.NDArray[np.float32] | None = None,
+        start: Beginning | None = None,
     ) -> Outcome:
         """Run the schedule; on the compute thread only.
 
-        `start` is a displacement (H, W, 2) to begin with, in pixels.
+        `start` is a displacement to begin with.
         """
         ...
 

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.backends import host
-from napari_hmrf.backends.base import Backend, FloatArray
+from napari_hmrf.backends.base import Backend
+from napari_hmrf.backends.host import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.active import PATIENCE, States
@@ -44,7 +45,7 @@ def converge(
     prior: SeilerPrior,
     backend: Backend[Any],
     report: Report,
-    start: FloatArray | None,
+    start: Beginning | None,
 ) -> Outcome:
     """Solve to a tolerance in so many cycles for each set of states; lengths are in pixels."""
     d, observed = host.prescribed(problem)
@@ -56,7 +57,7 @@ def converge(
         force = host.planes(prior.limit(problem))
         force[~observed] = 0
         if start is not None:
-            np.copyto(d, host.planes(start), where=~observed & (steep > 0))
+            np.copyto(d, host.combined(start), where=~observed & (steep > 0))
         # A site that is the middle of no clique stays where it is: nothing pulls at it.
         states = _CentredStates(observed & (steep > 0), y, force, steep)
         changed = True

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.backends.base import Backend, FloatArray, SiteRule
+from napari_hmrf.backends.host import Beginning
 from napari_hmrf.hierarchy import Level, levels, nearest_pixels
 from napari_hmrf.optimizers.base import LevelRun, Monitor, Outcome, Report
 from napari_hmrf.priors import Prior, SeilerPrior, line_weights
@@ -75,7 +76,7 @@ class ICM:
         prior: Prior,
         backend: Backend[Any],
         report: Report,
-        start: FloatArray | None = None,
+        start: Beginning | None = None,
     ) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
         if start is not None:

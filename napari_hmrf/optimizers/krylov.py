@@ -71,8 +71,10 @@ class ConjugateGradients:
         self._cycle = cycle
         self._spectrum = _Spectrum()
 
-    def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
-        """Return a correction for a residual (planes), in single precision.
+    def run(
+        self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
+    ) -> npt.NDArray[np.float32]:
+        """Return a correction for a residual (planes) of a norm, in single precision.
 
         Changes the residual; the correction is valid until the next run.
 
@@ -84,7 +86,7 @@ class ConjugateGradients:
         level = self._cycle.levels[0]
         rest = level.vector(residual)
         found, direction, image = (level.vector() for _ in range(3))
-        square = first = level.read(level.product(rest, rest))[0]
+        square = first = norm**2
         before: Any = None
         self._spectrum.restart()
         while True:

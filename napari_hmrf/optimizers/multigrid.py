@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.backends import host
-from napari_hmrf.backends.base import Backend, FloatArray
+from napari_hmrf.backends.base import Backend
+from napari_hmrf.backends.host import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.bending import check_bent, free_bend
 from napari_hmrf.errors import ConvergenceError
@@ -78,7 +79,7 @@ class Multigrid:
         prior: Prior,
         backend: Backend[Any],
         report: Report,
-        start: FloatArray | None = None,
+        start: Beginning | None = None,
     ) -> Outcome:
         """Solve; lengths are in pixels from here on."""
         if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
@@ -103,7 +104,7 @@ class Multigrid:
                 y, d = d, d.copy()
                 moves = model.steepness > 0
                 if start is not None:
-                    np.copyto(d, host.planes(start), where=moves)
+                    np.copyto(d, host.combined(start), where=moves)
                 states = ActiveSet(observed & moves, y, host.planes(limit), d)
                 find = free_motion if isinstance(prior, ElasticPrior) else free_bend
                 forces = self._slip(problem, model, states, refinement, d, find)
@@ -112,7 +113,7 @@ class Multigrid:
             raise
         finally:
             model.close()
-        energies = np.array(refinement.energies) / max(1, int(problem.tissue.sum()))
+        energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement = host.gathered(d)
         host.reuse(d, observed)
         return Outcome(
@@ -220,7 +221,7 @@ class _Refinement:
                 self._say(unit * latest.error, tolerance)
                 return unit * latest.error <= tolerance
 
-            correction = self._iteration.run(balance.rest, enough)
+            correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
             if step is not None:
                 host.add(d, correction, balance.unit)
                 balance = self._model.balance(d, load, balance.most)

@@ -15,45 +15,31 @@ _parallel = numba.njit(cache=True, nogil=True, error_model="numpy", parallel=Tru
 
 
 @_parallel
-def prescribe(y, c, m, start, share, d, held):
-    """Displace by share * y where tissue is observed (c > 0), and hold it there; the rest as start.
+def prescribe(y, observed, share, first, one, second, two, d, held):
+    """Displace by share * y where tissue is observed, and hold it there.
 
-    `start`, (H, W, 2) in pixels, may be None: zero.
+    The rest by one * first + two * second, both (H, W, 2); by zero, if these are None.
     """
-    for i in prange(m.shape[0]):
-        for j in range(m.shape[1]):
-            tissue = m[i, j] > 0
-            row, col = tissue & (c[i, j, 0] > 0), tissue & (c[i, j, 1] > 0)
-            held[0, i + 2, j + 2] = row
-            held[1, i + 2, j + 2] = col
-            if start is None:
-                d[0, i + 2, j + 2] = share * y[i, j, 0] if row else 0.0
-                d[1, i + 2, j + 2] = share * y[i, j, 1] if col else 0.0
-            else:
-                d[0, i + 2, j + 2] = share * y[i, j, 0] if row else start[i, j, 0]
-                d[1, i + 2, j + 2] = share * y[i, j, 1] if col else start[i, j, 1]
-
-
-@numba.njit(cache=True, nogil=True)
-def observed(c, m, at):
-    """Write where tissue is observed to `at`, numbers in the order of memory; how many."""
-    count = 0
-    for i in range(m.shape[0]):
-        for j in range(m.shape[1]):
+    for i in prange(y.shape[0]):
+        for j in range(y.shape[1]):
             for k in range(2):
-                if c[i, j, k] > 0 and m[i, j] > 0:
-                    at[count] = (i * m.shape[1] + j) * 2 + k
-                    count += 1
-    return count
+                here = observed[i, j, k]
+                held[k, i + 2, j + 2] = here
+                if first is None:
+                    d[k, i + 2, j + 2] = share * y[i, j, k] if here else 0.0
+                else:
+                    begun = one * first[i, j, k] + two * second[i, j, k]
+                    d[k, i + 2, j + 2] = share * y[i, j, k] if here else begun
 
 
 @_parallel
-def blend(values, weight, out):
-    """Out += weight * values, all (H, W, 2)."""
-    for i in prange(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j, 0] += weight * values[i, j, 0]
-            out[i, j, 1] += weight * values[i, j, 1]
+def blend(values, weight, held, d):
+    """D += weight * values, (H, W, 2), where it is not held."""
+    for i in prange(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(2):
+                if not held[k, i + 2, j + 2]:
+                    d[k, i + 2, j + 2] += weight * values[i, j, k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
