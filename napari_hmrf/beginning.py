@@ -49,7 +49,10 @@ def _shares(displacements: Sequence[FloatArray], problem: Problem) -> list[float
     changes = np.stack(others) - first
     # The normal equations are few, and what is observed may be much. They are damped a little: of
     # changes that are the same each takes a part.
-    normal = changes @ changes.T
+    # `einsum`, as the threads that a larger product wakes in BLAS would go on to wait for more, on
+    # the cores that the solve needs.
+    normal = np.einsum("an,bn->ab", changes, changes)
     normal += (_SAME**2 * np.trace(normal) + _TINY) * np.eye(len(others))
-    found = np.linalg.solve(normal, changes @ (problem.y.ravel()[at] - first))
+    missing = np.einsum("an,n->a", changes, problem.y.ravel()[at] - first)
+    found = np.linalg.solve(normal, missing)
     return [1.0 - float(found.sum()), *map(float, found)]

@@ -71,22 +71,17 @@ class GLElasticModel(GLModel):
 def _smoother_matrix(
     host: CpuLevel, lame: Vector, element: ElementShape, steps: Steps
 ) -> Float64Array:
-    """What all steps from zero make of a load: a matrix for values in pairs, row by row.
-
-    With the diagonal's roots on both sides the level's matrix is symmetric, and the steps are the
-    same polynomial of each of its eigenvalues.
-    """
-    root = np.sqrt(stored_planes(host.inverse).astype(np.float64)).ravel()
+    """What all steps from zero make of a load: a matrix for values in pairs, row by row."""
+    inverse = stored_planes(host.inverse).astype(np.float64).ravel()
     matrix = _stiffness_matrix(stored_planes(lame).astype(np.float64), element)
     if host.weight is not None:
         matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
-    eigenvalues, modes = np.linalg.eigh(root[:, None] * matrix * root)
-    moved = taken = np.zeros_like(eigenvalues)
+    moved = taken = np.zeros_like(matrix)
     for scale, momentum in steps:
-        taken = scale * (1 - eigenvalues * moved) + momentum * taken
+        left = np.eye(len(matrix)) - matrix @ moved
+        taken = scale * inverse[:, None] * left + momentum * taken
         moved = moved + taken
-    smoother: Float64Array = root[:, None] * ((modes * moved) @ modes.T) * root
-    return smoother
+    return moved
 
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:
