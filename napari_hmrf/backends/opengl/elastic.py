@@ -8,8 +8,6 @@ from typing import Self
 import numpy as np
 
 from napari_hmrf.backends.cpu.elastic_model import CpuElasticLevel, the_model
-from napari_hmrf.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.backends.linear import Steps
 from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.model import GLModel
 from napari_hmrf.backends.opengl.passes import Passes
@@ -47,8 +45,8 @@ class GLElasticLevel(RelaxingLevel):
         outputs = [coarse.load.texture]
         coarse._run("restrict", self._defines, inputs, outputs, self._model.uniforms)
 
-    def _smoother_matrix(self, steps: Steps) -> Float64Array:
-        return _smoother_matrix(self._host, self._lame, self._element, steps)
+    def _matrix(self) -> Float64Array:
+        return _stiffness_matrix(stored_planes(self._lame).astype(np.float64), self._element)
 
 
 class GLElasticModel(GLModel):
@@ -66,22 +64,6 @@ class GLElasticModel(GLModel):
         super().__init__(
             passes, host, [GLElasticLevel(passes, level, material.shape) for level in host.levels]
         )
-
-
-def _smoother_matrix(
-    host: CpuLevel, lame: Vector, element: ElementShape, steps: Steps
-) -> Float64Array:
-    """What all steps from zero make of a load: a matrix for values in pairs, row by row."""
-    inverse = stored_planes(host.inverse).astype(np.float64).ravel()
-    matrix = _stiffness_matrix(stored_planes(lame).astype(np.float64), element)
-    if host.weight is not None:
-        matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
-    moved = taken = np.zeros_like(matrix)
-    for scale, momentum in steps:
-        left = np.eye(len(matrix)) - matrix @ moved
-        taken = scale * inverse[:, None] * left + momentum * taken
-        moved = moved + taken
-    return moved
 
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:

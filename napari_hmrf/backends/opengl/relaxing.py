@@ -84,8 +84,8 @@ class RelaxingLevel(GLLevel):
         """Make what the correction leaves of the load the coarser level's load."""
         raise NotImplementedError
 
-    def _smoother_matrix(self, steps: Steps) -> Float64Array:
-        """What all steps from zero make of a load: a matrix for values in pairs, row by row."""
+    def _matrix(self) -> Float64Array:
+        """What pulls but springs, on a small level: a matrix for values in pairs, row by row."""
         raise NotImplementedError
 
     def hold(self) -> None:
@@ -166,7 +166,7 @@ class RelaxingLevel(GLLevel):
         """All steps from zero as one pass: they are a polynomial of the level's matrix."""
         key = tuple(steps)
         if key not in self._matrices:
-            matrix = self._smoother_matrix(steps)
+            matrix = self._smoother(steps)
             count = matrix.shape[0] // 4
             texels = matrix.reshape(count, 4, -1).swapaxes(1, 2)
             self._matrices[key] = self._passes.texture(texels.astype(np.float32))
@@ -174,3 +174,20 @@ class RelaxingLevel(GLLevel):
         inputs, outputs = [self.load.texture, self._matrices[key]], [self.correction.other]
         self._passes.run(program, inputs, outputs, self._pairs)
         self.correction.turn()
+
+    def _smoother(self, steps: Steps) -> Float64Array:
+        """What all steps from zero make of a load, as a matrix.
+
+        By products of matrices: a decomposition would wake the threads of LAPACK, which then wait
+        for more on the cores that a software rasteriser renders with.
+        """
+        host, matrix = self._host, self._matrix()
+        if host.weight is not None:
+            matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
+        inverse = stored_planes(host.inverse).astype(np.float64).reshape(-1, 1)
+        moved = taken = np.zeros_like(matrix)
+        for scale, momentum in steps:
+            left = np.eye(len(matrix)) - matrix @ moved
+            taken = scale * inverse * left + momentum * taken
+            moved = moved + taken
+        return moved

@@ -7,7 +7,6 @@ from typing import Self
 import numpy as np
 
 from napari_hmrf.backends.cpu.seiler_model import CpuSeilerLevel, the_model
-from napari_hmrf.backends.linear import Steps
 from napari_hmrf.backends.opengl.fields import singles
 from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.model import GLModel
@@ -72,7 +71,7 @@ class GLSeilerLevel(RelaxingLevel):
             start, coarse = AS_IS, None
         super()._smooth(start, scale, momentum, first, coarse)
 
-    def _smoother_matrix(self, steps: Steps) -> Float64Array:
+    def _matrix(self) -> Float64Array:
         """Found by applying the host's model to every single displacement."""
         host = self._cliques
         count = 4 * self._pairs[0] * self._pairs[1]
@@ -88,14 +87,7 @@ class GLSeilerLevel(RelaxingLevel):
                 host.apply(single, image)
                 model[:, number] = stored_planes(image).ravel()
                 host.free(single)
-        if host.weight is not None:
-            model += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
-        inverse = stored_planes(host.inverse).astype(np.float64).reshape(-1, 1)
-        moved = taken = np.zeros_like(model)
-        for scale, momentum in steps:
-            taken = scale * inverse * (np.eye(count) - model @ moved) + momentum * taken
-            moved = moved + taken
-        return moved
+        return model
 
 
 class GLSeilerModel(GLModel):
