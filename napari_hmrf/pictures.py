@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.colours import DIVERGING, FOLDED, OPACITY, RISING, opacity
 from napari_hmrf.deformation import (
     arrows,
     deformation_grid,
@@ -37,10 +38,8 @@ GRID_LINES = 50
 _ARROW_COLOUR = "#e8590c"
 _FIXED_COLOUR = "#4dabf7"
 _GRID_COLOUR = "#0b7285"
-#: As in the viewer: no kind of colour blindness confuses them.
-_DIVERGING = "PuOr_r"
-_RISING = "magma"
-_FOLD_COLOUR = "#ffee00"
+# Of pictures of the tissue as it was, though their colours tell how it moves.
+_BEFORE = "{}\n(drawn on the tissue before it moves)"
 
 
 def save_pictures(
@@ -105,9 +104,9 @@ def save_result_pictures(
         figures["displacement"] = displacement_picture(picture, solution)
         figures["warped"] = warped_picture(picture, solution)
     figures["grid"] = grid_picture(solution)
-    figures["magnitude"] = magnitude_picture(solution, unit)
-    figures["jacobian"] = jacobian_picture(solution)
-    figures["strain"] = strain_picture(solution)
+    figures["magnitude"] = magnitude_picture(solution, unit, image)
+    figures["jacobian"] = jacobian_picture(solution, image)
+    figures["strain"] = strain_picture(solution, image)
     figures["energy"] = energy_picture(solution)
     written = []
     for name, figure in figures.items():
@@ -166,33 +165,36 @@ def grid_picture(solution: Solution) -> Figure:
     return figure
 
 
-def magnitude_picture(solution: Solution, unit: str = "px") -> Figure:
+def magnitude_picture(
+    solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
+) -> Figure:
     """Draw how far the tissue goes, where it was before it moved."""
     length = np.where(solution.tissue, magnitude(solution.displacement), np.nan)
-    return _map(solution, length, f"displacement / {unit}", _RISING)
+    return _map(solution, length, f"displacement / {unit}", image)
 
 
-def jacobian_picture(solution: Solution) -> Figure:
+def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw by which factor the area of the tissue changes; folds (0 or below) are yellow."""
     field = (solution.displacement, solution.spacing, solution.tissue)
     change = jacobian_determinant(*field)
     folded = folds(*field)
     reach = 1.0 if folded.any() else float(np.nanmax(np.abs(change - 1), initial=1e-3))
     reach = min(1.0, reach)
-    figure = _map(solution, change, "area ratio (Jacobian)", _DIVERGING, 1 - reach, 1 + reach)
+    limits = 1 - reach, 1 + reach
+    figure = _map(solution, change, "area ratio (Jacobian)", image, limits)
     if folded.any():
         from matplotlib.colors import ListedColormap
 
         marked = np.where(folded, 1.0, np.nan)
         axes = figure.axes[0]
-        axes.imshow(marked, cmap=ListedColormap([_FOLD_COLOUR]), aspect=axes.get_aspect())
+        axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
     return figure
 
 
-def strain_picture(solution: Solution) -> Figure:
+def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
     strain = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
-    return _map(solution, equivalent_strain(strain), "equivalent strain (ratio)", _RISING)
+    return _map(solution, equivalent_strain(strain), "equivalent strain (ratio)", image)
 
 
 def energy_picture(solution: Solution) -> Figure:
@@ -229,15 +231,32 @@ def _map(
     solution: Solution,
     values: npt.NDArray[Any],
     title: str,
-    colours: str,
-    low: float = 0.0,
-    high: float | None = None,
+    image: npt.ArrayLike | None,
+    signed: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw one number per site as colours, with their scale; nothing where there is no tissue."""
-    figure, (axes,) = _figure(solution.spacing, title)
-    if high is None:
-        high = float(np.nanmax(values, initial=0.0)) or 1.0
-    shown = axes.imshow(values, cmap=colours, aspect=axes.get_aspect(), vmin=low, vmax=high)
+    """Draw one number per site as colours on the image, with their scale, as the viewer does.
+
+    Nothing where there is no tissue. `signed` are the limits of a scale on which no change is in
+    the middle; else it begins with 0.
+    """
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
+    figure, (axes,) = _figure(solution.spacing, _BEFORE.format(title))
+    if image is not None:
+        _show(axes, np.asarray(image))
+    low, high = signed or (0.0, float(np.nanmax(values, initial=0.0)) or 1.0)
+    part = np.linspace(0, 1, 256)
+    colours = matplotlib.colormaps[DIVERGING if signed else RISING](part)
+    colours[:, 3] = opacity(part, signed is not None)
+    shown = axes.imshow(
+        values,
+        cmap=ListedColormap(colours),
+        alpha=OPACITY,
+        aspect=axes.get_aspect(),
+        vmin=low,
+        vmax=high,
+    )
     figure.colorbar(shown, ax=axes, shrink=0.8)
     return figure
 

@@ -128,6 +128,24 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
     assert low > high, "rows point down"
 
 
+@pytest.mark.parametrize("kind", ["magnitude", "jacobian", "strain"])
+def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kind):
+    from napari_hmrf import phantom, pictures
+
+    bar = phantom("bar", 48)
+    solution = solve(bar.problem, backend="cpu")
+    draw = getattr(pictures, f"{kind}_picture")
+    figure = draw(solution, image=bar.image)
+    below, colours = figure.axes[0].images
+    np.testing.assert_array_equal(below.get_array(), bar.image)
+    no_change = {"magnitude": 0.0, "jacobian": 1.0, "strain": 0.0}[kind]
+    clear = colours.cmap(colours.norm(no_change))[3]
+    assert clear == pytest.approx(0, abs=0.02)
+    assert colours.cmap(1.0)[3] == 1
+    assert "before it moves" in figure.axes[0].get_title()
+    assert len(draw(solution).axes[0].images) == 1
+
+
 def test_without_opengl_the_demo_says_so_and_takes_the_loops(monkeypatch):
     import napari_hmrf.demo as module
 

@@ -6,20 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.colours import DIVERGING, FOLDED, RISING, opacity
+
 #: Of the arrows that show what a boundary will do.
 PREVIEW = "magenta"
 #: Of the arrows of a result: seen on black, grey and white.
 ARROWS = "#ff6000"
-#: From less over no change to more: purple and orange, which no colour blindness confuses.
-DIVERGING = "PuOr_r"
-#: From nothing upwards: ever lighter, whatever the colour vision.
-RISING = "magma"
 #: Of stiffness: evenly ever lighter, and of other colours than what is measured of a result.
 _STIFF = "viridis"
-#: Of folds among those: bright on dark purple, the colour of what is nearly folded.
-FOLDED = "#ffee00"
-#: From this part of their range on colours hide the image under them.
-_OPAQUE = 0.4
 #: Of arrows that are drawn by hand, and of the one that is selected: red, green, blue and opacity.
 #: Told apart by those who are blind to colours, too, as one is much brighter.
 DRAWN = (0.0, 0.62, 1.0, 1.0)
@@ -59,8 +53,7 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
     name = DIVERGING if signed else RISING
     part = np.linspace(0, 1, 256)
     colours = np.array(ensure_colormap(name).map(part))
-    much = np.abs(2 * part - 1) if signed else part
-    colours[:, 3] = np.minimum(1, much / _OPAQUE)
+    colours[:, 3] = opacity(part, signed)
     low = transform_color(FOLDED)[0] if folds else None
     return Colormap(colours, name=f"{name}, clear", low_color=low)
 

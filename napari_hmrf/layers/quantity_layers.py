@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.colours import OPACITY
 from napari_hmrf.deformation import smallest_determinant
 from napari_hmrf.layers.colours import quantity_colours
 from napari_hmrf.layers.found import FoundResult, facts_for
@@ -41,8 +42,8 @@ QUANTITIES: dict[Quantity, _Words] = {
     "equivalent": _Words("equivalent strain", "ratio"),
     "stretch": _Words("largest stretch", "ratio"),
     "squeeze": _Words("largest squeeze", "ratio"),
-    "rows": _Words("strain along rows' axis", "ratio"),
-    "columns": _Words("strain along columns' axis", "ratio"),
+    "rows": _Words("strain along rows", "ratio"),
+    "columns": _Words("strain along columns", "ratio"),
     "shear": _Words("shear strain", "ratio"),
 }
 #: So many of a hundred pixels lie within the contrast limits; the others are a few at corners.
@@ -115,7 +116,7 @@ def quantity_layer(
         "colormap": quantity_colours(signed, folded),
         "contrast_limits": limits,
         "blending": "translucent",
-        "opacity": 0.8,
+        "opacity": OPACITY,
         "metadata": facts_for(result, quantity),
     }
     return LayerData(result.frame.put_image(values), attributes, "image")
