@@ -5,7 +5,7 @@ import pytest
 from npe2 import PluginManifest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QDockWidget, QLabel
+from qtpy.QtWidgets import QApplication, QDockWidget, QLabel, QTabBar
 
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.errors import HmrfError
@@ -56,6 +56,11 @@ def in_front(window):
     ]
 
 
+def tab_titles(main):
+    bars = [bar for bar in main.findChildren(QTabBar) if bar.count() == 3]
+    return [bar.tabText(number) for bar in bars for number in range(3)]
+
+
 def frame_of(inner):
     frame = inner.native.parent()
     assert isinstance(frame, QDockWidget)
@@ -69,6 +74,7 @@ def test_docks_are_tabs_in_one_place_and_the_newest_is_in_front(window, choose):
     main = window._qt_window
     first = frame_of(dock(DeformTissue))
     assert len(main.tabifiedDockWidgets(first)) == 2
+    assert tab_titles(main) == ["Deform tissue", "Grab and pull", "Look at the result"]
 
 
 def test_all_docks_fit_on_a_small_screen(window, choose):

@@ -71,6 +71,8 @@ class Tabs(QObject):
         self._dock = dock if isinstance(dock, QDockWidget) else None
         self._behind = False
         if self._dock is not None:
+            # Tabs show this, and would cut the plugin's name off; the bar above has it in full.
+            self._dock.setWindowTitle(self._dock.windowTitle().partition(" (")[0])
             self._dock.dockLocationChanged.connect(self._on_placed)
             self._dock.visibilityChanged.connect(self._on_seen)
             self._dock.installEventFilter(self)
