@@ -49,8 +49,10 @@ def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
     assert flipped.label(1) == "to the left"
     assert flipped.about(1).endswith("below 0: to the right")
     assert flipped.step((5, -10)) == "5 up, 10 right"
+    assert (flipped.both(0), flipped.both(1)) == ("up and down", "left and right")
     aslant = Directions("", "")
-    words = " ".join([aslant.header(1), aslant.label(1), aslant.about(1), aslant.only(1)])
+    words = " ".join([aslant.header(1), aslant.label(1), aslant.about(1)])
+    words += aslant.only(1) + aslant.both(1)
     assert not {"up", "down", "left", "right"} & set(words.split())
 
 

@@ -288,7 +288,7 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     low, high = layer.contrast_limits
     assert low + high == pytest.approx(2), "no change is in the middle"
     set_to(look, colours="columns")
-    assert layer.name == "MR strain along columns' axis (ratio)"
+    assert layer.name == "MR strain along columns (ratio)"
     np.testing.assert_allclose(layer.data[10, 5:19], (inside**2 - 1) / 2, atol=0.02)
     layer.name = "mine"
     set_to(look, colours="equivalent")
@@ -339,6 +339,7 @@ def test_the_status_bar_tells_what_is_under_the_cursor(look):
     status = viewer.status["coordinates"]
     assert status.startswith("[10"), "what napari says stays"
     assert status.count("Jacobian") == 1
+    assert " right)" in status, "words, not the sign of a number"
     assert "stiffness 20 kPa (gel)" in status
     assert look.point in status
     viewer.cursor.position = (0, 0)

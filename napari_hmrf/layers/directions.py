@@ -69,11 +69,14 @@ class Directions(NamedTuple):
 
     def only(self, axis: int) -> str:
         """Speaking of one axis alone: "up and down only (rows)"."""
-        name = ("rows", "columns")[axis]
+        name, both = ("rows", "columns")[axis], self.both(axis)
+        return f"{both} only ({name})" if both else f"{name} only"
+
+    def both(self, axis: int) -> str:
+        """An axis without a sense: "up and down"; "" at an angle."""
         if not self[axis]:
-            return f"{name} only"
-        both = "up and down" if self[axis] in ("up", "down") else "left and right"
-        return f"{both} only ({name})"
+            return ""
+        return "up and down" if self[axis] in ("up", "down") else "left and right"
 
     def step(self, by: tuple[float, float]) -> str:
         """A step in words: "5 down, 10 right"."""

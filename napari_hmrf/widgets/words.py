@@ -151,13 +151,12 @@ def progress(monitor: Monitor, seconds: float) -> str:
 
 
 def _farthest(done: Done) -> str:
-    """The longest displacement, in pixels and in the unit of the image."""
+    """The longest displacement, in the unit of the image; in pixels, too, if they are square."""
     solution = done.outputs.solution
     squares = (solution.displacement.astype(np.float32) ** 2).sum(axis=-1)
     length = float(np.sqrt(squares.max()))
-    at = np.unravel_index(int(squares.argmax()), squares.shape)
-    pixels = float(np.linalg.norm(solution.displacement[at] / np.array(solution.spacing)))
-    unit = unit_symbol(done.snapshot.frame.unit)
-    if unit == "px" and all(size == 1 for size in solution.spacing):
-        return f"{pixels:.1f} px"
-    return f"{pixels:.1f} px ({length:.3g} {unit})"
+    unit, size = unit_symbol(done.snapshot.frame.unit), solution.spacing[0]
+    if any(other != size for other in solution.spacing):
+        return f"{length:.3g} {unit}"
+    pixels = f"{length / size:.1f} px"
+    return pixels if unit == "px" and size == 1 else f"{pixels} ({length:.3g} {unit})"

@@ -8,6 +8,7 @@ from typing import Any
 from napari.layers import Image
 
 from napari_hmrf.annotation import Material
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult, frame_in, place_at
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
@@ -38,6 +39,7 @@ class UnderCursor:
         self._points: Points | None = None
         self._tissue: Any = None
         self._place: Frame | None = None
+        self._ways = Directions()
         self._materials: dict[int, Material] = {}
         self._fraction: Callable[[], float] = lambda: 0.0
         self._line = ""
@@ -68,6 +70,8 @@ class UnderCursor:
         """
         self._arrows, self._result, self._points = arrows, result, points
         self._fraction = fraction
+        if result is not None:
+            self._ways = Directions.of(result.frame, self._viewer)
 
     def stiffness_from(self, tissue: Any, result: FoundResult) -> None:
         """Take the stiffness from labels and their table, or from an image; None for nowhere."""
@@ -99,7 +103,7 @@ class UnderCursor:
         found = points.at(place, self._fraction())
         if found is None:
             return None, NO_TISSUE
-        return found, at_point(result, found, self._stiffness(found))
+        return found, at_point(result.unit, found, self._ways, self._stiffness(found))
 
     def _stiffness(self, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

@@ -11,6 +11,7 @@ from napari.layers import Labels
 
 from napari_hmrf.deformation import magnitude
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult, picture_of, result_of, source_of, tissue_of
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.moving import Moment, Motion
@@ -111,7 +112,9 @@ class Scene:
                 face.image.value = source_of(self._viewer.layers, result)
         with face.colours.changed.blocked():
             chosen = face.colours.value
-            face.colours.choices = colour_choices(result.unit)
+            face.colours.choices = colour_choices(
+                result.unit, Directions.of(result.frame, self._viewer)
+            )
             face.colours.value = chosen
         self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
         face.energy.show_solution(result.solution)

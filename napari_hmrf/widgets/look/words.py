@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult
 from napari_hmrf.layers.point import Probe
 from napari_hmrf.layers.quantity_layers import Quantity
@@ -25,6 +26,7 @@ NO_TISSUE = "No tissue here."
 NOTHING: str = "nothing"
 SAVING = "Saving pictures ..."
 FULL = 100
+_UPRIGHT = Directions()
 
 _ABOUT: dict[Quantity, str] = {
     "magnitude": "how far ({unit})",
@@ -32,22 +34,30 @@ _ABOUT: dict[Quantity, str] = {
     "equivalent": "strain: equivalent",
     "stretch": "strain: largest stretch",
     "squeeze": "strain: largest squeeze",
-    "rows": "strain: along rows' axis",
-    "columns": "strain: along columns' axis",
+    "rows": "strain: {rows}",
+    "columns": "strain: {columns}",
     "shear": "strain: shear",
 }
 COLOURS_TIP = (
     "Colours of the tissue, moving with it:\n"
     "how far: length of the displacement, in the unit of the image;\n"
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
+    "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
     "strain: Green-Lagrange's, without unit (0.01 is one per cent); equivalent: von Mises's,\n"
     "no strain across the slice assumed."
 )
 
 
-def colour_choices(unit: str) -> list[tuple[str, str]]:
+def colour_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, str]]:
     """What colours can show, in words, and the name of it."""
-    return [(NOTHING, NOTHING)] + [(words.format(unit=unit), key) for key, words in _ABOUT.items()]
+    rows, columns = (
+        f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
+        for axis, name in enumerate(("rows", "columns"))
+    )
+    words = {
+        key: about.format(unit=unit, rows=rows, columns=columns) for key, about in _ABOUT.items()
+    }
+    return [(NOTHING, NOTHING), *((about, key) for key, about in words.items())]
 
 
 def how_far(result: FoundResult, longest: float, percent: int) -> str:
@@ -64,12 +74,11 @@ def folded(count: int) -> str:
     )
 
 
-def at_point(result: FoundResult, found: Probe, stiffness: str = "") -> str:
+def at_point(unit: str, found: Probe, ways: Directions, stiffness: str = "") -> str:
     """What is under the cursor, in a line short enough for the status bar."""
-    down, along = found.displacement
-    unit = result.unit
+    down, along = (float(f"{part:.3g}") for part in found.displacement)
     parts = [
-        f"moves {found.length:.3g} {unit} (row {down:+.3g}, col {along:+.3g})",
+        f"moves {found.length:.3g} {unit} ({ways.step((down, along))})",
         f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
     ]
     return ", ".join([*parts, *([stiffness] if stiffness else [])])
