@@ -61,7 +61,8 @@ class Solution:
         tissue at X moves to X + d(X). Zero where there is no tissue.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
-        squared. Of multigrid for the centred update, which no energy leads, the last throughout.
+        squared; one value where none was needed. Of multigrid for the centred update, which no
+        energy leads, the last throughout.
     levels : tuple of LevelRun
         The levels in the order they were run, with their iterations: the boundaries in `energy`.
     tissue : ndarray, shape (H, W), bool
@@ -167,7 +168,7 @@ def _parse(header: archive.Header, arrays: archive.Arrays) -> Solution:
         raise archive.Invalid(f"its pixel spacing is {spacing}")
     if not np.isfinite(displacement).all():
         raise archive.Invalid("its displacement holds values that are not numbers")
-    if len(energy) != sum(run.iterations for run in levels):
+    if len(energy) != max(1, sum(run.iterations for run in levels)):
         raise archive.Invalid("its energies and iterations disagree")
     frame = header["frame"]
     if frame is not None and not isinstance(frame, dict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import platform
 import queue
 import threading
@@ -70,7 +71,8 @@ def solve(
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
         the problem multigrid then has less to do. Of several, with the combination that comes
         closest to what is observed: how far tissue moves is proportional to how far it is pushed,
-        so that a patch moved once more takes hardly a cycle. The result is the same. The paper's
+        so that a patch moved once more takes a cycle, or none if what each solution is wrong by is
+        within the tolerance altogether. The result is the same to that tolerance. The paper's
         schedule begins with zero on its coarsest level, and takes none.
 
     Returns
@@ -220,7 +222,7 @@ def _prepare(
     host.settle(found, small.tissue, small.unit)
     if isinstance(rehearsal, Multigrid):
         # As many as there are kernels for: two at once, and each of the others.
-        three = host.Beginning((found,) * 3, (1.0, 0.0, 0.0))
+        three = host.Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
         rehearsal.run(small, tissue, device, lambda _: None, three)
     _prepared.add(key)
 

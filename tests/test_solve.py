@@ -199,7 +199,8 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
         before = made()
         found = solve(problem, prior, optimizer, backend="cpu")
         if isinstance(optimizer, Multigrid):
-            solve(problem, prior, optimizer, backend="cpu", start=[found, found])
+            for many in (1, 2, 3):
+                solve(problem, prior, optimizer, backend="cpu", start=[found] * many)
         after = made()
         new = {name: after[name] for name in after if after[name] != before.get(name)}
         assert not new, (prior, spacing, new)

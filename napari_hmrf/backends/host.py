@@ -20,18 +20,30 @@ _spare: list[tuple[Planes, HeldPlanes]] = []
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """A weighted sum of displacements, which is formed where it is needed.
+    """A sum of displacements, which is formed where it is needed.
 
     Attributes
     ----------
     displacements : tuple of ndarray, each of shape (H, W, 2)
         At least one.
-    weights : tuple of float
-        One for each; with them the sum is in pixels.
+    shares : tuple of float
+        How often each is taken.
+    unit : float
+        The length of a pixel in their unit.
+    missing : float
+        How far the sum is from what is observed, at most, in pixels.
     """
 
     displacements: tuple[FloatArray, ...]
-    weights: tuple[float, ...]
+    shares: tuple[float, ...]
+    unit: float
+    missing: float
+
+    @property
+    def weighted(self) -> list[tuple[FloatArray, float]]:
+        """The parts, each with its weight in a sum in pixels."""
+        weights = (share / self.unit for share in self.shares)
+        return list(zip(self.displacements, weights, strict=True))
 
 
 def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:
@@ -51,7 +63,7 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
     if start is None:
         exact.prescribe(*about, None, 0.0, None, 0.0, d, held)
         return d, held
-    first, *more = zip(start.displacements, start.weights, strict=True)
+    first, *more = start.weighted
     second = more.pop(0) if more else (first[0], 0.0)
     exact.prescribe(*about, *first, *second, d, held)
     for values, weight in more:
@@ -78,8 +90,7 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
 
 def combined(start: Beginning) -> Planes:
     """Return the sum that a solve begins with, as planes, in pixels."""
-    weighted = zip(start.displacements, start.weights, strict=True)
-    return planes(np.sum([weight * each for each, weight in weighted], axis=0))
+    return planes(np.sum([weight * each for each, weight in start.weighted], axis=0))
 
 
 def planes(values: npt.NDArray[Any]) -> Planes:

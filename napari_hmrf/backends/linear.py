@@ -12,10 +12,13 @@ zeros two sites wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from napari_hmrf.backends.found import Found
 
 Planes = npt.NDArray[np.float64]
 HeldPlanes = npt.NDArray[np.bool_]
@@ -141,6 +144,11 @@ class LinearModel(Protocol):
     @property
     def levels(self) -> Sequence[LinearLevel]:
         """Finest first."""
+        ...
+
+    @property
+    def found(self) -> Found:
+        """What was found for the tissue with what is held now."""
         ...
 
     @property

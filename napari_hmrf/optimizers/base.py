@@ -74,10 +74,11 @@ class Outcome:
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2)
-    energy : ndarray, shape (iterations,)
-        Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared.
+    energy : ndarray, shape (iterations,) or (1,)
+        Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared;
+        that of what it began with, if nothing was left to do.
     levels : tuple of LevelRun
-        In the order they were run; their iterations add up to ``len(energy)``.
+        In the order they were run; their iterations add up to ``len(energy)``, or to 0.
     convergence : Convergence or None
         None where the schedule does not look.
     """

@@ -15,6 +15,7 @@ import numpy as np
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
+from napari_hmrf.backends.found import Quality
 from napari_hmrf.backends.host import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.bending import check_bent, free_bend
@@ -32,6 +33,10 @@ from napari_hmrf.problem import Problem
 _ROUGHLY = 10.0
 _MOST_EXCHANGES = 500
 _TINY = 1e-300
+# What is this part of the tolerance, or less, is as good as nothing.
+_NOTHING = 0.01
+# By so much may a residual be larger than it is known to be, as what is stored is rounded.
+_ROUNDED = 1.1
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ class Multigrid:
         try:
             if limit is None:
                 model.hold(observed)
-                refinement.run(d, None, self.tolerance)
+                refinement.run(d, None, self.tolerance, self._known(start, model))
                 energy, forces = model.work(d)
                 refinement.settle(energy)
             else:
@@ -116,12 +121,20 @@ class Multigrid:
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement = host.gathered(d)
         host.reuse(d, observed)
+        if limit is None:
+            model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
         return Outcome(
             displacement=displacement,
             energy=energies,
-            levels=(LevelRun(0, problem.shape, len(energies)),),
+            levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
             convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
         )
+
+    def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
+        """How good what a solve begins with is, if it is all that is observed."""
+        if start is None or start.missing > _NOTHING * self.tolerance:
+            return None
+        return model.found.quality(start)
 
     def _slip(
         self,
@@ -189,7 +202,9 @@ class _Refinement:
     residual : float
         The norm of the forces that are left over, in double precision.
     energies : list of float
-        The total energy after each cycle.
+        The total energy after each cycle; at the beginning, if there is none.
+    cycles : int
+        How many there were.
     """
 
     def __init__(
@@ -200,13 +215,23 @@ class _Refinement:
         self.estimate = math.inf
         self.residual = 0.0
         self.energies: list[float] = []
+        self.cycles = 0
         self._gains: list[float] = []
         self._first: float | None = None
 
-    def run(self, d: Planes, load: Planes | None, tolerance: float) -> None:
-        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels."""
+    def run(
+        self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
+    ) -> None:
+        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels.
+
+        If `d` is known to be that good, it stays, once its residual has been seen to be as known.
+        """
         balance = self._model.balance(d, load)
         self.residual = balance.norm
+        as_known = known is not None and balance.norm <= _ROUNDED * known.residual
+        if known is not None and as_known and known.error <= tolerance:
+            self.estimate = known.error
+            return
         before = math.inf
         while True:
             if balance.most == 0:
@@ -217,6 +242,7 @@ class _Refinement:
             def enough(latest: Step, unit: float = balance.unit) -> bool:
                 nonlocal step
                 step = latest
+                self.cycles += 1
                 self._gains.append(unit**2 * latest.gain)
                 self._say(unit * latest.error, tolerance)
                 return unit * latest.error <= tolerance
@@ -232,7 +258,7 @@ class _Refinement:
             if step is None or not self.estimate < 0.5 * before:
                 raise ConvergenceError(
                     f"the field stays {self.estimate:.2g} px from converged after "
-                    f"{self._cycles} cycles: single precision does not carry these "
+                    f"{self.cycles} cycles: single precision does not carry these "
                     "stiffnesses. Bring the softest and the stiffest tissue closer together"
                 )
             before = self.estimate
@@ -243,16 +269,12 @@ class _Refinement:
         self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
         self._gains = []
 
-    @property
-    def _cycles(self) -> int:
-        return len(self.energies) + len(self._gains)
-
     def _say(self, estimate: float, tolerance: float) -> None:
         """Report, and give up in time."""
         cycles = len(self._gains)
         self._first = self._first or estimate
         done = part_done(self._first, estimate, tolerance)
-        self._report(Monitor(f"cycle {self._cycles}, {estimate:.2g} px to go", done))
+        self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
         if cycles >= self._settings.max_iterations and estimate > tolerance:
             raise ConvergenceError(
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "

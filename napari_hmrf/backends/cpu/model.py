@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.backends.cpu.level import Vector
+from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes
 
 # Squares of values between these are far from the ends of single precision.
@@ -21,9 +22,12 @@ class CpuModel:
     ----------
     levels : sequence of CpuLevel
         Finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
+    found : Found
+        For the tissue with what is held now.
     """
 
     levels: Sequence[Any]
+    found: Found
     _held: HeldPlanes | None
     #: What is left of a load: 0 where held.
     _rest: Vector
@@ -33,6 +37,7 @@ class CpuModel:
         if self._held is not None and np.array_equal(held, self._held):
             return
         self._held = held.copy()
+        self.found = Found()
         self._rest.fill(0)
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.linear import Balance, HeldPlanes, LinearModel, Planes
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import RelaxingLevel
@@ -31,6 +32,11 @@ class GLModel:
         self._host.hold(held)
         for level in self.levels:
             level.hold()
+
+    @property
+    def found(self) -> Found:
+        """What was found for the tissue with what is held now."""
+        return self._host.found
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """What a displacement leaves of a load."""
