@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.host import Beginning
+from napari_hmrf.backends.found import Beginning
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Solution
 

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from napari_hmrf.backends import Backend, host, open_backend
+from napari_hmrf.backends.found import Beginning
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.beginning import Start, beginning
 from napari_hmrf.errors import BackendError, Cancelled
@@ -222,7 +223,7 @@ def _prepare(
     host.settle(found, small.tissue, small.unit)
     if isinstance(rehearsal, Multigrid):
         # As many as there are kernels for: two at once, and each of the others.
-        three = host.Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
+        three = Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
         rehearsal.run(small, tissue, device, lambda _: None, three)
     _prepared.add(key)
 

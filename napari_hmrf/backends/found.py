@@ -1,4 +1,4 @@
-"""What was found for a linear system, for solves of the same system that begin with it.
+"""What a solve begins with, and how good that is known to be.
 
 A system is linear: a sum of its solutions solves it for the same sum of observations, and is wrong
 by no more than the sum of what each is wrong by.
@@ -7,10 +7,41 @@ by no more than the sum of what each is wrong by.
 from __future__ import annotations
 
 import weakref
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from napari_hmrf.backends.base import FloatArray
-from napari_hmrf.backends.host import Beginning
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """A sum of displacements, which is formed where it is needed.
+
+    Attributes
+    ----------
+    displacements : tuple of ndarray, each of shape (H, W, 2)
+        At least one.
+    shares : tuple of float
+        How often each is taken.
+    unit : float
+        The length of a pixel in their unit.
+    missing : float
+        How far the sum is from what is observed, at most, in pixels.
+    """
+
+    displacements: tuple[FloatArray, ...]
+    shares: tuple[float, ...]
+    unit: float
+    missing: float
+
+    @property
+    def weighted(self) -> list[tuple[FloatArray, float]]:
+        """The parts, each with its weight in a sum in pixels."""
+        weights = (share / self.unit for share in self.shares)
+        return list(zip(self.displacements, weights, strict=True))
 
 
 class Quality(NamedTuple):

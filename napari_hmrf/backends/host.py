@@ -3,47 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.base import FloatArray
+from napari_hmrf.backends.found import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, Planes
 
 if TYPE_CHECKING:
     from napari_hmrf.problem import Problem
 
 _spare: list[tuple[Planes, HeldPlanes]] = []
-
-
-@dataclass(frozen=True, eq=False)
-class Beginning:
-    """A sum of displacements, which is formed where it is needed.
-
-    Attributes
-    ----------
-    displacements : tuple of ndarray, each of shape (H, W, 2)
-        At least one.
-    shares : tuple of float
-        How often each is taken.
-    unit : float
-        The length of a pixel in their unit.
-    missing : float
-        How far the sum is from what is observed, at most, in pixels.
-    """
-
-    displacements: tuple[FloatArray, ...]
-    shares: tuple[float, ...]
-    unit: float
-    missing: float
-
-    @property
-    def weighted(self) -> list[tuple[FloatArray, float]]:
-        """The parts, each with its weight in a sum in pixels."""
-        weights = (share / self.unit for share in self.shares)
-        return list(zip(self.displacements, weights, strict=True))
 
 
 def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:

@@ -12,13 +12,12 @@ zeros two sites wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from napari_hmrf.backends.found import Found
+from napari_hmrf.backends.found import Found
 
 Planes = npt.NDArray[np.float64]
 HeldPlanes = npt.NDArray[np.bool_]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.base import Backend
-from napari_hmrf.backends.host import Beginning
+from napari_hmrf.backends.found import Beginning
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
-from napari_hmrf.backends.host import Beginning
+from napari_hmrf.backends.found import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.active import PATIENCE, States

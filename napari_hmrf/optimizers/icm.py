@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.backends.base import Backend, FloatArray, SiteRule
-from napari_hmrf.backends.host import Beginning
+from napari_hmrf.backends.found import Beginning
 from napari_hmrf.hierarchy import Level, levels, nearest_pixels
 from napari_hmrf.optimizers.base import LevelRun, Monitor, Outcome, Report
 from napari_hmrf.priors import Prior, SeilerPrior, line_weights

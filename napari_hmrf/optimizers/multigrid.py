@@ -15,8 +15,7 @@ import numpy as np
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
-from napari_hmrf.backends.found import Quality
-from napari_hmrf.backends.host import Beginning
+from napari_hmrf.backends.found import Beginning, Quality
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.bending import check_bent, free_bend
 from napari_hmrf.errors import ConvergenceError
