@@ -464,6 +464,26 @@ def test_paint_is_put_on_the_image_as_it_was(at_hand, settle, run):
     assert not viewer.layers["Deformed image"].visible
 
 
+def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller = opened("Grab and pull")
+    drag_a_patch(person, puller, settle)
+    puller.tool = "move"
+    person.paint((20, 20), (24, 26), (30, 30))
+    settle(puller)
+    drawn = len(viewer.layers["Arrows"].data)
+    viewer.layers["Arrows"].visible = False
+    puller.drawing = Drawing(puller.drawing.marks[1:])  # napari's own code ran out of lines here
+    settle(puller)
+    assert len(viewer.layers["Arrows"].data) < drawn
+    puller.drawing = Drawing((Arrow((20, 20), (2, 2), 6.0),))
+    viewer.layers["Arrows"].visible = True
+    settle(puller)
+    arrows = viewer.layers["Arrows"]
+    assert len(arrows.edge_color) == len(arrows.data)
+
+
 def test_painting_is_spoken_of_as_long_as_somebody_paints(widget, small_sample, run):
     image, tissue, _ = small_sample(widget._viewer)
     widget.hand_brush(tissue)

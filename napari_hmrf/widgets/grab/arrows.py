@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,9 @@ class ArrowsLayer:
         layer.data = placed
         # Of a drag only the first move changes colours; to set them takes as long as the lines.
         if len(lines) and not same:
-            layer.edge_color = colours
+            # Of a hidden layer napari has not yet looked which lines there are to be coloured.
+            with nullcontext() if layer.visible else layer.events.edge_color.blocker():
+                layer.edge_color = colours
 
     def keep(self, drawing: Drawing) -> None:
         """Keep the drawing with the layer."""
