@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from napari.layers import Image, Labels
 
-from napari_hmrf import ProblemError
+from napari_hmrf import Multigrid, ProblemError, solve
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.drawing import Arrow, Drawing, History, Landmark, Rendering
 from napari_hmrf.drawing.pull import Grip, Pull
@@ -223,6 +223,23 @@ def test_a_piece_of_tissue_that_nobody_holds_stays_where_it_is():
     assert prior.penalty == np.inf
     rendering.show(Drawing((Arrow((10, 10), (1, 2), 2.0, confidence=0.5),)))
     assert ground.problem(rendering.canvas)[1].penalty < np.inf, "what is unsure may slip"
+
+
+def test_a_doubt_in_one_place_lets_nothing_slip_in_another():
+    _, picture = disc()
+    ground = read_ground(Image(picture))
+    rendering = Rendering(ground.base)
+    far_pull, held = Arrow((14, 20), (9, 0), 5.0), ((28, 20), (0, 0), 2.0)
+    rendering.show(Drawing((far_pull, Arrow(*held, confidence=0.9))))
+    canvas = rendering.canvas
+    found = solve(*ground.problem(canvas), Multigrid(1e-3)).displacement
+    certain = (canvas.c == 1) & (ground.m > 0)[..., None]
+    np.testing.assert_allclose(found[certain], canvas.y[certain], atol=1e-5)
+    rendering.show(Drawing((far_pull, Arrow((26, 20), (-6, 0), 2.0, confidence=0.05))))
+    problem, prior = ground.problem(rendering.canvas)
+    found = solve(problem, prior, Multigrid(1e-3)).displacement
+    assert found[26, 20, 0] > -4, "what is hardly sure gives way"
+    assert found[14, 20] == pytest.approx((9, 0), abs=1e-4)
 
 
 def test_grounds_are_the_same_until_something_is_painted():

@@ -41,6 +41,8 @@ _TISSUE, _SURROUNDINGS = 1.0, 0.01
 #: K of eq. 19 where some confidence is below 1: what is held with confidence c slips where it would
 #: take more than what strains the stiffest tissue by c.
 _PENALTY = 1.0
+#: K of what is certain beside it: no tissue takes as much, so that it is held exactly.
+_FIRM = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,7 @@ class Ground:
         """The problem of a drawing, and its energy.
 
         Tissue that nobody holds anywhere stays out of it, and where it is; so do scraps that could
-        turn where they hang. Where something is not certain, all of it may slip.
+        turn where they hang. What is not certain may slip, and nothing else.
 
         Parameters
         ----------
@@ -145,9 +147,11 @@ class Ground:
             if scrap.any():
                 m = np.where(scrap, np.float32(0), m)
         exact = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
-        if exact and ((canvas.c > 0) & (canvas.c < 1)).any():
-            prior = replace(prior, penalty=_PENALTY)
-        return Problem(canvas.y, canvas.c, m, self.frame.spacing), prior
+        c = canvas.c
+        if exact and ((c > 0) & (c < 1)).any():
+            prior = replace(prior, penalty=_FIRM)
+            c = np.where(c < 1, np.float32(_PENALTY / _FIRM) * c, c)
+        return Problem(canvas.y, c, m, self.frame.spacing), prior
 
     def in_words(self, error: Exception | None) -> Exception | None:
         """What is wrong with a problem, said of the layers a person sees."""
