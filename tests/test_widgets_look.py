@@ -484,8 +484,24 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     wait_for(lambda: look.idle, 60_000)
     assert look.result is None
     assert not look.playing
-    assert look.status.startswith("There is no result")
     assert look.at((10, 10)) is None
+
+
+def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(
+    look, deformed, run, wait_for
+):
+    viewer_of(look).layers.remove("MR arrows")
+    wait_for(lambda: look.idle, 60_000)
+    told = look.status
+    assert "The result was in the layer 'MR arrows', which was deleted" in told
+    assert "Press Deform" in told
+    assert "tick" in told
+    look.play()
+    assert look.status == told
+    run(deformed)
+    wait_for(lambda: look.idle, 60_000)
+    assert look.status == ""
+    assert look.result is viewer_of(look).layers["MR arrows"]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from napari_hmrf.layers.point import Probe
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
-from napari_hmrf.widgets.look.words import NO_IMAGE, NO_RESULT, POINT
+from napari_hmrf.widgets.look.words import LOST, NO_IMAGE, NO_RESULT, POINT
 from napari_hmrf.widgets.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
@@ -50,6 +50,7 @@ class LookAtResult(LookControls):
         self._eyes = single_shot(self.native, 0, self._on_eye)
         self._followed: Any = None
         self._grid: Any = None
+        self._nothing = NO_RESULT
         self._connect()
         self._on_theme()
         self._choose_newest()
@@ -67,7 +68,7 @@ class LookAtResult(LookControls):
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `stop`."""
         if self.result is None:
-            self._face.status.say(NO_RESULT)
+            self._face.status.say(self._nothing)
         elif self._scene.ready_to_move():
             self._scene.player.play()
         else:
@@ -119,11 +120,14 @@ class LookAtResult(LookControls):
         """Look at the result that is chosen, as it is now."""
         if self.away:
             return
+        gone, self._nothing = self._followed, NO_RESULT
+        if self.result is None and gone is not None and gone not in self._viewer.layers:
+            self._nothing = LOST.format(layer=gone.name)
         self._follow(self.result)
         self._taken = None if self.result is None else result_of(self.result)
         self._scene.take(self.result)
         self._follow_grid(self._scene.shown.layer("grid"))
-        self._face.status.say(self._scene.words if self.result is not None else NO_RESULT)
+        self._face.status.say(self._nothing if self.result is None else self._scene.words)
 
     def _follow(self, layer: Any) -> None:
         if layer is self._followed:

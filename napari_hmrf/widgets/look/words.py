@@ -14,6 +14,10 @@ NO_RESULT = (
     "There is no result to look at yet. Press Deform in 'Deform tissue' (Plugins menu), or open a "
     "saved one (File > Open)."
 )
+LOST = (
+    "The result was in the layer '{layer}', which was deleted. Press Deform, or pull again, to "
+    "make it anew. To hide arrows, take the tick from 'arrows' here or close their layer's eye."
+)
 NO_IMAGE = (
     "There is no image on the pixels of this result, so none can be moved. Open the image it was "
     "made from; colours, grid and arrows are here all the same."
