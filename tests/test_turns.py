@@ -464,6 +464,19 @@ def test_paint_is_put_on_the_image_as_it_was(at_hand, settle, run):
     assert not viewer.layers["Deformed image"].visible
 
 
+def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(open_window, settle):
+    person, puller = open_window()
+    grab(puller)
+    person.drag((24, 30), (28, 36))
+    settle(puller)
+    assert puller.tissue is None
+    _, deform = person.viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    deform._face.make.native.click()
+    settle(puller)
+    assert deform.tissue is person.viewer.layers["Tissue"]
+    assert puller.tissue is None, "the background would be tissue all at once"
+
+
 def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
     person, opened = at_hand
     viewer = person.viewer

@@ -134,7 +134,9 @@ class GrabWatch:
     def _on_inserted(self, event: Any) -> None:
         if not self._widget.away:
             self._widget.reset_choices()
-            self.choose_by_role([event.value])
+            # What is drawn on stays: a layer that comes now was made for something else.
+            if not self._widget.drawing.marks:
+                self.choose_by_role([event.value])
 
     def _on_removed(self, event: Any) -> None:
         widget = self._widget
