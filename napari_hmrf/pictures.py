@@ -194,7 +194,7 @@ def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
     strain = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
-    return _map(solution, equivalent_strain(strain), "equivalent strain (ratio)", image)
+    return _map(solution, 100 * equivalent_strain(strain), "equivalent strain (%)", image)
 
 
 def energy_picture(solution: Solution) -> Figure:

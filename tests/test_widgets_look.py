@@ -8,11 +8,13 @@ from conftest import quick
 from napari.layers import Image, Labels, Vectors
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
+from vispy.visuals import AxisVisual
 
 from napari_hmrf import Problem, solve
 from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.contributions import open_solution
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.quantity_layers import reach_of
 from napari_hmrf.optimizers import ICM
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
@@ -288,8 +290,8 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     low, high = layer.contrast_limits
     assert low + high == pytest.approx(2), "no change is in the middle"
     set_to(look, colours="columns")
-    assert layer.name == "MR strain along columns (ratio)"
-    np.testing.assert_allclose(layer.data[10, 5:19], (inside**2 - 1) / 2, atol=0.02)
+    assert layer.name == "MR strain along columns (%)"
+    np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
     layer.name = "mine"
     set_to(look, colours="equivalent")
     assert layer.name == "mine"
@@ -298,6 +300,16 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     assert not layer.visible
     with pytest.raises(ValueError, match="no colours 'heat'"):
         look.colours = "heat"
+
+
+@pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
+def test_numbers_can_be_read_beside_a_scale_to_both_sides(largest):
+    """Napari's bar asks vispy for its numbers, which may leave 0 alone between the ends."""
+    reach = reach_of(np.array([largest]), signed=True, least=1e-6)
+    assert largest <= reach <= 1.5 * largest
+    bar = AxisVisual(pos=np.array([[1, 1], [1, 0]]), domain=(-reach, reach))
+    bar.transforms.dpi = 96.0
+    assert len(bar.ticker._get_tick_frac_labels()[2]) >= 3
 
 
 def test_colours_move_with_the_tissue(look, set_to):
@@ -601,6 +613,6 @@ def test_what_is_added_says_what_it_is(look, set_to):
     assert kinds["stretch"] is Image
     assert kinds["grid"] is Vectors
     assert kinds["labels"] is Labels
-    facts = viewer.layers["MR largest stretch (ratio)"].metadata[METADATA]
+    facts = viewer.layers["MR largest stretch (%)"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert facts["percent"] == 100

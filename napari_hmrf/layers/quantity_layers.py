@@ -35,20 +35,24 @@ class _Words(NamedTuple):
     unit: str
 
 
-#: What there is to show; strains are Green-Lagrange's.
+#: What there is to show; strains are Green-Lagrange's, in per cent of the length.
 QUANTITIES: dict[Quantity, _Words] = {
     "magnitude": _Words("displacement", ""),
     "jacobian": _Words("Jacobian", "area ratio"),
-    "equivalent": _Words("equivalent strain", "ratio"),
-    "stretch": _Words("largest stretch", "ratio"),
-    "squeeze": _Words("largest squeeze", "ratio"),
-    "rows": _Words("strain along rows", "ratio"),
-    "columns": _Words("strain along columns", "ratio"),
-    "shear": _Words("shear strain", "ratio"),
+    "equivalent": _Words("equivalent strain", "%"),
+    "stretch": _Words("largest stretch", "%"),
+    "squeeze": _Words("largest squeeze", "%"),
+    "rows": _Words("strain along rows", "%"),
+    "columns": _Words("strain along columns", "%"),
+    "shear": _Words("shear strain", "%"),
 }
 #: So many of a hundred pixels lie within the contrast limits; the others are a few at corners.
 _WITHIN = 99.0
 _SMALLEST = 1e-3
+_PER_CENT = 100.0
+#: Where a scale with 0 in its middle may end, but for powers of ten: between its ends napari then
+#: writes at least two numbers beside it, where for 0.45 or 0.8 it has room for the 0 alone.
+_ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 
 def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
@@ -64,8 +68,9 @@ def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
     Returns
     -------
     ndarray, shape (H, W), float32
-        Of the tissue before it moved; NaN where there is none. Where tissue folds "jacobian" is the
-        smallest determinant around the site, so that it is 0 or below at all folds.
+        Of the tissue before it moved, in the unit of `QUANTITIES`: strains in per cent. NaN where
+        there is none. Where tissue folds "jacobian" is the smallest determinant around the site, so
+        that it is 0 or below at all folds.
     """
     solution = result.solution
     field = (solution.displacement, solution.spacing, solution.tissue)
@@ -75,13 +80,15 @@ def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
         smallest = smallest_determinant(*field)
         return np.where(smallest <= 0, smallest, jacobian_determinant(*field))
     strain = green_lagrange_strain(*field)
+    shown: FloatArray
     if quantity == "equivalent":
-        return equivalent_strain(strain)
-    if quantity in ("stretch", "squeeze"):
-        return principal_strains(strain)[..., 0 if quantity == "stretch" else 1]
-    row, col = {"rows": (0, 0), "columns": (1, 1), "shear": (0, 1)}[quantity]
-    component: FloatArray = strain[..., row, col]
-    return component
+        shown = equivalent_strain(strain)
+    elif quantity in ("stretch", "squeeze"):
+        shown = principal_strains(strain)[..., 0 if quantity == "stretch" else 1]
+    else:
+        row, col = {"rows": (0, 0), "columns": (1, 1), "shear": (0, 1)}[quantity]
+        shown = strain[..., row, col]
+    return shown * np.float32(_PER_CENT)
 
 
 def quantity_layer(
@@ -104,10 +111,11 @@ def quantity_layer(
     signed, folded = quantity not in ("magnitude", "equivalent"), False
     if quantity == "jacobian":
         folded = bool((values <= 0).any())
-        reach = 1.0 if folded else min(1.0, reach_of(values - 1))
+        reach = 1.0 if folded else min(1.0, reach_of(values - 1, True))
         limits = (1 - reach, 1 + reach)
     else:
-        reach = reach_of(values)
+        least = _SMALLEST * (_PER_CENT if QUANTITIES[quantity].unit == "%" else 1)
+        reach = reach_of(values, signed, least)
         limits = (-reach if signed else 0.0, reach)
     attributes = {
         **result.frame.placement(image=True),
@@ -130,11 +138,18 @@ def _name(result: FoundResult, quantity: Quantity) -> str:
     return name + (f", {model}" if model else "") + (f" ({where})" if where else "")
 
 
-def reach_of(values: npt.NDArray[Any]) -> float:
-    """How far from 0 a scale should go to show nearly all values, rounded up to two digits."""
+def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = _SMALLEST) -> float:
+    """How far from 0 a scale should go to show nearly all values.
+
+    Rounded up to two digits, or, if it goes to both sides, so that numbers can stand beside it.
+    """
     sizes = np.abs(values[np.isfinite(values)])
     reach = float(np.percentile(sizes, _WITHIN)) if sizes.size else 0.0
-    if reach <= _SMALLEST:
-        return _SMALLEST
-    step = 10.0 ** (math.floor(math.log10(reach)) - 1)
-    return float(f"{math.ceil(reach / step - 1e-9) * step:.3g}")
+    if reach <= least:
+        return least
+    power = 10.0 ** math.floor(math.log10(reach))
+    if signed:
+        end = next(end for end in _ENDS if reach <= end * power * (1 + 1e-9))
+    else:
+        end = math.ceil(10 * reach / power - 1e-9) / 10
+    return float(f"{end * power:.3g}")

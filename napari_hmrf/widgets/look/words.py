@@ -47,8 +47,8 @@ COLOURS_TIP = (
     "how far: length of the displacement, in the unit of the image;\n"
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
     "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
-    "strain: Green-Lagrange's, without unit (0.01 is one per cent); equivalent: von Mises's,\n"
-    "no strain across the slice assumed."
+    "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
+    "across the slice assumed."
 )
 
 
