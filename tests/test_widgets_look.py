@@ -302,6 +302,23 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
         look.colours = "heat"
 
 
+def test_arrows_end_where_the_tissue_is_seen(look, set_to):
+    arrows = look.result
+    stored = arrows.data.copy()
+    set_to(look, percent=28)
+    assert arrows.length == pytest.approx(0.28)
+    set_to(look, arrow_length=2)
+    assert arrows.length == pytest.approx(0.56)
+    set_to(look, percent=0)
+    assert arrows.length == 0
+    set_to(look, percent=100)
+    assert arrows.length == 2
+    np.testing.assert_array_equal(arrows.data, stored)
+    set_to(look, percent=50)
+    look._scene.rest()
+    assert arrows.length == 2
+
+
 @pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
 def test_numbers_can_be_read_beside_a_scale_to_both_sides(largest):
     """Napari's bar asks vispy for its numbers, which may leave 0 alone between the ends."""

@@ -10,6 +10,7 @@ from napari_hmrf.layers.outputs import ARROWS, arrows_apart
 from napari_hmrf.widgets.look.errands import Errands
 from napari_hmrf.widgets.look.face import LookFace
 from napari_hmrf.widgets.look.shown import ShownLayers
+from napari_hmrf.widgets.look.words import FULL
 
 
 class ArrowChoices:
@@ -24,6 +25,9 @@ class ArrowChoices:
 
     def __init__(self, face: LookFace, shown: ShownLayers, errands: Errands) -> None:
         self._face, self._shown, self._errands = face, shown, errands
+        # How long they are at 100 %, while they are drawn for less.
+        self._whole: float | None = None
+        self._percent = FULL
         face.arrows.changed.connect(self._on_drawn)
         face.count.changed.connect(self._on_count)
         face.length.changed.connect(self._on_length)
@@ -34,6 +38,22 @@ class ArrowChoices:
             self._on_count(self._face.count.value)
         if self._face.length.value != 1:
             self._on_length(self._face.length.value)
+
+    def show(self, percent: int) -> None:
+        """Let them end where the tissue is at so much of the deformation; their data stay."""
+        arrows = self._shown.arrows
+        if arrows is None:
+            return
+        if self._whole is None:
+            self._whole = float(arrows.length)
+        self._percent = percent
+        arrows.length = self._whole * percent / FULL
+
+    def show_whole(self) -> None:
+        """Let them be as they were before `show`."""
+        if self._whole is not None and self._shown.arrows is not None:
+            self._shown.arrows.length = self._whole
+        self._whole, self._percent = None, FULL
 
     def _on_drawn(self, drawn: bool) -> None:
         if self._shown.arrows is not None:
@@ -52,4 +72,5 @@ class ArrowChoices:
 
     def _on_length(self, times: float) -> None:
         if self._shown.arrows is not None:
-            self._shown.arrows.length = times
+            self._whole = times
+            self.show(self._percent)

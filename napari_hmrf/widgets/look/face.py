@@ -71,7 +71,7 @@ class LookFace:
         box = self.colours.native
         box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.arrows = CheckBox(
-            value=True, text="arrows", tooltip="From where tissue was to where it is at 100 %"
+            value=True, text="arrows", tooltip="From where tissue was to where it is"
         )
         self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
         self.count = SpinBox(

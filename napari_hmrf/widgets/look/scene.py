@@ -65,7 +65,7 @@ class Scene:
         self._arrows = ArrowChoices(face, self.shown, self._errands)
         self._colours: FloatArray | None = None
         self._longest = 0.0
-        self._moment: Moment | None = None
+        self._drawn: tuple[int, Moment] | None = None
         # Lines take napari as long as the image: each has a turn of its own.
         self._lines = single_shot(widget.native, _TURN, self._draw_lines)
         face.colours.changed.connect(self._on_colours)
@@ -89,6 +89,7 @@ class Scene:
         face, shown = self._face, self.shown
         if arrows is not shown.arrows:
             self.put_back()
+        self._draw_whole()
         shown.release()
         shown.hide_own_picture()
         self.player.stop()
@@ -196,6 +197,7 @@ class Scene:
         self._errands.forget()
         self.shown.release()
         self.shown.restore()
+        self._draw_whole()
         self.shown.hide_own_picture()
         self._set_slider(FULL)
 
@@ -245,13 +247,20 @@ class Scene:
 
     def _draw(self, percent: int, moment: Moment) -> None:
         self.shown.draw(percent, moment)
-        self._moment = moment
-        if moment.grid is not None:
-            self._lines.start()
+        self._drawn = percent, moment
+        self._lines.start()
 
     def _draw_lines(self) -> None:
-        if self._moment is not None:
-            self.shown.draw_grid(self._moment)
+        if self._drawn is not None:
+            percent, moment = self._drawn
+            self._arrows.show(percent)
+            self.shown.draw_grid(moment)
+
+    def _draw_whole(self) -> None:
+        """Arrows of the whole deformation, and no lines of what was seen before."""
+        self._lines.stop()
+        self._drawn = None
+        self._arrows.show_whole()
 
     # What is chosen in the widget
 
