@@ -625,6 +625,23 @@ def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
     assert progress(Monitor("level 3", 0.4), 9.0) == "Level 3 ..."
 
 
+def test_one_sweep_is_told_as_one():
+    from dataclasses import replace
+    from types import SimpleNamespace
+
+    from napari_hmrf import Problem, solve
+    from napari_hmrf.optimizers import ICM
+    from napari_hmrf.widgets.words import details
+
+    y = np.zeros((8, 8, 2))
+    problem = Problem(y, np.ones_like(y), np.ones((8, 8)))
+    solution = solve(problem, optimizer=ICM(1))
+    coarse, *_ = solution.levels
+    solution = replace(solution, levels=(coarse,), energy=solution.energy[:1])
+    done = SimpleNamespace(outputs=SimpleNamespace(solution=solution, folds=0))
+    assert ": 1 sweep in " in details(done)
+
+
 def test_the_energy_is_drawn_in_the_colours_of_the_theme(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)

@@ -13,11 +13,14 @@ from vispy.visuals import AxisVisual
 from napari_hmrf import Problem, solve
 from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.contributions import open_solution
+from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.point import Probe
 from napari_hmrf.layers.quantity_layers import reach_of
 from napari_hmrf.optimizers import ICM
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
+from napari_hmrf.widgets.look.words import at_point
 
 
 def names(viewer):
@@ -377,6 +380,16 @@ def test_the_status_bar_tells_what_is_under_the_cursor(look):
     viewer.layers.selection.clear()
     viewer.cursor.position = (10, 6)
     assert "stiffness 20 kPa (gel)" in viewer.status
+
+
+def test_lengths_under_the_cursor_are_rounded_to_what_matters():
+    def said(down, right):
+        found = Probe(3, 4, (down, right), float(np.hypot(down, right)), 1.0)
+        return at_point("px", found, Directions())
+
+    assert said(6.37e-05, -2.3e-04) == "moves 0 px, Jacobian 1.000"
+    assert said(-3e-5, 1.2345) == "moves 1.23 px (1.23 right), Jacobian 1.000"
+    assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), Jacobian 1.000"
 
 
 def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, set_to):

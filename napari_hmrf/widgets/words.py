@@ -134,7 +134,8 @@ def details(done: Done) -> str:
         seconds += f" (after {run.preparation_seconds:.1f} s of preparation)"
     count = done.outputs.folds
     folds = f", {count} folded pixel{'s' if count > 1 else ''}" if count else ""
-    turns = "cycles" if is_multigrid(run.parameters) else "sweeps"
+    turn = "cycle" if is_multigrid(run.parameters) else "sweep"
+    turns = turn if solution.iterations == 1 else f"{turn}s"
     model, reached = in_words(run.parameters), solution.convergence
     near = "" if reached is None else f", within {reached.error:.1g} px of the converged field"
     return (

@@ -79,7 +79,7 @@ class LookFace:
             min=10,
             max=10_000,
             step=100,
-            label="about",
+            label="arrows, about",
             tooltip="How many arrows, roughly; of those that would lie on each other the longer "
             "one stays",
         )

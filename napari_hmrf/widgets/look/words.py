@@ -80,12 +80,18 @@ def folded(count: int) -> str:
 
 def at_point(unit: str, found: Probe, ways: Directions, stiffness: str = "") -> str:
     """What is under the cursor, in a line short enough for the status bar."""
-    down, along = (float(f"{part:.3g}") for part in found.displacement)
+    down, along = (_rounded(part) for part in found.displacement)
+    length = _rounded(found.length)
     parts = [
-        f"moves {found.length:.3g} {unit} ({ways.step((down, along))})",
+        f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
         f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
     ]
     return ", ".join([*parts, *([stiffness] if stiffness else [])])
+
+
+def _rounded(length: float) -> float:
+    """To what matters: three digits, and no more than two decimals."""
+    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0
 
 
 def stiffness_of(name: str, stiffness: float, unit: str) -> str:
