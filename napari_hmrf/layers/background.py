@@ -11,9 +11,11 @@ from scipy import ndimage
 
 from napari_hmrf.annotation import Material
 from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.metadata import TISSUE
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.steps import Place
+from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.view import View
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
@@ -127,6 +129,30 @@ def unpainted_background(
     for axis, places in zip(own.plane, np.nonzero(empty), strict=True):
         pixels[axis] = places
     return tuple(np.broadcast_arrays(*pixels))
+
+
+def background_filling(image: Any, tissue: Any, view: View | None = None) -> Filling:
+    """What is to be painted to have the dark surroundings of the slice that is shown be no tissue.
+
+    Parameters
+    ----------
+    image : napari.layers.Image
+    tissue : napari.layers.Labels
+        In the image's place; its own table says which label is no tissue, or gets one more.
+    view : View, optional
+
+    Raises
+    ------
+    ProblemError
+        As `unpainted_background`.
+    """
+    pixels = unpainted_background(image, tissue, view)
+    # Of the layer: a dock that is closed does not follow it.
+    rows = Table.of(tissue, TISSUE).rows
+    void = [row for row in rows if row.stiffness == 0 and row.label > 0]
+    label = max([0, *(row.label for row in rows)]) + 1
+    material = void[0] if void else Material(label, "background", 0.0)
+    return Filling(pixels, material, not void, Place.of(Frame.of(tissue, view)))
 
 
 def surrounds(dark: npt.NDArray[np.bool_]) -> bool:

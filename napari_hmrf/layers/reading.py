@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Vectors
 
+from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import LayerError, full_resolution
+from napari_hmrf.layers.view import View
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
@@ -75,6 +77,16 @@ def check_place(
             f"lies elsewhere than '{reference.name}': their scale, translation, rotation, "
             "shear, affine or units differ. Give both the same transform, or resample one.",
         )
+
+
+def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
+    """Whether a layer has the pixels of a reference; True, too, of slices that it does not have."""
+    try:
+        own, frame = Frame.of(layer, view), Frame.of(reference, view)
+    except (HmrfError, ValueError):
+        return True
+    shape = plane_shape(reference, frame)
+    return frame.same_place(own, shape) and plane_shape(layer, own) == shape
 
 
 def nearest_paint(layer: Any, frame: Frame) -> str:

@@ -5,21 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from napari.layers import Image, Labels, Vectors
+from napari.layers import Labels, Vectors
 
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.intensity import StiffnessCurve
-from napari_hmrf.layers.background import Filling, unpainted_background
-from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.background import background_filling
+from napari_hmrf.layers.front import image_in_front, painted_on
 from napari_hmrf.layers.inputs import Request
 from napari_hmrf.layers.landmarks import LandmarkLayers
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.shared import shared
-from napari_hmrf.layers.steps import Place
-from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.view import View
 from napari_hmrf.material_files import load_materials, save_materials
 from napari_hmrf.presets import Preset
@@ -248,19 +246,12 @@ class Chooser(Dock):
             raise HmrfError(WELCOME)
         if not isinstance(tissue, Labels):
             raise HmrfError("No tissue layer to paint on: press 'Make layers to paint on'.")
-        indices = unpainted_background(image, tissue, self._view())
-        # Of the layer: a dock that is closed does not follow it.
-        rows = Table.of(tissue, TISSUE).rows
-        void = [row for row in rows if row.stiffness == 0 and row.label > 0]
-        label = max([0, *(row.label for row in rows)]) + 1
-        material = void[0] if void else Material(label, "background", 0.0)
-        place = Place.of(Frame.of(tissue, self._view()))
-        filling = Filling(indices, material, not void, place)
+        filling = background_filling(image, tissue, self._view())
         # What is painted is to be seen; and on a hidden layer napari may paint nothing, for want of
         # a slice that it has looked at.
         tissue.visible = True
         shared(self._viewer, FillingSteps).fill(tissue, filling)
-        return len(indices[0])
+        return len(filling.pixels[0])
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
@@ -309,7 +300,13 @@ class Chooser(Dock):
             self._image_chosen = False
 
     def choose_by_role(self, layers: list[Any]) -> None:
-        """Choose a sample's layers as they come, and the first image if none ever was chosen."""
+        """Choose a sample's layers as they come; if none ever was chosen, the image in front."""
+        if not self._image_chosen:
+            offered = [layer for layer in self._face.image.offered if layer in layers]
+            image = image_in_front(self._viewer, offered, self._worked_on)
+            if image is not None:
+                self.image = image
+                layers = painted_on(image, layers, self._view())
         for layer in layers:
             role = role_of(layer)
             if role == TISSUE:
@@ -318,12 +315,11 @@ class Chooser(Dock):
                 self.boundary = layer
             elif role == IMAGE:
                 self.image = layer
-        if not self._image_chosen:
-            images = [layer for layer in layers if isinstance(layer, Image)]
-            # Results are images too.
-            plain = [layer for layer in images if not known_of(layer) and layer is not self.tissue]
-            if plain:
-                self.image = plain[0]
 
     def _on_image_chosen(self, _: Any) -> None:
         self._image_chosen = True
+
+    @property
+    def _worked_on(self) -> tuple[Any, ...]:
+        """What a dock like this was used for before."""
+        return ()

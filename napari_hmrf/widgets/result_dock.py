@@ -199,6 +199,10 @@ class ResultDock(Chooser):
         return source
 
     @property
+    def _worked_on(self) -> tuple[Any, ...]:
+        return (self._results.left()[1],)
+
+    @property
     def _solver(self) -> tuple[Prior, Optimizer]:
         return self.settings.prior, self.settings.optimizer
 

@@ -8,16 +8,25 @@ from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.directions import Directions
+from napari_hmrf.layers.front import image_covering
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.painted import tissue_colours
 from napari_hmrf.layers.view import View, unit_symbol
 from napari_hmrf.widgets.grab.controls import GrabControls
 from napari_hmrf.widgets.grab.toolbox import Toolbox
 from napari_hmrf.widgets.grab.watch import GrabWatch
-from napari_hmrf.widgets.grab.words import ARROWS_GONE, FLAT, IMAGE_GONE, OFF, START
+from napari_hmrf.widgets.grab.words import (
+    ARROWS_GONE,
+    COVERED,
+    FLAT,
+    IMAGE_GONE,
+    OFF,
+    START,
+    covered,
+)
 from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.timers import single_shot
-from napari_hmrf.widgets.viewer_layers import is_selection_kept
+from napari_hmrf.widgets.viewer_layers import is_selection_kept, still_there
 from napari_hmrf.widgets.words import WELCOME, in_short
 
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
@@ -54,8 +63,8 @@ class GrabAndPull(GrabControls):
         self._watch = GrabWatch(self, self.form, self._viewer)
         StepKeys(self.native, self._puller.steps)
         self.reset_choices()
-        self._watch.choose_by_role(list(self._viewer.layers))
-        self.say(START if self.image is not None else WELCOME)
+        self._watch.choose_first()
+        self.say(self._invitation)
 
     # What there is to see
 
@@ -210,9 +219,22 @@ class GrabAndPull(GrabControls):
         puller.changed.connect(self._on_changed)
         puller.seen.connect(self.seen.emit)
 
+    @property
+    def _covered(self) -> str:
+        """That the image is hidden beneath another, if it is."""
+        image = still_there(self._viewer, self.image)
+        other = None if image is None else image_covering(self._viewer, image)
+        return "" if other is None else covered(other.name)
+
+    @property
+    def _invitation(self) -> str:
+        """What can be done first."""
+        return WELCOME if self.image is None else self._covered or START
+
     def _on_image(self, image: Any) -> None:
-        if image is not None and self._status in (WELCOME, IMAGE_GONE):
-            self.say(START)
+        told = self._status in (WELCOME, IMAGE_GONE, START) or self._status.startswith(COVERED)
+        if image is not None and told:
+            self.say(self._invitation)
 
     def _on_changed(self) -> None:
         if self.away:
@@ -228,7 +250,7 @@ class GrabAndPull(GrabControls):
     def _on_said(self, sentence: str) -> None:
         # On another slice, too, it is still to be read what was taken back there.
         if sentence not in (self._puller.tool.how, OFF) or self._status != self._step:
-            self.say(sentence)
+            self.say(self._covered or sentence if sentence == self._puller.tool.how else sentence)
 
     def _on_begun(self) -> None:
         self._step = ""
@@ -257,7 +279,7 @@ class GrabAndPull(GrabControls):
             # Of what was said and shown when the dock was closed nothing is so any more.
             self._step = ""
             self._on_warned("")
-            self.say(START if self.image is not None else WELCOME)
+            self.say(self._invitation)
             self._show_steps()
             self.show_toggle()
 

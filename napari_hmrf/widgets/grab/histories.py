@@ -36,3 +36,10 @@ class Histories:
         """
         slot = Slot(DRAWING, image, Place.of(frame))
         return History(edits=self.steps.edits, slot=slot)
+
+
+def drawn_on(viewer: Any) -> list[Any]:
+    """The images on any slice of which something is drawn."""
+    edits = steps_of(viewer).edits
+    slots = [slot for slot in edits.slots if isinstance(slot, Slot) and slot.what == DRAWING]
+    return [slot.layer for slot in slots if edits.get(slot).marks]

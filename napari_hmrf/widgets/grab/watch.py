@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from napari_hmrf.layers.front import image_in_front, painted_on
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
+from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.grab.form import GrabForm
+from napari_hmrf.widgets.grab.histories import drawn_on
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.pixels import Pixels
 from napari_hmrf.widgets.timers import single_shot
@@ -76,6 +79,14 @@ class GrabWatch:
     def waiting(self) -> bool:
         """Whether layers have changed that are not read yet."""
         return bool(self._looking.isActive())
+
+    def choose_first(self) -> None:
+        """Choose among what is there: the image in front, or one drawn on, and what is painted."""
+        layers, image = list(self._viewer.layers), self._form.image
+        meant = image_in_front(self._viewer, image.offered, drawn_on(self._viewer))
+        if meant is not None:
+            layers = [meant, *painted_on(meant, layers, View.of(self._viewer.dims))]
+        self.choose_by_role(layers)
 
     def choose_by_role(self, layers: list[Any]) -> None:
         """Choose an image and its tissue as they come, and the first image if there is none yet."""

@@ -7,6 +7,7 @@ PREPARING = "Getting ready ..."
 OFF = "Paused: press 'Grab and pull', or choose the layer 'Arrows', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
 ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
+COVERED = "The image is covered by "
 IMAGE_GONE = "There is no image to pull: choose one, or open one (File > Open)."
 NOTHING = "There is no tissue to take hold of there."
 OUTSIDE = "That is outside the image."
@@ -23,3 +24,8 @@ NO_OUTSIDE = (
     "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
     "patch, or take 'Move'."
 )
+
+
+def covered(other: str) -> str:
+    """That nothing of the image is seen, and what can be done."""
+    return f"{COVERED}'{other}': hide that one, or choose it here."
