@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from napari_hmrf.drawing import Drawing
 from napari_hmrf.layers.front import image_in_front, painted_on
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
@@ -26,6 +27,10 @@ class Watched(Protocol):
     @property
     def away(self) -> bool:
         """Whether the window is gone, or the dock was closed."""
+
+    @property
+    def drawing(self) -> Drawing:
+        """What is drawn on the slice that is shown."""
 
     def reset_choices(self) -> None:
         """There are other layers."""
