@@ -310,6 +310,34 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(docked, 
     assert "mm" in docked._face.boundary.table.horizontalHeaderItem(3).text()
 
 
+@pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
+def test_of_the_layers_to_paint_on_only_the_missing_one_is_made(widget, small_sample, gone):
+    viewer = viewer_of(widget)
+    _, tissue, boundary = small_sample(viewer)
+    viewer.layers.remove(gone)
+    widget.make_layers()
+    assert sorted(names(viewer)) == ["Boundary", "MR", "Tissue"]
+    made, kept = widget.tissue, widget.boundary
+    if gone == "Boundary":
+        made, kept = kept, made
+    assert kept in (tissue, boundary)
+    assert kept.data.any()
+    assert not made.data.any()
+    assert viewer.layers.selection.active is made
+    assert made.mode == "paint"
+    assert names(viewer)[-1] == "Boundary", "and what holds is seen on top"
+    widget.make_layers()
+    assert len(viewer.layers) == 3
+
+
+def test_paint_on_another_image_is_not_taken_for_paint_on_this_one(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.image = viewer.add_image(np.ones((30, 40)), name="T1")
+    widget.make_layers()
+    assert (widget.tissue.data.shape, widget.boundary.data.shape) == ((30, 40), (30, 40))
+
+
 def test_without_an_image_there_is_nothing_to_paint_on(widget, run):
     assert not widget._face.make.enabled
     widget.make_layers()

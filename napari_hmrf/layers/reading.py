@@ -86,7 +86,8 @@ def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
     except (HmrfError, ValueError):
         return True
     shape = plane_shape(reference, frame)
-    return frame.same_place(own, shape) and plane_shape(layer, own) == shape
+    sized = isinstance(layer, Vectors) or plane_shape(layer, own) == shape
+    return sized and frame.same_place(own, shape)
 
 
 def nearest_paint(layer: Any, frame: Frame) -> str:

@@ -25,7 +25,7 @@ from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.material_menu import materials_of
 from napari_hmrf.widgets.model import TissueModel
-from napari_hmrf.widgets.new_layers import layers_to_paint_on
+from napari_hmrf.widgets.new_layers import add_missing
 from napari_hmrf.widgets.settings import SolverSettings
 from napari_hmrf.widgets.table_steps import FillingSteps
 from napari_hmrf.widgets.words import WELCOME
@@ -177,7 +177,7 @@ class Chooser(Dock):
     def add_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
 
-        Where the tissue comes from the image's intensity, only the boundary is to be painted.
+        What is chosen there already stays; so does tissue that comes from the image's intensity.
 
         Raises
         ------
@@ -186,18 +186,8 @@ class Chooser(Dock):
         """
         if self.image is None:
             raise HmrfError(WELCOME)
-        tissue, boundary = layers_to_paint_on(self.image, self._view())
-        if self.curve is not None and self._face.tissue.curve.image is self.image:
-            self._viewer.add_layer(boundary)
-            self.boundary = boundary
-            self._viewer.layers.selection = {boundary}
-            boundary.selected_label, boundary.mode = 1, "paint"
-            return
-        self._viewer.add_layer(tissue)
-        self._viewer.add_layer(boundary)
-        self.tissue, self.boundary = tissue, boundary
-        self._viewer.layers.selection = {tissue}
-        tissue.selected_label, tissue.mode = 2, "paint"
+        chosen = (self.tissue, self.boundary)
+        self.tissue, self.boundary = add_missing(self._viewer, self.image, *chosen, self._view())
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> Any:
         """Add a layer of stiffness made from the image's intensity, and choose it as tissue.

@@ -14,12 +14,57 @@ from napari_hmrf.layers.defaults import UNPAINTED
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import usual_step
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.reading import fits
 from napari_hmrf.layers.transform import place_of
 from napari_hmrf.layers.view import View, layer_extents
 from napari_hmrf.presets import PRESETS
 
 #: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
 _LARGEST = 2**30
+
+
+def add_missing(
+    viewer: Any, image: Any, tissue: Any, boundary: Any, view: View | None = None
+) -> tuple[Any, Any]:
+    """Add what an image lacks to be painted on, and put a brush into the user's hand.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    image : napari.layers.Image
+    tissue, boundary : napari.layers.Layer or None
+        What is chosen, of this image or another.
+    view : View, optional
+
+    Returns
+    -------
+    tissue, boundary : napari.layers.Layer
+        Those that were there, and those that are new.
+
+    Raises
+    ------
+    ProblemError
+        As `layers_to_paint_on`.
+    """
+    tissue_there, boundary_there = (
+        layer is not None and fits(layer, image, view) for layer in (tissue, boundary)
+    )
+    if not (tissue_there and boundary_there):
+        layers, (new_tissue, new_boundary) = viewer.layers, layers_to_paint_on(image, view)
+        if not tissue_there:
+            tissue = new_tissue
+            # What holds is to be seen on top.
+            layers.insert(layers.index(boundary) if boundary_there else len(layers), tissue)
+        if not boundary_there:
+            boundary = new_boundary
+            layers.append(boundary)
+    first = tissue
+    if not isinstance(tissue, Labels) or (tissue_there and not boundary_there):
+        first = boundary
+    viewer.layers.selection = {first}
+    if isinstance(first, Labels):
+        first.selected_label, first.mode = 2 if first is tissue else 1, "paint"
+    return tissue, boundary
 
 
 def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
