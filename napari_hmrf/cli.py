@@ -167,9 +167,13 @@ def _demo(options: argparse.Namespace) -> int:
     _tell("drawing ...")
     written = write_results(demonstration, options.out)
     print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
-    if not options.no_window and _has_display():
+    if options.no_window:
+        return 0
+    if _has_display():
         _tell("opening napari ...")
         _open_napari(demonstration, prior, options.converged)
+    else:
+        _tell("napari is not opened, as there is no display (or CI is set)")
     return 0
 
 
