@@ -9,6 +9,8 @@ from qtpy.QtCore import Qt
 from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
+from napari_hmrf.layers.steps import steps_of
+from napari_hmrf.widgets.grab.dock import GrabAndPull
 from napari_hmrf.widgets.grab.words import START
 
 
@@ -531,3 +533,36 @@ def test_words_of_a_result_are_cut_between_lines(at_hand, qtbot):
         heights.append(label.sizeHint().height())
     six = heights[1] - heights[0]
     assert six <= room < six * 13 / 12
+
+
+# Whose steps are taken back
+
+
+def test_a_dock_that_takes_back_what_was_done_in_another_says_so(widget, small_sample, qtbot):
+    viewer = widget._viewer
+    small_sample(viewer, (48, 64))
+    puller = GrabAndPull(viewer)
+    qtbot.addWidget(puller.native)
+    puller.start()
+    puller.drawing = Drawing((Arrow((24, 30), (28, 36), 4.0),))
+    widget.footer.steps.undo.native.click()
+    assert puller.drawing == Drawing()
+    assert widget.status == "Took back: took over a drawing, in 'Grab and pull'."
+    assert puller.status == "Took back: took over a drawing."
+    widget.redo()
+    assert widget.status == "Did again: took over a drawing, in 'Grab and pull'."
+    puller.undo()
+    assert widget.status.startswith("Did again"), "each dock speaks of what was done there"
+
+
+def test_a_dock_that_ends_what_was_half_done_in_another_says_so(widget, small_sample):
+    small_sample(widget._viewer)
+
+    class Half:
+        def interrupt(self):
+            return True
+
+    half = Half()
+    steps_of(widget._viewer).bind_keys(half)
+    widget.undo()
+    assert widget.status == "Took back what was half done, in 'Grab and pull'."

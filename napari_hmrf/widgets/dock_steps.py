@@ -13,6 +13,50 @@ from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.point_steps import PointSteps
 from napari_hmrf.widgets.table_steps import CurveSteps, TableSteps
 
+#: Whose drawings are taken back here, too.
+_GRAB = "in 'Grab and pull'"
+
+
+class AskedHere:
+    """The steps of a viewer, as the buttons and keys of one dock have them go back and forth.
+
+    Whatever dock a step was made in, the one it was taken back in says so.
+
+    Parameters
+    ----------
+    steps : ViewerSteps
+    say : callable
+        Called with what was done.
+    """
+
+    def __init__(self, steps: ViewerSteps, say: Callable[[str], None]) -> None:
+        self._steps, self._say = steps, say
+        self.edits = steps.edits
+
+    def undo(self) -> None:
+        """Take back what was done last."""
+        self._ask(self._steps.undo)
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._ask(self._steps.redo)
+
+    def _ask(self, go: Callable[[], None]) -> None:
+        said: list[tuple[str, Any]] = []
+
+        def hear(sentence: str, slot: Any) -> None:
+            said.append((sentence, slot))
+
+        self._steps.said.connect(hear)
+        try:
+            go()
+        finally:
+            self._steps.said.disconnect(hear)
+        if not said:
+            self._say(f"Took back what was half done, {_GRAB}.")
+        elif _is_drawing(said[-1][1]):
+            self._say(f"{said[-1][0].rstrip('.')}, {_GRAB}.")
+
 
 class DockSteps:
     """Has the tables, the curve and the landmarks of the dock undone, by its buttons and keys.
@@ -38,7 +82,8 @@ class DockSteps:
         life: Life,
         say: Callable[[str], None],
     ) -> None:
-        self._buttons, self.steps, self._life, self._say = face.footer.steps, steps, life, say
+        self._buttons, self._steps, self._life, self._say = face.footer.steps, steps, life, say
+        self.steps = AskedHere(steps, say)
         tissue, boundary = face.tissue, face.boundary
         self._tables = (
             TableSteps(TISSUE, tissue.painted, tissue.table, steps),
@@ -50,8 +95,8 @@ class DockSteps:
         self._points = points
         self._landmarks.edited.connect(self._on_landmarks)
         self._on_landmarks()
-        self._buttons.undo.changed.connect(steps.undo)
-        self._buttons.redo.changed.connect(steps.redo)
+        self._buttons.undo.changed.connect(self.steps.undo)
+        self._buttons.redo.changed.connect(self.steps.redo)
         steps.edits.moved.connect(self._show)
         steps.said.connect(self._on_said)
         self._listening = Listening()
@@ -60,14 +105,14 @@ class DockSteps:
 
     def come(self) -> None:
         """The dock is there: have the keys."""
-        self.steps.bind_keys(self)
+        self._steps.bind_keys(self)
         self._listen()
         self._curve.catch_up()
         self._on_landmarks()
 
     def leave(self) -> None:
         """The dock is gone."""
-        self.steps.unbind_keys(self)
+        self._steps.unbind_keys(self)
         self._listening.release()
         self._curve.leave()
         self._points.listen(self, ())
@@ -79,7 +124,7 @@ class DockSteps:
     def _listen(self) -> None:
         """Show what is undone; a dock that is closed leaves that to the others."""
         self._listening.release()
-        changed = self.steps.edits.changed
+        changed = self._steps.edits.changed
         shown = (*self._tables, self._curve)
         self._listening = Listening(*((changed, each.show) for each in shown))
 
@@ -89,8 +134,12 @@ class DockSteps:
 
     def _show(self) -> None:
         if not self._life.away:
-            self._buttons.show(self.steps)
+            self._buttons.show(self._steps)
 
     def _on_said(self, sentence: str, slot: Any) -> None:
-        if not (isinstance(slot, Slot) and slot.what == DRAWING) and not self._life.away:
+        if not _is_drawing(slot) and not self._life.away:
             self._say(sentence)
+
+
+def _is_drawing(slot: Any) -> bool:
+    return isinstance(slot, Slot) and slot.what == DRAWING

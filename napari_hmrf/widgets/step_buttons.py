@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 from magicgui.widgets import PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 
+from napari_hmrf.edits import Edits
 from napari_hmrf.layers.steps import ViewerSteps
 
 _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
+
+
+class Steps(Protocol):
+    """What can go back and forth."""
+
+    edits: Edits
+
+    def undo(self) -> None:
+        """Take back what was done last."""
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
 
 
 class StepButtons:
@@ -47,10 +60,10 @@ class StepKeys(QObject):
     ----------
     native : QWidget
         The dock.
-    steps : ViewerSteps
+    steps : Steps
     """
 
-    def __init__(self, native: Any, steps: ViewerSteps) -> None:
+    def __init__(self, native: Any, steps: Steps) -> None:
         super().__init__(native)
         self._steps = steps
         native.installEventFilter(self)
