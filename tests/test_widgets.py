@@ -645,12 +645,14 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
     from napari_hmrf.optimizers import Monitor
-    from napari_hmrf.widgets.words import COMPILING, progress
+    from napari_hmrf.widgets.words import COMPILING, DRAWING, progress
 
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
     assert progress(preparing, 0.1) == "Preparing ..."
     assert progress(preparing, 3.0) == COMPILING
     assert progress(Monitor("level 3", 0.4), 9.0) == "Level 3 ..."
+    assert progress(Monitor("drawing the result", 0.0), 0.5) == "Drawing the result ..."
+    assert progress(Monitor("drawing the result", 0.0), 5.0) == DRAWING
 
 
 def test_one_sweep_is_told_as_one():

@@ -19,6 +19,8 @@ from napari_hmrf.solution import Solution
 from napari_hmrf.solve import run_here
 
 Report = Callable[[Monitor], None]
+#: How far that is nobody knows: what moves the images may have to be compiled first.
+_DRAWING = Monitor("drawing the result", 0.0)
 
 
 class Done(NamedTuple):
@@ -50,7 +52,7 @@ def deforming(
         with naming(m=tissue, poisson=tissue, c=boundary):
             solution = run_here(inputs.problem, inputs.prior, optimizer, backend, report, cancel)
         solution = _with_tissue(solution, snapshot.record)
-        report(Monitor("drawing the result", 1.0))
+        report(_DRAWING)
         outputs = result_layers(solution, inputs.frame, inputs.pictures, kinds, checkpoint)
         return Done(outputs, snapshot, inputs.ignored, inputs.notes)
 
@@ -62,7 +64,7 @@ def drawing(done: Done, kinds: Collection[Kind]) -> Work:
     solution: Solution = done.outputs.solution
 
     def work(report: Report, cancel: threading.Event) -> Done:
-        report(Monitor("drawing the result", 1.0))
+        report(_DRAWING)
         snapshot = done.snapshot
         return done._replace(
             outputs=result_layers(
