@@ -437,6 +437,22 @@ def test_a_slice_of_a_stack_moves_in_its_place(make_stack, qtbot, set_to, wait_f
     assert look.at((3, 20, 2.5)) is None, "that is another slice"
 
 
+def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack, qtbot, wait_for):
+    viewer, _ = make_stack
+    look = LookAtResult(viewer)
+    qtbot.addWidget(look.native)
+    wait_for(lambda: look.idle, 60_000)
+    line = look._face.how_far
+    assert line.value.endswith("mm")
+    viewer.dims.set_current_step(0, 1)
+    assert line.value.endswith("mm. Of slice z = 2; you look at z = 1.")
+    look.percent = 50
+    assert line.value.startswith("50 %")
+    assert line.value.endswith("Of slice z = 2; you look at z = 1.")
+    viewer.dims.set_current_step(0, 2)
+    assert line.value.endswith("mm")
+
+
 @pytest.fixture
 def make_stack(widget, small_sample, run):
     viewer = viewer_of(widget)

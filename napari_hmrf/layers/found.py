@@ -174,6 +174,29 @@ def place_at(
     return (float(found[rows]), float(found[cols])) if inside else None
 
 
+def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str] | None:
+    """The slice of a result and the one that is shown, as people read them, if they are two.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        That holds the result.
+    result : FoundResult
+    view : View
+        What the viewer shows.
+    """
+    if result.frame.ndim < 3 or len(view.displayed) != 2:
+        return None
+    try:
+        shown = Frame.of(layer, view)
+    except (ProblemError, ValueError):
+        return None
+    frame = result.frame
+    if shown.plane != frame.plane or shown.index == frame.index:
+        return None
+    return replace(frame, sliders=shown.sliders).slice_seen, shown.slice_seen
+
+
 def facts_for(result: FoundResult, kind: str, **more: Any) -> dict[str, Any]:
     """Metadata of another layer of a result."""
     return {METADATA: {"kind": kind, **result.facts, **more}}

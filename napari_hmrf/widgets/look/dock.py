@@ -106,6 +106,9 @@ class LookAtResult(LookControls):
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_layers),
             (viewer.layers.events.renamed, self._on_layers),
+            (viewer.dims.events.current_step, self._on_slice),
+            (viewer.dims.events.order, self._on_slice),
+            (viewer.dims.events.ndisplay, self._on_slice),
             (viewer.events.theme, self._on_theme),
         )
         self._bind_key()
@@ -175,6 +178,10 @@ class LookAtResult(LookControls):
             self._face.result.refresh()
             self._face.image.refresh()
             self._eyes.start()
+
+    def _on_slice(self, *_: Any) -> None:
+        if not self.away:
+            self._scene.say_where()
 
     def _on_image(self, *_: Any) -> None:
         if not self.away:

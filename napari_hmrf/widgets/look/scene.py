@@ -12,12 +12,20 @@ from napari.layers import Labels
 from napari_hmrf.deformation import magnitude
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.directions import Directions
-from napari_hmrf.layers.found import FoundResult, picture_of, result_of, source_of, tissue_of
+from napari_hmrf.layers.found import (
+    FoundResult,
+    picture_of,
+    result_of,
+    slices_apart,
+    source_of,
+    tissue_of,
+)
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.moving import Moment, Motion
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.point import Points
 from napari_hmrf.layers.quantity_layers import FloatArray
+from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.look.arrow_choices import ArrowChoices
 from napari_hmrf.widgets.look.cursor import UnderCursor
 from napari_hmrf.widgets.look.errands import Errands
@@ -319,9 +327,15 @@ class Scene:
         self.player.expect(percent)
         self._say_how_far(percent)
 
+    def say_where(self) -> None:
+        """Say whether it is the slice of the result that is shown."""
+        self._say_how_far(self._face.slider.value)
+
     def _say_how_far(self, percent: int) -> None:
-        if self.shown.result is not None:
-            self._face.how_far.say(how_far(self.shown.result, self._longest, percent))
+        result, view = self.shown.result, View.of(self._viewer.dims)
+        if result is not None:
+            apart = slices_apart(self.shown.arrows, result, view)
+            self._face.how_far.say(how_far(result, self._longest, percent, apart))
 
     def _refuse(self, error: Exception) -> None:
         self._face.status.say(str(error) or type(error).__name__)

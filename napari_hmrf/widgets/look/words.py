@@ -64,9 +64,12 @@ def colour_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, st
     return [(NOTHING, NOTHING), *((about, key) for key, about in words.items())]
 
 
-def how_far(result: FoundResult, longest: float, percent: int) -> str:
-    """How much of the deformation is seen."""
-    return f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
+def how_far(
+    result: FoundResult, longest: float, percent: int, apart: tuple[str, str] | None = None
+) -> str:
+    """How much of the deformation is seen, or that it is of another slice than the one seen."""
+    moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
+    return moved if apart is None else f"{moved}. Of slice {apart[0]}; you look at {apart[1]}."
 
 
 def folded(count: int) -> str:
