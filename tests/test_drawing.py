@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.drawing import Arrow, Canvas, Drawing, History, Hit, Landmark, Rendering, Stroke
+from napari_hmrf.optimizers import Multigrid
+from napari_hmrf.quantities import count_folds
 
 SHAPE = (24, 30)
 SPACING = (1.0, 2.0)
@@ -402,3 +404,21 @@ def test_an_edit_of_a_large_image_takes_a_few_milliseconds():
 
     assert seconds(drag) < 0.005
     assert seconds(brush) < 0.005
+
+
+def test_what_is_said_against_folds_helps():
+    """Tissue held all around: moved less it does not fold; a larger patch helps in the middle."""
+    c = np.ones((96, 96, 2), dtype=np.float32)
+    c[2:-2, 2:-2] = 0
+
+    def folds(col, by, radius):
+        rendering = Rendering(Canvas(np.zeros_like(c), c))
+        rendering.show(Drawing((Arrow((48, col), (0, by), radius),)))
+        canvas = rendering.canvas
+        problem = Problem(canvas.y, canvas.c, np.ones(c.shape[:2]))
+        solution = solve(problem, ElasticPrior(), Multigrid(0.05), backend="cpu")
+        return count_folds(solution.displacement, solution.spacing, solution.tissue)
+
+    assert folds(48, 8, 4) == folds(70, 8, 4) == 0 < folds(48, 20, 4)
+    assert folds(48, 20, 8) < folds(48, 20, 4)
+    assert folds(70, 14, 16) > folds(70, 14, 4) > 0, "near what is held there is less room"

@@ -274,7 +274,8 @@ class Puller:
         if folds > _HANDFUL:
             parts.append(
                 f"Warning: at {folds} pixels the tissue is pushed through itself (it folds), "
-                "which no tissue does. Move it less, or a larger patch."
+                "which no tissue does. Move it less. Far from all that is held a larger patch "
+                "helps, too; near it, a smaller one."
             )
         if note:
             parts.append(f"{note[0].upper()}{note[1:]}.")
