@@ -176,6 +176,20 @@ def test_points_alone_are_boundary_enough(chosen, run):
     np.testing.assert_allclose(widget.solution.displacement[14, 15], (0, 0), atol=0.05)
 
 
+def test_landmarks_alone_need_layers_and_no_paint(docked, run):
+    viewer = docked._viewer
+    docked.image = viewer.add_image(np.full((20, 24), 100, np.uint8), name="MR")
+    where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
+    should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
+    docked.landmarks = LandmarkLayers(where, should, 1.5)
+    assert run(docked) is None
+    assert docked.status.endswith("what is left unpainted is tissue, too.")
+    docked.make_layers()
+    docked.settings.sweeps.value = 30
+    assert run(docked) is not None, docked.status
+    np.testing.assert_allclose(docked.solution.displacement[8, 8], (2, 0), atol=0.1)
+
+
 def test_the_pairs_are_drawn_as_arrows_until_there_is_a_result(chosen, run, wait_for):
     widget, where, should = chosen
     widget.landmarks = (where, should)

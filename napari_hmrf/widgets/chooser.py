@@ -28,7 +28,7 @@ from napari_hmrf.widgets.model import TissueModel
 from napari_hmrf.widgets.new_layers import add_missing
 from napari_hmrf.widgets.settings import SolverSettings
 from napari_hmrf.widgets.table_steps import FillingSteps
-from napari_hmrf.widgets.words import WELCOME
+from napari_hmrf.widgets.words import UNPAINTED, WELCOME
 
 
 class Chooser(Dock):
@@ -263,8 +263,10 @@ class Chooser(Dock):
         landmarks = self.landmarks
         for what, layer in (("tissue", self.tissue), ("boundary", self.boundary or landmarks)):
             if layer is None:
+                more = f" {UNPAINTED}" if landmarks is not None else ""
                 raise HmrfError(
                     f"No {what} layer is chosen: choose one, or press 'Make layers to paint on'."
+                    f"{more}"
                 )
         return Request(
             tissue=self.tissue,
