@@ -25,8 +25,6 @@ PAINT_BOUNDARY = (
     "Then press Deform."
 )
 UNPAINTED = "For landmarks nothing needs to be painted: what is left unpainted is tissue, too."
-    "For landmarks alone nothing needs to be painted: what is left unpainted is tissue, too."
-)
 CURVE = (
     "A first guess: the brighter, the stiffer. Drag the points of the curve; 'Make layers to paint "
     "on' then adds the boundary."
