@@ -149,7 +149,8 @@ def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, qtbot):
 def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkeypatch):
     widget, (_, _, boundary) = living
     popups, said = [], []
-    monkeypatch.setattr("napari_hmrf.widgets.deform.show_error", popups.append)
+    for kind in ("show_error", "show_warning"):
+        monkeypatch.setattr(f"napari_hmrf.widgets.deform.{kind}", popups.append)
     footer = widget.footer
     say = footer.say
     monkeypatch.setattr(footer, "say", lambda *words: (said.append(words[0]), say(*words)))

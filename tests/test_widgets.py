@@ -7,6 +7,7 @@ import pytest
 from conftest import quick
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
+from napari.utils.notifications import notification_manager
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
@@ -38,6 +39,15 @@ def by_name(widget, name):
 def results_of(widget):
     """Layers that hold a result, lowest first."""
     return [layer for layer in viewer_of(widget).layers if "folds" in known_of(layer)]
+
+
+@pytest.fixture
+def popped_up():
+    """What napari's notifications say meanwhile."""
+    found = []
+    notification_manager.notification_ready.connect(found.append)
+    yield found
+    notification_manager.notification_ready.disconnect(found.append)
 
 
 # The main path
@@ -593,20 +603,23 @@ def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
     ],
     ids=["no tissue", "no boundary", "unpainted", "all void", "elsewhere", "size", "image size"],
 )
-def test_bad_input_is_one_error_and_changes_nothing(widget, small_sample, run, spoil, said):
+def test_bad_input_is_one_error_and_changes_nothing(
+    widget, small_sample, run, spoil, said, popped_up
+):
     viewer = viewer_of(widget)
     small_sample(viewer)
     run(widget)
     spoil(viewer)
     before = state(viewer)
     assert run(widget) is None
+    assert [each.severity for each in popped_up] == ["warning"], "it goes by itself"
     assert said in widget.status
     assert widget.idle
     assert state(viewer) == before
 
 
 def test_a_failure_while_computing_is_told_and_changes_nothing(
-    docked, small_sample, run, monkeypatch
+    docked, small_sample, run, monkeypatch, popped_up
 ):
     viewer = viewer_of(docked)
     small_sample(viewer)
@@ -618,6 +631,7 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     monkeypatch.setattr("napari_hmrf.widgets.job.run_here", fail)
     assert run(docked) is None
     assert "MemoryError: no room" in docked.status
+    assert [each.severity for each in popped_up] == ["error"], "it stays"
     assert [entry for entry in state(viewer) if entry[0] != "boundary preview"] == before
 
 

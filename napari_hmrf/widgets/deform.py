@@ -6,7 +6,7 @@ import logging
 import time
 from typing import Any
 
-from napari.utils.notifications import show_error
+from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import Cancelled, HmrfError
@@ -255,7 +255,9 @@ class DeformTissue(ResultDock):
         self._set_idle(refusal(error))
         self._latest.outdate()
         self._watch.settle()
-        show_error(in_short(error))
+        # A warning goes by itself; an error would still be there beside the next good result.
+        show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
+        show(in_short(error))
 
     def _try(self, action: Any, success: str) -> None:
         try:
