@@ -251,7 +251,7 @@ class LiveMode:
         """Say why there is no answer, once; the last result stays."""
         self._widget.outdate()
         stays = f" {STAYS}" if self._widget.solution is not None else ""
-        self._tell(f"Not yet: {in_short(error)}{stays}")
+        self._tell(f"The tissue does not follow yet. {in_short(error)}{stays}")
 
     def _tell(self, sentence: str) -> None:
         if sentence != self._said or self._widget.status != sentence:
