@@ -5,6 +5,7 @@ import pytest
 
 from napari_hmrf.layers.background import background_of
 from napari_hmrf.layers.metadata import TISSUE, rows_of
+from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.phantoms import sample
 from napari_hmrf.widgets.deform import DeformTissue
 
@@ -71,7 +72,7 @@ def test_one_press_of_the_button_is_one_undo(widget, wait_for):
     (void,) = set(widget.materials) - set(rows)
     assert void.stiffness == 0
     assert (tissue.data == void.label).sum() > 500
-    assert "background" in widget._steps.steps.undo_tooltip
+    assert "background" in steps_of(widget._viewer).undo_tooltip
     tissue.data[1, 1] = 2
     widget.undo()
     before[1, 1] = 2
