@@ -46,7 +46,7 @@ def beginning(start: Start, problem: Problem) -> Beginning:
     if others:
         changes = np.stack(others) - first
         found = _nearest(changes, missing)
-        missing -= found @ changes
+        missing -= np.einsum("a,an->n", found, changes)
         shares = [1.0 - float(found.sum()), *map(float, found)]
     unit = problem.unit
     return Beginning(displacements, tuple(shares), unit, float(np.abs(missing).max()) / unit)
