@@ -15,6 +15,9 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float32]
 
+# By so much may a residual be larger than it is known to be, as what is stored is rounded.
+_ROUNDED = 1.1
+
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
@@ -57,6 +60,10 @@ class Quality(NamedTuple):
 
     error: float
     residual: float
+
+    def suffices(self, tolerance: float, residual: float) -> bool:
+        """Whether that is within a tolerance, in pixels, and the residual found is as known."""
+        return self.error <= tolerance and residual <= _ROUNDED * self.residual
 
 
 class Found:

@@ -34,8 +34,6 @@ _MOST_EXCHANGES = 500
 _TINY = 1e-300
 # What is this part of the tolerance, or less, is as good as nothing.
 _NOTHING = 0.01
-# By so much may a residual be larger than it is known to be, as what is stored is rounded.
-_ROUNDED = 1.1
 
 
 @dataclass(frozen=True)
@@ -227,8 +225,7 @@ class _Refinement:
         """
         balance = self._model.balance(d, load)
         self.residual = balance.norm
-        as_known = known is not None and balance.norm <= _ROUNDED * known.residual
-        if known is not None and as_known and known.error <= tolerance:
+        if known is not None and known.suffices(tolerance, balance.norm):
             self.estimate = known.error
             return
         before = math.inf
