@@ -9,6 +9,7 @@ JSON.
 from __future__ import annotations
 
 import json
+import math
 import statistics
 import subprocess
 import sys
@@ -39,6 +40,8 @@ class Warmth:
         Of the three.
     apart : float
         The largest distance of the cold field from that begun with the earlier one, in pixels.
+    push : float
+        The longest displacement that is observed, in pixels: how far off nothing is.
     """
 
     cold: float
@@ -46,6 +49,7 @@ class Warmth:
     again: float
     cycles: list[int]
     apart: float
+    push: float
 
 
 def add_warm_start(page: Section, settings: Settings) -> None:
@@ -62,6 +66,7 @@ def add_warm_start(page: Section, settings: Settings) -> None:
         return
     found = Warmth(**json.loads(done.stdout.splitlines()[-1]))
     first, drag = found.warm / found.cold, found.again / found.cold
+    least = math.log(1 / WITHIN) / math.log(found.push / WITHIN)
     page.say(
         f"""**Asked.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size} x
         {size}, how much of a cold solve is a solve that starts with the earlier one? In a process
@@ -69,11 +74,12 @@ def add_warm_start(page: Section, settings: Settings) -> None:
         {duration(found.warm)} in {found.cycles[1]}: {first:.2f} of it, and the two
         fields are {found.apart:.0e} px apart at most. **Reading.** What is saved on a
         first move is the set-up (the tissue is the same) and the cycles that the earlier field has
-        behind it; an error of a pixel still has to fall by as many powers of ten as the tolerance
-        asks. Where the patch was moved before (here by half as much), a sum of the earlier fields
-        solves the new problem, and is wrong by no more than the sum of what each is wrong by: what
-        is left is {duration(found.again)} in {found.cycles[2]} cycles, {drag:.2f} of a cold
-        solve."""
+        behind it: at a fixed rate, from one pixel to {WITHIN:g} px takes {least:.2f} of the cycles
+        that it takes from the {found.push:.1f} px of the whole push, so a third is out of reach of
+        any such iteration. Where the patch was moved before (here by half as much), a sum of the
+        earlier fields solves the new problem, and is wrong by no more than the sum of what each is
+        wrong by: what is left is {duration(found.again)} in {found.cycles[2]} cycles, {drag:.2f} of
+        a cold solve."""
     )
     page.targets.append(Target(f"warm restart over cold, {size}, first move", first, 1 / 3))
     page.targets.append(Target(f"warm restart over cold, {size}, moved before", drag, 1 / 3))
@@ -94,8 +100,11 @@ def main(size: int, repeats: int) -> Warmth:
         times.append((cold[0], warm[0], again[0]))
     found = [cold[1], warm[1], again[1]]
     apart = np.abs(found[0].displacement - found[1].displacement)[before.tissue].max()
+    push = float(np.hypot(*before.y[(before.c > 0).all(axis=-1)].T).max())
     medians = [statistics.median(each) for each in zip(*times[_DISCARDED:], strict=True)]
-    return Warmth(*medians, cycles=[each.iterations for each in found], apart=float(apart))
+    return Warmth(
+        *medians, cycles=[each.iterations for each in found], apart=float(apart), push=push
+    )
 
 
 def _solved(problem: Problem, start: Solution | list[Solution] | None = None) -> Solution:
