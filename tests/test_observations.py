@@ -112,6 +112,28 @@ def test_tissue_that_slips_as_a_whole_comes_to_rest_where_most_want_it():
     assert np.abs(found.displacement[:, :5, 1] - 30).max() < 0.02
 
 
+@pytest.mark.parametrize("penalty", [0.05, 0.03])
+def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalty):
+    shape, firm = (96, 96), 1e4
+    place = np.indices(shape) - 47.5
+    patch, edge = np.hypot(*place) < 12, np.abs(place).max(axis=0) > 47
+    y, c = np.zeros((2, *shape, 2))
+    c[edge] = 1
+    y[patch], c[patch] = (0, 35), penalty / firm
+    m = np.where(np.hypot(*(place - 12)) < 24, 4.0, 1.0)
+    problem, prior = Problem(y, c, m), ElasticPrior(0.45, penalty=firm)
+    found = solve(problem, prior, Multigrid(1e-4))
+    assert found.iterations < 150
+    d = found.displacement.astype(float)
+    forces = -(stiffness_matrix(problem, prior) @ d.ravel()).reshape(d.shape)
+    off, limit = (y - d)[patch], prior.limit(problem)[patch]
+    slips, near = np.abs(off) > 1e-3, 0.02 * limit.max()
+    assert 0.1 < slips.mean() < 0.9
+    assert np.abs(forces[patch] + np.sign(off) * limit)[slips].max() < near
+    assert (np.abs(forces[patch]) - limit).max() < near
+    assert np.abs(forces[~patch & ~edge]).max() < near
+
+
 def test_a_known_field_makes_a_small_edit_cheap_and_changes_nothing():
     problem = phantom("mass-effect", 128).problem
     before = solve(problem, ElasticPrior(), Multigrid(0.01))

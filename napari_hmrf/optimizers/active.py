@@ -3,9 +3,10 @@
 An observation pulls with a force of at most p = K c. Where less is needed to keep a component at
 what was observed, it is *held* there; elsewhere it *slips* and is pulled with p towards it. Which
 is which is found by exchanging all components that contradict their state, then solving again
-(a semismooth Newton method). Where that does not lead anywhere, the field goes from the best one so
-far only as far towards each next one as the energy falls, which ends for certain: the energy is
-convex, and each state has one least energy.
+(a semismooth Newton method). Where that does not lead anywhere, the states are those that a few
+proximal gradient steps lead to, and the field goes from there only as far towards the one for these
+states as the energy falls, which ends for certain: the energy is convex, and each state has one
+least energy. (Graeser and Kornhuber's truncated nonsmooth Newton method, with Jacobi's smoother.)
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ PATIENCE = 6
 _ON_THE_MARK = 1e-7
 # A part of a way that is none.
 _NO_WAY = 1e-6
+# Steps of all components at once, each on its own.
+_SWEEPS = 10
 
 
 class States:
@@ -120,10 +123,9 @@ class ActiveSet(States):
             Whether any state has changed.
         """
         needed = -pull.ravel()[self._at]
-        excess = (np.abs(needed) - self._limit) / steepness.ravel()[self._at]
-        passed = self._slips * (d.ravel()[self._at] - self._y)
+        excess = self._excess(pull, steepness)
         held = self._slips == 0
-        wrong = (np.where(held, excess, passed) > tolerance) & ~self._barred
+        wrong = self._wrong(d, excess, tolerance) & ~self._barred
         count = int(wrong.sum())
         if 0 < count < self._fewest and not self.lost:
             self._fewest, self._patience = count, PATIENCE
@@ -141,6 +143,57 @@ class ActiveSet(States):
             # Too much at once: only of what needs most.
             wrong[let_go[np.argsort(excess[let_go])[: len(let_go) // 2]]] = False
         return count > 0
+
+    def contradicted(self, d: Planes, pull: Planes, steepness: Planes, tolerance: float) -> bool:
+        """Whether any component contradicts its state; parameters as for `exchange`."""
+        return bool(self._wrong(d, self._excess(pull, steepness), tolerance).any())
+
+    def relax(
+        self, d: Planes, pull_at: Callable[[Planes], Planes], steepness: Planes, free: FreeMotion
+    ) -> bool:
+        """Move all components, each as if alone, to where it would have less energy, in place.
+
+        Parameters
+        ----------
+        d : ndarray, planes
+            The displacement.
+        pull_at : callable
+            Gives the force of the tissue on each component for a displacement.
+        steepness : ndarray, planes
+            The model's diagonal, times a bound of its spectrum over that.
+        free : callable
+            As for `exchange`.
+
+        Returns
+        -------
+        bool
+            Whether that was done: not if tissue would be let go of altogether.
+        """
+        steep = steepness.ravel()[self._at]
+        moved, before = d.copy(), self._slips
+        there = moved.ravel()
+        for _ in range(_SWEEPS):
+            off = there[self._at] - self._y + pull_at(moved).ravel()[self._at] / steep
+            less = np.maximum(np.abs(off) - self._limit / steep, 0)
+            there[self._at] = self._y + np.sign(off) * less
+        self.follow(moved)
+        if free(self.held) is not None:
+            self._slips = before
+            return False
+        np.copyto(d, moved)
+        return True
+
+    def _excess(self, pull: Planes, steepness: Planes) -> npt.NDArray[Any]:
+        """By how much more each component would have to be held, as the motion that causes."""
+        more = np.abs(pull.ravel()[self._at]) - self._limit
+        return np.asarray(more / steepness.ravel()[self._at])
+
+    def _wrong(
+        self, d: Planes, excess: npt.NDArray[Any], tolerance: float
+    ) -> npt.NDArray[np.bool_]:
+        """Which components contradict their state, by more than so many pixels."""
+        passed = self._slips * (d.ravel()[self._at] - self._y)
+        return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
     def hold_all(self) -> None:
         """Hold all that is observed."""

@@ -153,9 +153,10 @@ class Multigrid:
 
         if free(states.held) is not None:
             states.hold_all()
-        steepness = model.steepness
+        steepness, bound = model.steepness, model.bounds[1]
         forces, before = 0.0, None
         for tolerance in (_ROUGHLY * self.tolerance, self.tolerance):
+            near = tolerance / 2
             for _ in range(_MOST_EXCHANGES):
                 states.place(d)
                 model.hold(states.held)
@@ -163,9 +164,9 @@ class Multigrid:
                 arrived = True
                 if before is not None:
                     way = d - before
-                    arrived = states.step(
-                        d, before, way, model.pull(before).copy(), model.pull(way)
-                    )
+                    far, pulls = float(np.abs(way).max()), model.pull(before).copy()
+                    # How a way within the tolerance goes on is left to chance.
+                    arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
                 elif states.lost:
                     states.follow(d)
                     if free(states.held) is not None:
@@ -176,10 +177,11 @@ class Multigrid:
                     before = d.copy()
                 energy, forces = model.work(d)
                 refinement.settle(energy + states.cost(d))
-                if (
-                    not states.exchange(d, model.pull(d), steepness, tolerance / 2, free)
-                    and arrived
-                ):
+                if arrived and not states.contradicted(d, model.pull(d), steepness, near):
+                    break
+                if states.lost and states.relax(d, model.pull, bound * steepness, free):
+                    before = d.copy()
+                elif not states.exchange(d, model.pull(d), steepness, near, free) and arrived:
                     break
             else:
                 raise ConvergenceError(
