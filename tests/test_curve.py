@@ -173,6 +173,7 @@ def test_fields_say_and_take_numbers(editor, person, qtbot):
     editor.void.click()
     assert editor.curve.void_below is None
     editor.void.click()
+    assert editor.curve.void_below == 20, "as it was"
     editor.void_below.setValue(7)
     assert editor.curve.void_below == 7
     editor.between.setCurrentIndex(1)
@@ -552,3 +553,12 @@ def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run
     qtbot.addWidget(look.native)
     said = f"stiffness {layer.data[12, 6]:.3g} MPa"
     qtbot.waitUntil(lambda: said in look._scene.cursor.at((12.0, 6.0))[1], timeout=5000)
+
+
+def test_a_first_tick_says_where_air_is_likely_to_end(qtbot):
+    editor = CurveEditor(replace(CURVE, void_below=None))
+    qtbot.addWidget(editor)
+    disc = np.hypot(*(np.indices((40, 40)) - 20)) < 15
+    editor.show_intensities(np.where(disc, 100, 10))
+    editor.void.click()
+    assert editor.curve.void_below == 55

@@ -122,3 +122,17 @@ def test_an_image_of_which_something_is_seen_is_not_covered(opened, two, look):
     dock = opened(GrabAndPull, viewer)
     dock.image = lower
     assert dock.status == START
+
+
+def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
+    viewer, lower, upper = two
+    dock = opened(GrabAndPull, viewer)
+    dock.image = lower
+    for shown in (False, True):
+        upper.visible = shown
+        assert dock.status.startswith("The image is covered") == shown
+    viewer.layers.move(viewer.layers.index(lower), len(viewer.layers))
+    assert dock.status == START
+    viewer.layers.remove(upper)
+    viewer.add_image(LARGER, rgb=True, name="new")
+    assert dock.status.startswith("The image is covered by 'new'")

@@ -458,3 +458,12 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
 
 def settle_ground(widget, person, stiffest):
     person._qtbot.waitUntil(lambda: widget._puller.ground.m.max() == stiffest, timeout=30_000)
+
+
+def test_a_patch_over_the_held_edge_is_said_to_take_it_along(open_window, settle):
+    _, widget = open_window()
+    assert widget.start()
+    for row, speaks in ((30, False), (3, True), (30, False)):
+        widget.drawing = Drawing((Arrow((row, 30), (3, -3), 5.0),))
+        settle(widget)
+        assert ("held edge" in widget.warning) == speaks

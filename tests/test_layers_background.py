@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf.layers.background import background_of
+from napari_hmrf.layers.background import background_of, between_air_and_tissue
 from napari_hmrf.layers.metadata import TISSUE, rows_of
 from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.phantoms import sample
@@ -46,6 +46,15 @@ def test_fat_beneath_the_skin_is_no_air():
     shown = np.clip((picture.astype(float) + 250) / 2, 0, 255).astype(np.uint8)
     shown[rim] = 70
     np.testing.assert_array_equal(background_of(shown), ~inside)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (-1000, 300)])
+def test_a_threshold_between_air_and_tissue(low, high):
+    picture, inside = head(low=low, high=high)
+    picture[np.hypot(*(np.indices(inside.shape) - np.array([30, 40])[:, None, None])) < 7] = high
+    threshold = between_air_and_tissue(picture)
+    np.testing.assert_array_equal(picture > threshold, inside)
+    assert between_air_and_tissue(picture[20:40, 30:50]) is None, "it fills the picture"
 
 
 def test_the_sample_brain_lies_in_air():

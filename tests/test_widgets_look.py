@@ -1,6 +1,7 @@
 """What the user sees of a result with *Look at the result*."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from napari_hmrf.layers.quantity_layers import reach_of
 from napari_hmrf.optimizers import ICM
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
+from napari_hmrf.widgets.look.saving import save_canvas
 from napari_hmrf.widgets.look.words import at_point
 
 
@@ -629,6 +631,20 @@ def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, wai
     assert got[0][0].name == "canvas.png"
     assert imread(got[0][0]).std() > 5
     assert not viewer.canvas.overlays.scale_bar.visible
+
+
+def test_the_brush_is_put_away_for_a_picture_of_the_canvas(tmp_path):
+    labels, bar = Labels(np.zeros((4, 4), int)), SimpleNamespace(visible=False)
+    labels.mode = "paint"
+    during = []
+    viewer = SimpleNamespace(
+        layers=SimpleNamespace(selection=SimpleNamespace(active=labels)),
+        scale_bar=bar,
+        screenshot=lambda *_, **__: during.append((str(labels.mode), bar.visible)),
+    )
+    save_canvas(viewer, tmp_path / "canvas.png")
+    assert during == [("pan_zoom", True)]
+    assert (str(labels.mode), bar.visible) == ("paint", False)
 
 
 def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_for, monkeypatch):

@@ -98,6 +98,26 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     return found
 
 
+def between_air_and_tissue(picture: npt.NDArray[Any]) -> float | None:
+    """Find an intensity that what surrounds something does not have, and what is in it has.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W)
+
+    Returns
+    -------
+    float or None
+        Halfway, to two digits; None if nothing dark surrounds anything.
+    """
+    dark = background_of(picture)
+    known = np.isfinite(picture)
+    air, inside = picture[dark & known], picture[~dark & known]
+    if not (surrounds(dark) and air.size and inside.size):
+        return None
+    return float(f"{(float(np.median(air)) + float(np.percentile(inside, 5))) / 2:.2g}")
+
+
 def unpainted_background(
     image: Any, tissue: Any, view: View | None = None
 ) -> tuple[npt.NDArray[Any], ...]:

@@ -84,7 +84,7 @@ class BoundaryTable(LabelTable):
         return _ACTIONS[self._rows[self.labels.index(label)].action]
 
     def _show(self, row: int, value: Any) -> None:
-        self._text(row, _NAME, value.name, number=False)
+        self._text(row, _NAME, value.name, value.name, number=False)
         box = self.cellWidget(row, _DOES)
         if box is None:
             box = QComboBox()

@@ -31,7 +31,6 @@ from napari_hmrf.widgets.words import (
     READY,
     WELCOME,
     in_short,
-    refusal,
 )
 from napari_hmrf.widgets.words import progress as progress_of
 
@@ -252,7 +251,7 @@ class DeformTissue(ResultDock):
         self._say(status)
 
     def _refuse(self, error: Exception) -> None:
-        self._set_idle(refusal(error))
+        self._set_idle(in_short(error))
         self._latest.outdate()
         self._watch.settle()
         # A warning goes by itself; an error would still be there beside the next good result.

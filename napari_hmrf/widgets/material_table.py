@@ -115,7 +115,7 @@ class MaterialTable(LabelTable):
             if value.label == 0
             else ""
         )
-        self._text(row, _NAME, value.name, about, number=False)
+        self._text(row, _NAME, value.name, about or value.name, number=False)
         void = value.stiffness == 0
         tip = "No tissue, such as air" if void else about
         self._text(row, _STIFFNESS, shown(value.stiffness), tip)

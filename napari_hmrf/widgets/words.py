@@ -113,18 +113,15 @@ def report(done: Done) -> str:
     return " ".join(parts)
 
 
-def refusal(error: Exception) -> str:
-    """Why there is no result, as one sentence or two."""
+def in_short(error: Exception) -> str:
+    """Why there is no result, as one sentence or two, without the technical details of a layer."""
+    if isinstance(error, LayerError):
+        return error.sentence
     if isinstance(error, ConvergenceError):
         return f"No result: {str(error).rstrip('.')}."
     if isinstance(error, HmrfError | ValueError):
         return str(error)
     return f"The deformation failed: {type(error).__name__}: {error}"
-
-
-def in_short(error: Exception) -> str:
-    """The same, without the technical details of a layer that is at fault."""
-    return error.sentence if isinstance(error, LayerError) else refusal(error)
 
 
 def details(done: Done) -> str:

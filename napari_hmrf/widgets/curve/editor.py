@@ -24,6 +24,7 @@ from qtpy.QtWidgets import (
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.intensity import Between, StiffnessCurve
+from napari_hmrf.layers.background import between_air_and_tissue
 from napari_hmrf.widgets.curve.plot import CurvePlot
 
 #: Spin boxes need ends.
@@ -105,6 +106,11 @@ class CurveEditor(QWidget):
     def show_intensities(self, values: npt.NDArray[Any]) -> None:
         """Draw the histogram of an image, shape (H, W), behind the curve."""
         self.plot.show_intensities(values)
+        if self.curve.void_below is None:
+            # What a first tick says: it is likely, and the dark end of the curve if nothing is.
+            air = between_air_and_tissue(values)
+            with QSignalBlocker(self.void_below):
+                _set(self.void_below, self.curve.points[0][0] if air is None else air)
 
     def _assemble(self) -> None:
         layout = QVBoxLayout(self)
@@ -159,7 +165,8 @@ class CurveEditor(QWidget):
         self.remove.setEnabled(selected is not None and len(curve.points) > 2)
         self.void.setChecked(curve.void_below is not None)
         self.void_below.setEnabled(curve.void_below is not None)
-        _set(self.void_below, curve.points[0][0] if curve.void_below is None else curve.void_below)
+        if curve.void_below is not None:
+            _set(self.void_below, curve.void_below)
         self.between.setCurrentIndex(self.between.findData(curve.between))
         self.scale.setCurrentIndex(self.scale.findData(curve.logarithmic))
         if not self.unit.hasFocus():

@@ -206,6 +206,12 @@ class GrabAndPull(GrabControls):
             self.say(IMAGE_GONE)
         self.show_toggle()
 
+    def cover_changed(self) -> None:
+        """The image may be hidden beneath another, or no more."""
+        how = self._puller.tool.how if self._started else START
+        if self._status.startswith(COVERED) or self._status == how:
+            self.say(self._covered or (OFF if self._started and not self.active else how))
+
     def _connect(self) -> None:
         puller = self._puller
         for name in ("undo", "redo", "remove", "clear"):

@@ -25,6 +25,7 @@ from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.grab.rehearsal import rehearse, rehearse_the_rest
 from napari_hmrf.widgets.grab.repainted import Repainted
 from napari_hmrf.widgets.grab.seen import Painted, Seen
+from napari_hmrf.widgets.grab.words import EDGE_MOVED
 from napari_hmrf.widgets.newest import Newest
 
 _log = logging.getLogger("napari_hmrf")
@@ -233,5 +234,17 @@ class _Scene:
         note = ""
         if not any(isinstance(mark, Stroke) and mark.action == "tissue" for mark in marks):
             note = left_at_rest((self.ground.m > 0) & ~solution.tissue)
+        notes = [f"{note[0].upper()}{note[1:]}."] if note else []
+        if self._moves_edge():
+            notes.append(EDGE_MOVED)
         if not self.live.busy:
-            self._newest.put(replace(seen, outputs=outputs, note=note))
+            self._newest.put(replace(seen, outputs=outputs, note=" ".join(notes)))
+
+    def _moves_edge(self) -> bool:
+        """Whether a patch that was taken hold of lies over what is held without it."""
+        if self._rendering is None:
+            return False
+        base, canvas = self.ground.base, self._rendering.canvas
+        moved = (base.c > 0) & (canvas.c > 0) & (base.y == 0) & (canvas.y != 0)
+        # What was painted was meant.
+        return bool((moved.any(axis=-1) & (canvas.kinds == 0)).any())

@@ -278,5 +278,5 @@ class Puller:
                 "helps, too; near it, a smaller one."
             )
         if note:
-            parts.append(f"{note[0].upper()}{note[1:]}.")
+            parts.append(note)
         self.warned.emit(" ".join(parts))

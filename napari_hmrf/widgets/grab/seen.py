@@ -52,7 +52,7 @@ class Seen:
     painted : Painted, optional
         What brushes have painted; None if nothing.
     note : str
-        What to know about the tissue, as a clause; of a drawing that has come to rest.
+        What to know about the tissue, in sentences; of a drawing that has come to rest.
     """
 
     ground: Ground

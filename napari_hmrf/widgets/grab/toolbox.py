@@ -16,7 +16,7 @@ from napari_hmrf.widgets.grab.badge import Badge
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
-from napari_hmrf.widgets.words import in_short, refusal
+from napari_hmrf.widgets.words import in_short
 
 
 class Toolbox:
@@ -142,4 +142,4 @@ class Toolbox:
         try:
             self._puller.hand.change(**asdict(how))
         except HmrfError as error:
-            self._say(refusal(error))
+            self._say(in_short(error))

@@ -47,6 +47,9 @@ class Watched(Protocol):
     def layer_gone(self, layer: Any) -> None:
         """A layer was removed."""
 
+    def cover_changed(self) -> None:
+        """The image may be hidden beneath another, or no more."""
+
 
 class GrabWatch:
     """Listens for *Grab and pull*, until it is released.
@@ -78,7 +81,10 @@ class GrabWatch:
             (viewer.dims.events.current_step, self._on_slice),
             (viewer.dims.events.order, self._on_slice),
             (viewer.dims.events.ndisplay, self._on_slice),
+            (viewer.layers.events.reordered, self._on_cover),
         )
+        self._eyes = Listening()
+        self._look_at_eyes()
 
     @property
     def waiting(self) -> bool:
@@ -112,6 +118,7 @@ class GrabWatch:
     def release(self) -> None:
         """Listen no more."""
         self._events.release()
+        self._eyes.release()
         self._pixels.release()
         steps_of(self._viewer).edits.changed.disconnect(self._on_table, missing_ok=True)
 
@@ -147,18 +154,32 @@ class GrabWatch:
             widget.let_go()
             self._looking.start(0)
 
+    def _look_at_eyes(self) -> None:
+        """Listen to whether layers are shown: those that there are now."""
+        self._eyes.release()
+        seen = ((layer.events.visible, self._on_cover) for layer in self._viewer.layers)
+        self._eyes = Listening(*seen)
+
+    def _on_cover(self, *_: Any) -> None:
+        if not self._widget.away:
+            self._widget.cover_changed()
+
     def _on_inserted(self, event: Any) -> None:
+        self._look_at_eyes()
         if not self._widget.away:
             self._widget.reset_choices()
             # What is drawn on stays: a layer that comes now was made for something else.
             if not self._widget.drawing.marks:
                 self.choose_by_role([event.value])
+            self._on_cover()
 
     def _on_removed(self, event: Any) -> None:
+        self._look_at_eyes()
         widget = self._widget
         if not widget.away:
             widget.reset_choices()
             widget.layer_gone(event.value)
+            self._on_cover()
 
     def _on_active(self, *_: Any) -> None:
         if not self._widget.away:

@@ -20,6 +20,10 @@ REMOVED_ALL = "Removed all; undo brings it back."
 CANCELLED = "Cancelled; everything is as before."
 OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
 NO_STEP = "That is by 0, so it only holds: say in the fields above how far, and it goes there."
+EDGE_MOVED = (
+    "The patch lies over the held edge, so that the edge moves, too, and leaves a gap. Take hold "
+    "further inside, or of a smaller patch, if it should stay."
+)
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
     "patch, or take 'Move'."

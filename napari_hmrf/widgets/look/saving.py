@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +33,8 @@ def save_canvas(viewer: Any, path: Path) -> list[Path]:
     visible = bar.visible
     bar.visible = True
     try:
-        viewer.screenshot(str(path), canvas_only=True, flash=False)
+        with _no_brush(viewer):
+            viewer.screenshot(str(path), canvas_only=True, flash=False)
     finally:
         bar.visible = visible
     return [path]
@@ -54,6 +57,20 @@ def new_folder(parent: Path, name: str) -> Path:
             continue
         return folder
     raise FileExistsError(f"{parent / kept} and all its numbers are taken")
+
+
+@contextmanager
+def _no_brush(viewer: Any) -> Iterator[None]:
+    """Put the brush away, whose circle would be in the picture."""
+    active = viewer.layers.selection.active
+    mode = getattr(active, "mode", "pan_zoom")
+    if mode != "pan_zoom":
+        active.mode = "pan_zoom"
+    try:
+        yield
+    finally:
+        if mode != "pan_zoom":
+            active.mode = mode
 
 
 def _scale_bar(viewer: Any) -> Any:
