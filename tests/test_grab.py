@@ -467,3 +467,18 @@ def test_a_patch_over_the_held_edge_is_said_to_take_it_along(open_window, settle
         widget.drawing = Drawing((Arrow((row, 30), (3, -3), 5.0),))
         settle(widget)
         assert ("held edge" in widget.warning) == speaks
+
+
+def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    image = widget.image
+    image.scale = (0.5, 0.5)
+    image.units = ("mm", "mm")
+    settle(widget)
+    for name in ("Arrows", "Deformed image", "Displacement"):
+        layer = by_name(person.viewer, name)
+        assert layer.units == image.units
+        np.testing.assert_array_equal(layer.scale, image.scale)
+    assert "mm" in widget.form.radius.label

@@ -6,7 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 #: The events after which a layer's pixels, or their place, are others.
-_EVENTS = ("data", "labels_update", "paint", "scale", "translate", "rotate", "shear", "affine")
+_EVENTS = (
+    "data", "labels_update", "paint",
+    "scale", "translate", "rotate", "shear", "affine", "units", "axis_labels",
+)  # fmt: skip
 
 
 class Pixels:
