@@ -6,7 +6,8 @@ is which is found by exchanging all components that contradict their state, then
 (a semismooth Newton method). Where that does not lead anywhere, the states are those that a few
 proximal gradient steps lead to, and the field goes from there only as far towards the one for these
 states as the energy falls, which ends for certain: the energy is convex, and each state has one
-least energy. (Graeser and Kornhuber's truncated nonsmooth Newton method, with Jacobi's smoother.)
+least energy: a truncated nonsmooth Newton method (Gräser and Kornhuber, J. Comput. Math. 27, 2009)
+with the smoother of Jacobi.
 """
 
 from __future__ import annotations
