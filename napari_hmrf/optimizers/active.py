@@ -5,9 +5,8 @@ what was observed, it is *held* there; elsewhere it *slips* and is pulled with p
 is which is found by exchanging all components that contradict their state, then solving again
 (a semismooth Newton method). Where that does not lead anywhere, the states are those that a few
 proximal gradient steps lead to, and the field goes from there only as far towards the one for these
-states as the energy falls, which ends for certain: the energy is convex, and each state has one
-least energy: a truncated nonsmooth Newton method (Gräser and Kornhuber, J. Comput. Math. 27, 2009)
-with the smoother of Jacobi.
+states as the energy falls (a truncated nonsmooth Newton method: Gräser and Kornhuber, J. Comput.
+Math. 27, 2009). That ends for certain: the energy is convex, and each state has one least energy.
 """
 
 from __future__ import annotations
