@@ -482,3 +482,21 @@ def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, sett
         assert layer.units == image.units
         np.testing.assert_array_equal(layer.scale, image.scale)
     assert "mm" in widget.form.radius.label
+
+
+def test_a_drag_may_begin_at_any_edge_of_the_image(pulling, settle):
+    person, widget = pulling
+    widget.form.edge.value = False
+    widget.form.radius.value = 12.0
+    rows, cols = widget.image.data.shape
+    for place in ((3, 30), (30, 3), (rows - 4, 30), (30, cols - 4), (3, 3)):
+        settle(widget)
+        before = len(widget.drawing.marks)
+        person.press(*place)
+        for step in (2, 4, 6):
+            person.move(place[0] + step / 2, place[1] + step)
+            settle_moves(person, widget)
+        person.release(place[0] + 3, place[1] + 6)
+        assert len(widget.drawing.marks) == before + 1
+        assert widget.drawing.marks[-1].by == pytest.approx((3, 6), abs=0.8)
+        widget.clear()

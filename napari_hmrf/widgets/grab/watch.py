@@ -83,6 +83,7 @@ class GrabWatch:
             (viewer.dims.events.ndisplay, self._on_slice),
             (viewer.layers.events.reordered, self._on_cover),
         )
+        self._slice = _slice_of(viewer.dims)
         self._eyes = Listening()
         self._look_at_eyes()
 
@@ -149,8 +150,10 @@ class GrabWatch:
             self._on_pixels()
 
     def _on_slice(self, *_: Any) -> None:
+        # An arrow over the image's edge makes the canvas larger, and napari says as much.
+        before, self._slice = self._slice, _slice_of(self._viewer.dims)
         widget = self._widget
-        if not widget.away:
+        if not widget.away and self._slice != before:
             widget.let_go()
             self._looking.start(0)
 
@@ -184,3 +187,9 @@ class GrabWatch:
     def _on_active(self, *_: Any) -> None:
         if not self._widget.away:
             self._widget.active_changed()
+
+
+def _slice_of(dims: Any) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Which axes are drawn, and where on all others."""
+    shown = tuple(int(axis) for axis in dims.displayed)
+    return shown, tuple(float(at) for axis, at in enumerate(dims.point) if axis not in shown)
