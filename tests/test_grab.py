@@ -500,3 +500,23 @@ def test_a_drag_may_begin_at_any_edge_of_the_image(pulling, settle):
         assert len(widget.drawing.marks) == before + 1
         assert widget.drawing.marks[-1].by == pytest.approx((3, 6), abs=0.8)
         widget.clear()
+
+
+def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
+    rows, cols = np.indices((96, 96))
+    noise = np.random.default_rng(0).integers(0, 6, (96, 96))
+    disc = np.hypot(rows - 48, cols - 48) < 26
+    person, widget = open_window((noise + 150 * disc).astype(np.uint8))
+    assert widget.start()
+    settle(widget)
+    person.drag((10, 48), (20, 48))
+    assert widget.status == "There is no tissue to take hold of there."
+    assert not widget.drawing.marks
+    widget.form.edge.value = False
+    # Air is squeezed between the body and the edge of the image, and nobody minds.
+    widget.drawing = Drawing((Arrow((48, 48), (0, 30), 20.0), Arrow((90, 90), (0, 0), 2.0)))
+    settle(widget)
+    assert "folds" not in widget.warning
+    solution = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"]
+    assert np.array_equal(solution.tissue, disc)
+    assert not solution.displacement[~disc].any()

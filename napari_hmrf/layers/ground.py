@@ -61,6 +61,8 @@ class Ground:
         The energy, with the tissues' own Poisson's ratios.
     pictures : Pictures
         The slice of the image, to be deformed.
+    body : ndarray of bool, shape (H, W)
+        Where there is tissue that is no dark surroundings.
     pieces : ndarray of int, shape (H, W)
         Numbers of the connected pieces of tissue, from 1.
     palette : Palette
@@ -74,6 +76,7 @@ class Ground:
     m: FloatArray
     prior: Prior
     pictures: Pictures
+    body: npt.NDArray[np.bool_]
     pieces: npt.NDArray[Any]
     palette: Palette
     named: Named
@@ -222,6 +225,7 @@ def read_ground(
         if not palette.own:
             labels = np.full(shape, OTHER)
     there = m > 0
+    body = there & ~around
     if not there.any():
         raise LayerError(
             tissue, "has no tissue in this slice: give what is tissue a stiffness above 0."
@@ -229,7 +233,7 @@ def read_ground(
     base = Canvas.blank(shape, frame.spacing, labels.astype(np.int32))
     base = replace(base, kinds=np.zeros(shape, dtype=np.uint8))
     if hold_edge:
-        for part in (there, there & ~around):
+        for part in (there, body):
             base.c[part & ~ndimage.binary_erosion(part)] = 1
     if boundary is not None:
         labels = take_slice(boundary, Frame.of(boundary, view), image, frame, shape)
@@ -241,6 +245,7 @@ def read_ground(
         m=m,
         prior=prior,
         pictures=Pictures(image=picture, name=str(image.name), look=look_of(image)),
+        body=body,
         pieces=pieces,
         palette=palette,
         named=Named.of(image if tissue is None else tissue),

@@ -224,8 +224,14 @@ class _Scene:
         if seen.solution is None or not seen.drawing.marks or self.live.busy:
             return
         try:
-            # A drawing is kept in the file of the solution it belongs to.
-            solution = replace(seen.solution, frame={"drawing": seen.drawing.as_dict()})
+            # A drawing is kept in the file of the solution it belongs to; of air nobody asks.
+            body = seen.solution.tissue & self.ground.body
+            solution = replace(
+                seen.solution,
+                displacement=np.where(body[..., None], seen.solution.displacement, np.float32(0)),
+                tissue=body,
+                frame={"drawing": seen.drawing.as_dict()},
+            )
             outputs = result_layers(solution, self.ground.frame, None, kinds=RESTORED)
         except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
             _log.exception("the displacement could not be drawn")
@@ -233,7 +239,7 @@ class _Scene:
         marks = seen.drawing.marks
         note = ""
         if not any(isinstance(mark, Stroke) and mark.action == "tissue" for mark in marks):
-            note = left_at_rest((self.ground.m > 0) & ~solution.tissue)
+            note = left_at_rest((self.ground.m > 0) & ~seen.solution.tissue)
         notes = [f"{note[0].upper()}{note[1:]}."] if note else []
         if self._moves_edge():
             notes.append(EDGE_MOVED)
@@ -246,5 +252,5 @@ class _Scene:
             return False
         base, canvas = self.ground.base, self._rendering.canvas
         moved = (base.c > 0) & (canvas.c > 0) & (base.y == 0) & (canvas.y != 0)
-        # What was painted was meant.
-        return bool((moved.any(axis=-1) & (canvas.kinds == 0)).any())
+        # What was painted was meant, and air has no edge that is seen.
+        return bool((moved.any(axis=-1) & (canvas.kinds == 0) & self.ground.body).any())

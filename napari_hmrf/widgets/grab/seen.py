@@ -80,7 +80,7 @@ class Seen:
             before = origin(point, *field)
             # What nobody held anywhere stayed out of it, and where it was.
             before = before or (None if self._tissue_at(point, solution.tissue) else point)
-        return before if before is not None and self._tissue_at(before, self.ground.m) else None
+        return before if before is not None and self._tissue_at(before, self.ground.body) else None
 
     @cached_property
     def _farthest(self) -> npt.NDArray[np.float32]:
