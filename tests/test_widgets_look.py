@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from conftest import quick
 from napari.layers import Image, Labels, Vectors
+from person import SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
@@ -530,6 +531,26 @@ def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
 
 
 # Layers and windows that go
+
+
+def test_where_there_is_no_result_nothing_is_seen_as_it_was(make_napari_viewer, qtbot):
+    viewer = make_napari_viewer()
+    _, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
+    image = viewer.add_image(np.zeros((8, 9)), visible=False)
+    person = Person(viewer, qtbot)
+    person.key(Qt.Key.Key_B, SHIFT)
+    look.before = True
+    assert not look.before
+    assert not image.visible
+    assert look.status.startswith("There is no result to look at yet")
+
+
+def test_a_result_that_is_not_looked_at_is_not_hidden(window, qtbot):
+    viewer, _, look = window
+    look.result = None
+    seen = [layer.visible for layer in viewer.layers]
+    look.before = True
+    assert [layer.visible for layer in viewer.layers] == seen
 
 
 def test_layers_may_go_at_any_time(look, set_to, wait_for):

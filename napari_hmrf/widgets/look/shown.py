@@ -145,8 +145,11 @@ class ShownLayers:
         return 0
 
     def hold_before(self) -> None:
-        """Show the image as it was, without anything of the result, until `release`."""
-        if self._hidden:
+        """Show the image as it was, without anything of the result, until `release`.
+
+        Nothing is done where there is no result.
+        """
+        if self._hidden or self.result is None:
             return
         for layer in self._of_result():
             self._hidden.append((weakref.ref(layer), layer.visible))
