@@ -159,3 +159,26 @@ def test_a_script_marks_the_background_in_a_closed_dock(scanned):
     scanned.undo()
     assert not tissue.data.any()
     assert tissue_rows(tissue) == rows
+
+
+@pytest.mark.parametrize("turned", [{"order": (2, 0, 1)}, {"ndisplay": 3}])
+def test_a_background_of_a_stack_is_taken_back_though_its_tissue_is_hidden(widget, turned):
+    picture = np.zeros((9, 30, 40), np.uint8)
+    picture[:, 8:22, 10:30] = 200
+    viewer = widget._viewer
+    viewer.add_image(picture, name="CT")
+    widget.make_layers()
+    tissue, rows = widget.tissue, widget.materials
+    viewer.dims.set_current_step(0, 4)
+    widget.mark_background()
+    painted = tissue.data.copy()
+    tissue.visible = False
+    viewer.dims.update(turned)
+    widget.undo()
+    assert not tissue.data.any()
+    assert widget.materials == rows
+    widget.redo()
+    np.testing.assert_array_equal(tissue.data, painted)
+    assert len(widget.materials) == len(rows) + 1
+    tissue.undo()
+    assert not tissue.data.any(), "napari has it as a stroke, too"

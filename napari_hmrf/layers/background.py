@@ -58,6 +58,9 @@ class Filling:
         self._exchange(layer, self.material.label, 0)
 
     def _exchange(self, layer: Any, before: int, after: int) -> None:
+        if not layer.visible:
+            # What napari shows of a hidden layer is as it was, and it would paint there, too.
+            layer.set_view_slice()
         there = np.asarray(layer.data[self.pixels]) == before
         layer.data_setitem(tuple(axis[there] for axis in self.pixels), after)
 
