@@ -9,6 +9,7 @@ from conftest import quick
 from napari.layers import Image, Labels, Vectors
 from person import SHIFT, Person
 from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
 
@@ -265,6 +266,16 @@ def test_before_is_on_a_key_as_well(look):
 
 
 # Arrows and colours
+
+
+def test_how_many_arrows_can_be_typed(look, wait_for):
+    box = look._face.count.native
+    for typed, about in (("50", 50), ("250", 250), ("2000", 2000), ("5", 10)):
+        box.selectAll()
+        QTest.keyClicks(box.lineEdit(), typed)
+        QTest.keyClick(box.lineEdit(), Qt.Key.Key_Return)
+        assert look.arrow_count == about
+    wait_for(lambda: look.idle, 60_000)
 
 
 def test_arrows_can_be_fewer_and_longer(look, set_to):

@@ -83,6 +83,8 @@ class LookFace:
             tooltip="How many arrows, roughly; of those that would lie on each other the longer "
             "one stays",
         )
+        # Only when it is all there: 2000 begins with 2, which is too few.
+        self.count.native.setKeyboardTracking(False)
         self.length = FloatSlider(
             value=1.0,
             min=0.25,
