@@ -15,6 +15,8 @@ _SMOOTHING = 1.5
 _LINE = 8.0
 #: Pixels that touch at a corner belong together, as in a ring one pixel wide.
 _EIGHT = np.ones((3, 3), dtype=bool)
+#: A part in a box of so few pixels has no hole that matters.
+_SPECK = 25
 
 
 class OpenLine(ValueError):
@@ -108,3 +110,28 @@ def _refuse_open_line(filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float
     length = area / thickness
     if length > _LINE * thickness:
         raise OpenLine(length, thickness)
+
+
+def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Tell the outline of the parts of a mask from those of the holes in them.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        The pixels of each part beside what is around it, or at the edge of the image.
+    """
+    rim = mask & ~ndimage.binary_erosion(mask)
+    parts, _ = ndimage.label(mask, structure=_EIGHT)
+    for number, box in enumerate(ndimage.find_objects(parts), 1):
+        if parts[box].size <= _SPECK:
+            continue
+        part = np.pad(parts[box] == number, 1)
+        around, _ = ndimage.label(~part)
+        filled = around != around[0, 0]
+        inner = part & ndimage.binary_erosion(filled)
+        rim[box] &= ~inner[1:-1, 1:-1]
+    return np.asarray(rim)

@@ -276,3 +276,19 @@ def test_only_the_newest_result_reaches_the_window(qtbot):
     newest.put(53)
     qtbot.wait(30)
     assert len(answered) == 2
+
+
+def test_holes_in_tissue_are_free_and_what_lies_in_them_is_held():
+    rows, cols = np.indices((60, 70))
+    radius = np.hypot(rows - 30, cols - 30)
+    # A skull, a gap around the brain in it, and a hole in that; a speck beside.
+    m = np.where((radius > 25) | ((radius > 6) & (radius < 18)), 1.0, 0.0)
+    m[:, 62:] = 0
+    m[5, 66] = 1
+    ground = read_ground(Image(np.ones(m.shape), name="MR"), Image(m, name="stiffness"))
+    held = (ground.base.c > 0).all(axis=-1)
+    assert held[radius < 9].sum() == 0, "the hole in the brain"
+    assert held[(radius > 17.4) & (radius < 18)].all(), "the brain's outline"
+    assert not held[(radius > 25) & (radius < 28)].any(), "the skull's inside"
+    assert held[[0, -1], :62].all()
+    assert held[5, 66]

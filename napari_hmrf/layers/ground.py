@@ -29,6 +29,7 @@ from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.snapshot import look_of
 from napari_hmrf.layers.view import View
 from napari_hmrf.loose import scraps
+from napari_hmrf.outlines import outer_rim
 from napari_hmrf.presets import Preset
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
@@ -192,8 +193,8 @@ def read_ground(
     view : View, optional
         Which slice; by default the first, of the last two axes.
     hold_edge : bool
-        Whether the edge of the tissue stays where it is: its pixels beside what is no tissue or the
-        surroundings, and at the edge of the image.
+        Whether the outer edge of the tissue stays where it is: its pixels beside what is no tissue
+        or the surroundings, and at the edge of the image. Holes in it are free.
     prior : Prior, optional
         By default elastic tissue.
     preset : Preset, optional
@@ -234,7 +235,7 @@ def read_ground(
     base = replace(base, kinds=np.zeros(shape, dtype=np.uint8))
     if hold_edge:
         for part in (there, body):
-            base.c[part & ~ndimage.binary_erosion(part)] = 1
+            base.c[outer_rim(part)] = 1
     if boundary is not None:
         labels = take_slice(boundary, Frame.of(boundary, view), image, frame, shape)
         _paint_boundary(boundary, labels, base)

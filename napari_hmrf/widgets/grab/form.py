@@ -75,8 +75,8 @@ class GrabForm(Container):
         self.edge = CheckBox(
             text="hold the edge of the tissue",
             value=True,
-            tooltip="What lies beside no tissue, or at the edge of the image, stays where it is, "
-            "unless it is pulled itself",
+            tooltip="The outline of the tissue, and what lies at the edge of the image, stay where "
+            "they are, unless they are pulled themselves; holes in the tissue are free",
         )
         self.grab = PushButton(
             text="Grab and pull",
