@@ -8,6 +8,7 @@ from conftest import quick
 from napari.layers import Image, Labels, Points, Shapes
 from person import CTRL, Person
 from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.annotation import BoundaryRule, Material
@@ -152,6 +153,19 @@ def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
     assert found.should.value is None
     widget.deform()
     assert "only 'is' is chosen: choose another Points layer as 'should be at'" in widget.status
+
+
+def test_a_radius_is_typed_as_slowly_as_one_likes(chosen, wait_for):
+    widget, where, should = chosen
+    widget.landmarks = (where, should)
+    drawing = widget._watch._drawing
+    wait_for(lambda: not drawing.isActive())
+    field = menus(widget).radius.native
+    field.selectAll()
+    for letter in "12.5":
+        QTest.keyClicks(field, letter)
+        wait_for(lambda: not drawing.isActive())
+    assert (field.text(), menus(widget).radius.value) == ("12.5", 12.5)
 
 
 def test_without_points_there_are_no_menus_for_them(make_napari_viewer, wait_for):

@@ -146,8 +146,10 @@ class LandmarkChoice(Container):
         label = f"{_RADIUS} ({unit_symbol(frame.unit)})"
         if self.radius.label != label:
             self.radius.label = label
-        usual = usual_radius(shape, frame.spacing)
-        self.radius.native.setSpecialValueText(f"{usual:g} (usual)")
+        usual = f"{usual_radius(shape, frame.spacing):g} (usual)"
+        # Qt writes the field anew whenever it is told, while somebody types in it, too.
+        if self.radius.native.specialValueText() != usual:
+            self.radius.native.setSpecialValueText(usual)
 
     def listen(self) -> None:
         """Listen to the layers that are chosen, again."""
