@@ -15,6 +15,7 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.tables import Table
+from napari_hmrf.layers.undo_keys import UndoKeys
 from napari_hmrf.layers.view import View, unit_factor
 
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
@@ -25,9 +26,6 @@ CURVE = "curve"
 BACKGROUND = "background"
 #: And that with the points of a Points layer.
 POINTS = "points"
-
-#: Keys, and what they do.
-KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class ViewerSteps:
         self.edits = Edits()
         self._viewer = weakref.ref(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
-        self._bound: list[str] = []
+        self._keys: UndoKeys | None = None
         self.edits.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
 
@@ -135,7 +133,7 @@ class ViewerSteps:
         return nothing if step is None else self._tip("Do again", step, "Ctrl+Shift+Z")
 
     def bind_keys(self, owner: Owner) -> None:
-        """Undo and redo by keys wherever no layer has its own for them, as Labels have.
+        """Undo and redo by keys, beside napari's for paint, wherever no layer has others for them.
 
         Parameters
         ----------
@@ -144,24 +142,17 @@ class ViewerSteps:
         """
         viewer = self._viewer()
         self._owners.add(owner)
-        if viewer is None or self._bound:
+        if viewer is None or self._keys is not None:
             return
-        for key, name in KEYS.items():
-            try:
-                viewer.bind_key(key, lambda _, name=name: getattr(self, name)())
-            except ValueError:  # somebody else's
-                continue
-            self._bound.append(key)
+        go = {"undo": self.undo, "redo": self.redo}
+        self._keys = UndoKeys(viewer, self.edits, _is_paint, go)
 
     def unbind_keys(self, owner: Owner) -> None:
         """Leave the viewer's keys alone, unless somebody else still wants them."""
         self._owners.discard(owner)
-        viewer = self._viewer()
-        if self._owners or viewer is None:
-            return
-        for key in self._bound:
-            viewer.bind_key(key, None)
-        self._bound.clear()
+        if self._keys is not None and not self._owners:
+            self._keys.release()
+            self._keys = None
 
     def where(self, slot: Any) -> str:
         """Where something is edited, in words, if there is more than one place; else nothing."""
@@ -227,6 +218,10 @@ class ViewerSteps:
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
     return shared(getattr(viewer, "__wrapped__", viewer), ViewerSteps)
+
+
+def _is_paint(slot: Any) -> bool:
+    return isinstance(slot, Slot) and slot.what == BACKGROUND
 
 
 def _index_shown(layer: Any, view: View) -> tuple[int, ...]:

@@ -55,7 +55,7 @@ class AskedHere:
         if not said:
             self._say(f"Took back what was half done, {_GRAB}.")
         elif _is_drawing(said[-1][1]):
-            self._say(f"{said[-1][0].rstrip('.')}, {_GRAB}.")
+            self._say(_drawn(said[-1][0]))
 
 
 class DockSteps:
@@ -137,8 +137,16 @@ class DockSteps:
             self._buttons.show(self._steps)
 
     def _on_said(self, sentence: str, slot: Any) -> None:
-        if not _is_drawing(slot) and not self._life.away:
+        if self._life.away:
+            return
+        if not _is_drawing(slot):
             self._say(sentence)
+        elif not self._buttons.undo.native.visibleRegion().isEmpty():  # a tab in front
+            self._say(_drawn(sentence))
+
+
+def _drawn(sentence: str) -> str:
+    return f"{sentence.rstrip('.')}, {_GRAB}."
 
 
 def _is_drawing(slot: Any) -> bool:

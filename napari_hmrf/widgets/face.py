@@ -29,7 +29,7 @@ _OUTPUTS: dict[Kind, tuple[str, str, bool]] = {
 #: napari's own, for who paints.
 KEYS = (
     "While painting: 2 paints, 1 erases, 3 draws an outline, 4 fills; [ and ]: size of the brush; "
-    "hold Space: move the view. Ctrl+Z: undo. Ctrl+Shift+Z, or Ctrl+Y for all but paint: redo. "
+    "hold Space: move the view. Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. "
     "Ctrl+Shift+P: all commands, by their words."
 )
 #: Of the dock, in pixels: enough for the widest table.
