@@ -104,6 +104,76 @@ def test_what_is_looked_at_lies_on_top(at_hand, run, settle, wait_for):
     assert "Deformed image" not in seen(viewer)
 
 
+@pytest.fixture
+def two_results(at_hand, run, settle):
+    """What was deformed, and then pulled, which is seen; a look that is opened now."""
+    person, opened = at_hand
+    puller, deform = opened("Grab and pull"), opened("Deform tissue")
+    run(deform)
+    drag_a_patch(person, puller, settle)
+    return person.viewer, opened("Look at the result")
+
+
+def go_on_pulling(viewer):
+    viewer.layers.selection = {viewer.layers["MR"]}
+    viewer.layers.selection = {viewer.layers["Arrows"]}
+
+
+def colours_seen(viewer):
+    """What the colours that are seen belong to: who made the result."""
+    return [
+        known_of(layer)["by"]
+        for layer in viewer.layers
+        if layer.visible and known_of(layer).get("kind") == "magnitude"
+    ]
+
+
+def test_a_look_begins_with_the_result_that_is_seen(two_results):
+    viewer, look = two_results
+    assert look.result is viewer.layers["Displacement"]
+
+
+def test_a_result_that_is_chosen_is_seen_and_its_colours_alone(two_results, wait_for):
+    viewer, look = two_results
+    for choice, by in (("Displacement", "grab"), ("MR arrows", "deform")) * 2:
+        look.result = viewer.layers[choice]
+        look.colours, look.grid = "magnitude", True
+        wait_for(lambda: look.idle)
+        assert viewer.layers["Deformed image"].visible == (by == "grab")
+        assert viewer.layers["MR deformed"].visible == (by == "deform")
+        assert colours_seen(viewer) == [by]
+        assert look.grid
+        grids = [layer for layer in viewer.layers if known_of(layer).get("kind") == "grid"]
+        assert [known_of(layer)["by"] for layer in grids if layer.visible] == [by]
+    look.result = None
+    wait_for(lambda: look.idle)
+    assert colours_seen(viewer) == []
+    assert look.status == "Choose a result above to look at it."
+
+
+def test_colours_of_a_result_are_seen_on_it_and_not_on_another(two_results, wait_for):
+    viewer, look = two_results
+    look.result = viewer.layers["MR arrows"]
+    look.colours = "magnitude"
+    wait_for(lambda: look.idle)
+    go_on_pulling(viewer)
+    assert viewer.layers["Deformed image"].visible
+    assert colours_seen(viewer) == []
+    look.result.data = look.result.data.copy()  # anew, by a dock that follows in the background
+    wait_for(lambda: look.idle)
+    assert colours_seen(viewer) == []
+    look.colours = "jacobian"
+    wait_for(lambda: look.idle)
+    assert viewer.layers["MR deformed"].visible
+    assert not viewer.layers["Deformed image"].visible
+    look.colours = "nothing"
+    go_on_pulling(viewer)
+    look.result = viewer.layers["MR arrows"]
+    wait_for(lambda: look.idle)
+    kinds = {known_of(layer).get("kind") for layer in viewer.layers if layer.visible}
+    assert "jacobian" not in kinds
+
+
 def topmost(viewer):
     """The picture that is seen: whatever lies below it is covered."""
     return [name for name in pictures(viewer) if viewer.layers[name].visible][-1]

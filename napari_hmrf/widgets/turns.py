@@ -72,6 +72,17 @@ def give_way(viewer: Any, maker: Maker, source: str = "", where: str | None = No
     return True
 
 
+def has_turn(viewer: Any, maker: Maker, source: str = "", where: str | None = None) -> bool:
+    """Whether a dock's layers are seen; parameters as of `take_turn`."""
+    return any(layer.visible for layer, by in _signed(viewer, source, where) if by == maker)
+
+
+def hide(layer: Any) -> None:
+    """Hide a layer that nobody wants to see; its dock's turn does not bring it back."""
+    layer.visible = False
+    _waiting.discard(layer)
+
+
 def _signed(viewer: Any, source: str, where: str | None) -> list[tuple[Any, Maker]]:
     """The layers of a slice that show a result, and who makes them."""
     found = []

@@ -58,6 +58,8 @@ class ArrowChoices:
     def _on_drawn(self, drawn: bool) -> None:
         if self._shown.arrows is not None:
             self._shown.arrows.visible = drawn
+            if drawn:
+                self._shown.take_turn()
 
     def _on_count(self, about: int) -> None:
         result, arrows = self._shown.result, self._shown.arrows

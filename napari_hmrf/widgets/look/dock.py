@@ -15,7 +15,8 @@ from napari_hmrf.layers.point import Probe
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
-from napari_hmrf.widgets.look.words import LOST, NO_IMAGE, NO_RESULT, POINT
+from napari_hmrf.widgets.look.shown import is_seen
+from napari_hmrf.widgets.look.words import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, POINT
 from napari_hmrf.widgets.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
@@ -53,7 +54,7 @@ class LookAtResult(LookControls):
         self._nothing = NO_RESULT
         self._connect()
         self._on_theme()
-        self._choose_newest()
+        self._choose(seen=True)
         if self.result is None:
             self._take()
 
@@ -90,7 +91,7 @@ class LookAtResult(LookControls):
 
     def _connect(self) -> None:
         face, viewer = self._face, self._viewer
-        face.result.changed.connect(self._take)
+        face.result.changed.connect(self._on_result)
         face.image.changed.connect(self._on_image)
         face.slider.changed.connect(self._on_slider)
         face.play.changed.connect(self._on_play)
@@ -113,22 +114,31 @@ class LookAtResult(LookControls):
         )
         self._bind_key()
 
-    def _choose_newest(self) -> None:
+    def _choose(self, seen: bool = False) -> None:
+        """Look at the newest result, or at the newest of those that are seen."""
         self._face.result.refresh()
         offered = self._face.result.offered
-        if offered:
-            self._face.result.value = offered[-1]
+        if seen:
+            offered = [each for each in offered if is_seen(self._viewer, each)] or offered
+        if offered and offered[-1] is not self.result:
+            with self._face.result.changed.blocked():
+                self._face.result.value = offered[-1]
+            self._take()
 
-    def _take(self, *_: Any) -> None:
+    def _on_result(self, *_: Any) -> None:
+        self._take(chosen=True)
+
+    def _take(self, chosen: bool = False) -> None:
         """Look at the result that is chosen, as it is now."""
         if self.away:
             return
-        gone, self._nothing = self._followed, NO_RESULT
+        gone = self._followed
+        self._nothing = NO_CHOICE if self._face.result.offered else NO_RESULT
         if self.result is None and gone is not None and gone not in self._viewer.layers:
             self._nothing = LOST.format(layer=gone.name)
         self._follow(self.result)
         self._taken = None if self.result is None else result_of(self.result)
-        self._scene.take(self.result)
+        self._scene.take(self.result, chosen)
         self._follow_grid(self._scene.shown.layer("grid"))
         self._face.status.say(self._nothing if self.result is None else self._scene.words)
 
@@ -170,7 +180,7 @@ class LookAtResult(LookControls):
         if self.away:
             return
         if self._is_result(event.value):
-            self._choose_newest()
+            self._choose()
         self._on_layers()
 
     def _on_layers(self, *_: Any) -> None:
@@ -242,7 +252,7 @@ class LookAtResult(LookControls):
 
     def _on_opened(self) -> None:
         self._bind_key()
-        self._choose_newest()
+        self._choose(seen=True)
         self._take()
 
     def _on_closed(self) -> None:

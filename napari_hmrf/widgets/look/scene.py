@@ -46,6 +46,7 @@ from napari_hmrf.widgets.look.words import (
 )
 from napari_hmrf.widgets.look.work import coloured, figures_of, grid_of, unmoved
 from napari_hmrf.widgets.timers import single_shot
+from napari_hmrf.widgets.turns import hide
 
 #: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
 _TURN = 10
@@ -92,11 +93,21 @@ class Scene:
         solution = None if result is None else result.solution
         return (None if now is None else now.solution) is not solution
 
-    def take(self, arrows: Any) -> None:
-        """Look at another result, or at the same layer with another result in it."""
+    def take(self, arrows: Any, chosen: bool = False) -> None:
+        """Look at another result, or at the same layer with another result in it.
+
+        Parameters
+        ----------
+        arrows : napari.layers.Vectors, optional
+            The layer that holds it.
+        chosen : bool
+            Whether somebody wants to see it, whichever is seen now.
+        """
         face, shown = self._face, self.shown
+        drawn = arrows is not shown.arrows and bool(face.grid.value)
         if arrows is not shown.arrows:
             self.put_back()
+            shown.leave()
         self._draw_whole()
         shown.release()
         shown.hide_own_picture()
@@ -127,22 +138,27 @@ class Scene:
             face.colours.value = chosen
         self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
         face.energy.show_solution(result.solution)
-        self._take_layers(result)
+        if chosen:
+            shown.come_forward()
+        self._take_layers(result, drawn)
         self._errands.send(
             "points", partial(Points, result.solution), partial(self._on_points, arrows, result)
         )
 
-    def _take_layers(self, result: FoundResult) -> None:
+    def _take_layers(self, result: FoundResult, drawn: bool) -> None:
         """Let the parts of the widget say what the layers are, and the layers what it says."""
         face, shown = self._face, self.shown
         self.look_at_eyes()
+        if drawn:  # as that of the result before
+            with face.grid.changed.blocked():
+                face.grid.value = True
         self._set_slider(FULL)
         shown.remember()
         self.prepare()
         self._arrows.apply()
         if face.colours.value != NOTHING:
-            self._on_colours(face.colours.value)
-        if face.grid.value and shown.own("grid") is not None:
+            self._make_colours(result, face.colours.value)
+        if face.grid.value and (drawn or shown.own("grid") is not None):
             self._make_grid(result)
 
     def look_at_eyes(self) -> None:
@@ -280,9 +296,13 @@ class Scene:
             self._colours = None
             layer = self.shown.layer("colours")
             if layer is not None:
-                layer.visible = False
+                hide(layer)
             self.prepare()
             return
+        self._make_colours(result, quantity)
+        self.shown.take_turn()
+
+    def _make_colours(self, result: FoundResult, quantity: Any) -> None:
         work = partial(coloured, result, quantity)
         self._errands.send("colours", work, partial(self._show_colours, result))
 
@@ -291,7 +311,7 @@ class Scene:
             return
         made, self._colours = found
         made.attributes["metadata"][METADATA]["percent"] = 0
-        self.shown.put("colours", made)
+        self._put("colours", made)
         self.prepare()
         self.player.show(self._face.slider.value)
 
@@ -305,10 +325,16 @@ class Scene:
             self._make_grid(result)
         self.prepare()
         if drawn:
+            self.shown.take_turn()
             self.player.show(self._face.slider.value)
 
     def _make_grid(self, result: FoundResult) -> None:
-        self._errands.send("grid", partial(grid_of, result), partial(self.shown.put, "grid"))
+        self._errands.send("grid", partial(grid_of, result), partial(self._put, "grid"))
+
+    def _put(self, kind: str, made: LayerData) -> None:
+        """Show what was made for this result, now or when it is its turn."""
+        self.shown.put(kind, made)
+        self.shown.give_way()
 
     def _make_image(self) -> None:
         result, source, motion = self.shown.result, self.shown.source, self.player.motion

@@ -8,11 +8,11 @@ from typing import Any
 
 from napari.layers import Layer
 
-from napari_hmrf.layers.found import FoundResult, companion
+from napari_hmrf.layers.found import FoundResult, companion, result_of
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.moving import Moment
 from napari_hmrf.layers.outputs import Kind, LayerData
-from napari_hmrf.widgets.turns import take_turn
+from napari_hmrf.widgets.turns import Maker, give_way, has_turn, hide, take_turn
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 #: The layers that take the pixels of a moment.
@@ -61,6 +61,13 @@ class ShownLayers:
         """The layer of a kind that nobody but this keeps; None if there is none."""
         reference = None if self.arrows is None else _made.get(self.arrows, {}).get(kind)
         return still_there(self._viewer, None if reference is None else reference())
+
+    def leave(self) -> None:
+        """Hide what nobody but this has drawn of a result, as another is looked at."""
+        for kind in ("image", "colours", "grid"):
+            layer = self.own(kind)
+            if layer is not None:
+                hide(layer)
 
     def hide_own_picture(self) -> None:
         """Hide a picture that follows nobody's next result, until it is moved again."""
@@ -160,9 +167,24 @@ class ShownLayers:
 
     def take_turn(self) -> None:
         """Have the result that is looked at seen, and no other of its slice."""
-        facts = {} if self.result is None else self.result.facts
-        if self.result is not None and "by" in facts:
-            take_turn(self._viewer, facts["by"], self.result.source, facts.get("slice"))
+        if self.result is not None and "by" in self.result.facts:
+            own = self.own("image")
+            seen = own is not None and own.visible
+            take_turn(self._viewer, *_place_of(self.result))
+            if seen:  # it is a picture of this result, too
+                own.visible = True
+
+    def give_way(self) -> None:
+        """Have it wait, if another of its slice is seen."""
+        if self.result is not None and "by" in self.result.facts:
+            give_way(self._viewer, *_place_of(self.result))
+
+    def come_forward(self) -> None:
+        """Have the result seen that somebody has chosen, with its picture if there is one."""
+        self.take_turn()
+        picture = self.layer("image")
+        if picture is not None and picture is not self.own("image"):
+            picture.visible = True
 
     def release(self) -> None:
         """Show again what `hold_before` hid."""
@@ -198,6 +220,19 @@ class ShownLayers:
         below = [self.source, self.layer("image"), *moved]
         places = [layers.index(layer) + 1 for layer in below if layer in layers]
         return max(places, default=0)
+
+
+def is_seen(viewer: Any, arrows: Any) -> bool:
+    """Whether it is the result in a layer that is seen, of those of its slice."""
+    result = result_of(arrows)
+    if result is None or "by" not in result.facts:
+        return bool(arrows.visible)
+    return has_turn(viewer, *_place_of(result))
+
+
+def _place_of(result: FoundResult) -> tuple[Maker, str, str | None]:
+    """Who made a result, of what image and slice."""
+    return result.facts["by"], result.source, result.facts.get("slice")
 
 
 def _is_moved(layer: Any, where: Any) -> bool:

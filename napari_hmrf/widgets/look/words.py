@@ -14,6 +14,7 @@ NO_RESULT = (
     "There is no result to look at yet. Press Deform in 'Deform tissue' (Plugins menu), or open a "
     "saved one (File > Open)."
 )
+NO_CHOICE = "Choose a result above to look at it."
 LOST = (
     "The result was in the layer '{layer}', which was deleted. Press Deform, or pull again, to "
     "make it anew. To hide arrows, take the tick from 'arrows' here or close their layer's eye."
