@@ -420,6 +420,15 @@ def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, se
     assert look.at((-5, 3)) is None
 
 
+def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
+    def said():
+        return look._scene.cursor.at((10, 20))[1]
+
+    assert said().startswith("moves")
+    set_to(look, percent=30)
+    assert said().startswith("at 100 %: moves")
+
+
 def test_reading_under_the_cursor_is_quick(look):
     started = time.perf_counter()
     for _ in range(100):
@@ -652,15 +661,17 @@ def test_what_others_drew_since_is_not_put_back(look, set_to):
     assert moved.data is newer
 
 
-def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, wait_for):
+def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, set_to, wait_for):
     from skimage.io import imread
 
     viewer, _, look = window
+    set_to(look, percent=30)
     got = []
     look.saved.connect(got.append)
     look.save_pictures(tmp_path)
     wait_for(lambda: bool(got), 30_000)
     assert got[0][0].name == "canvas.png"
+    assert "canvas.png is as you see it, at 30 %; the others show the whole" in look.status
     assert imread(got[0][0]).std() > 5
     assert not viewer.canvas.overlays.scale_bar.visible
 

@@ -29,11 +29,14 @@ class UnderCursor:
     viewer : napari.Viewer or ViewerModel
     say : callable
         Given each new line; "" when the cursor has left the image.
+    percent : callable
+        How much of the deformation was chosen to be seen.
     """
 
-    def __init__(self, viewer: Any, say: Callable[[str], None]) -> None:
+    def __init__(self, viewer: Any, say: Callable[[str], None], percent: Callable[[], int]) -> None:
         self._viewer = viewer
         self._say = say
+        self._percent = percent
         self._result: FoundResult | None = None
         self._arrows: Any = None
         self._points: Points | None = None
@@ -103,7 +106,8 @@ class UnderCursor:
         found = points.at(place, self._fraction())
         if found is None:
             return None, NO_TISSUE
-        return found, at_point(result.unit, found, self._ways, self._stiffness(found))
+        stiffness = self._stiffness(found)
+        return found, at_point(result.unit, found, self._ways, stiffness, self._percent())
 
     def _stiffness(self, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

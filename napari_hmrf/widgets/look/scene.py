@@ -70,7 +70,9 @@ class Scene:
         self._errands = Errands(widget.native, self._refuse)
         self.shown = ShownLayers(viewer)
         self.player = Player(widget.native, self._errands, self._draw)
-        self.cursor = UnderCursor(viewer, lambda line: face.point.say(line or POINT))
+        self.cursor = UnderCursor(
+            viewer, lambda line: face.point.say(line or POINT), lambda: int(face.slider.value)
+        )
         self._arrows = ArrowChoices(face, self.shown, self._errands)
         self._colours: FloatArray | None = None
         self._longest = 0.0
@@ -238,7 +240,7 @@ class Scene:
 
     def save(self, folder: Path, done: Callable[[Any], None], own_folder: bool = False) -> None:
         """Write pictures of what is seen, and of the result."""
-        result = self.shown.result
+        result, face = self.shown.result, self._face
         if result is None:
             return
         try:
@@ -248,15 +250,15 @@ class Scene:
         except OSError as error:
             self._refuse(error)
             return
-        motion = self.player.motion
+        motion, percent = self.player.motion, face.slider.value
         image = None if motion is None else motion.image
         work = partial(figures_of, result, image, folder)
 
         def tell(paths: list[Path]) -> None:
-            self._face.status.say(saved([*written, *paths]))
+            face.status.say(saved(written, paths, percent))
             done([*written, *paths])
 
-        self._face.status.say(SAVING)
+        face.status.say(SAVING)
         self._errands.send("pictures", work, tell)
 
     # Answers of the compute thread

@@ -82,15 +82,21 @@ def folded(count: int) -> str:
     )
 
 
-def at_point(unit: str, found: Probe, ways: Directions, stiffness: str = "") -> str:
-    """What is under the cursor, in a line short enough for the status bar."""
+def at_point(
+    unit: str, found: Probe, ways: Directions, stiffness: str = "", percent: int = FULL
+) -> str:
+    """What is under the cursor, in a line short enough for the status bar.
+
+    It is of the whole deformation, however much (`percent`) of it is seen.
+    """
     down, along = (_rounded(part) for part in found.displacement)
     length = _rounded(found.length)
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
         f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
     ]
-    return ", ".join([*parts, *([stiffness] if stiffness else [])])
+    line = ", ".join([*parts, *([stiffness] if stiffness else [])])
+    return line if percent == FULL else f"at {FULL} %: {line}"
 
 
 def _rounded(length: float) -> float:
@@ -104,7 +110,14 @@ def stiffness_of(name: str, stiffness: float, unit: str) -> str:
     return f"{amount} ({name})" if name else amount
 
 
-def saved(paths: Sequence[Path]) -> str:
-    """What was written, and where."""
+def saved(canvas: Sequence[Path], figures: Sequence[Path], percent: int) -> str:
+    """What was written, and where; the canvas at so much of the deformation, figures of all."""
+    paths = [*canvas, *figures]
+    if not paths:
+        return "Nothing was saved."
     names = ", ".join(path.name for path in paths)
-    return f"Saved in {paths[0].parent}: {names}." if paths else "Nothing was saved."
+    said = f"Saved in {paths[0].parent}: {names}."
+    if not canvas or percent == FULL:
+        return said
+    shown = f"{canvas[0].name} is as you see it, at {percent} %"
+    return f"{said} {shown}; the others show the whole deformation."
