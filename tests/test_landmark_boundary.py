@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import quick
 from napari.layers import Image, Labels, Points, Shapes
-from person import CTRL, Person
+from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
@@ -407,3 +407,44 @@ def test_lines_are_chosen_alone_previewed_and_followed(docked, small_sample, run
     docked.live = True
     drawn.data = [np.array([(8.0, 8.0), (8.0, 11.0)])]
     wait_for(lambda: abs(docked.solution.displacement[8, 8, 1] - 3) < 0.1, 60_000)
+
+
+def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
+    make_napari_viewer, small_sample, wait_for, qtbot
+):
+    viewer = make_napari_viewer(show=True)
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    quick(widget)
+    small_sample(viewer)
+    drawn = viewer.add_layer(lines(("path", [(8, 8), (9, 9), (10, 8)])))
+    drawn.edge_color, drawn.edge_width = "red", 0.5
+    menus(widget).where.value = drawn
+    undo = widget.footer.steps.undo
+    viewer.layers.selection.active = drawn
+    drawn.mode = "add_line"
+    person = Person(viewer, qtbot)
+    qtbot.wait(50)
+    person.paint((14, 8), (14, 10), (14, 13))
+    assert len(drawn.data) == 2
+    wait_for(lambda: undo.enabled)
+    assert "added a line to 'drawn'" in undo.tooltip
+    both = [line.copy() for line in drawn.data]
+    np.testing.assert_allclose(both[1], [(14, 8), (14, 13)], atol=0.3)
+    wait_for(lambda: widget._steps.steps.edits.in_progress is None)
+    drawn.data = [both[0] + 1, both[1]]
+    wait_for(lambda: "moved lines" in undo.tooltip)
+    drawn.selected_data = {0}
+    drawn.remove_selected()
+    assert "removed a line" in undo.tooltip
+    for held in ([both[0] + 1, both[1]], both, both[:1]):
+        person.key(Qt.Key.Key_Z, CTRL)
+        assert len(drawn.data) == len(held)
+        for line, there in zip(drawn.data, held, strict=True):
+            np.testing.assert_array_equal(line, there)
+        assert drawn.shape_type[0] == "path"
+        assert list(drawn.edge_color[0]) == [1, 0, 0, 1]
+        assert drawn.edge_width[0] == 0.5
+    assert not undo.enabled, "what was drawn by one drag is one step"
+    assert widget.status == "Took back: added a line to 'drawn'."
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    np.testing.assert_array_equal(drawn.data[1], both[1])

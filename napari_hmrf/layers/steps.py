@@ -24,7 +24,7 @@ DRAWING = "drawing"
 CURVE = "curve"
 #: And that with what was painted as no tissue at once, in a slice.
 BACKGROUND = "background"
-#: And that with the points of a Points layer.
+#: And that with the points of a Points layer, or the lines of a Shapes layer.
 POINTS = "points"
 
 

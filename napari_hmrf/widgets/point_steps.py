@@ -1,4 +1,4 @@
-"""Edits of landmarks as steps that can be undone: napari has no undo of points."""
+"""Edits of landmarks as steps that can be undone: napari has no undo of points, or of lines."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from functools import partial
 from operator import eq
 from typing import Any
 
-from napari.layers import Points
+from napari.layers import Points, Shapes
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf.layers.placed import Placed
+from napari_hmrf.layers.placed import placed_in
 from napari_hmrf.layers.steps import POINTS, Slot, steps_of
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.timers import single_shot
 
-#: How long points must rest until a drag of them is over, in milliseconds.
+#: How long points, or lines, must rest until a drag of them is over, in milliseconds.
 _REST = 200
 
 
 class PointSteps:
-    """Keeps what is done to points that are landmarks, and puts back what is undone.
+    """Keeps what is done to points or lines that are landmarks, and puts back what is undone.
 
     A drag is one step, however many times napari tells of it. Points that have steps are listened
     to until their layer is removed, landmarks or not, whichever docks are closed: what is put back
@@ -51,9 +51,9 @@ class PointSteps:
         owner : object
             Who chose them; known weakly.
         layers : iterable of napari.layers.Layer
-            Those that are no points do not matter.
+            Those that are neither points nor lines do not matter.
         """
-        points = tuple(layer for layer in layers if isinstance(layer, Points))
+        points = tuple(layer for layer in layers if isinstance(layer, Points | Shapes))
         if points == self._chosen.get(owner, ()):
             return
         self._end()
@@ -65,7 +65,7 @@ class PointSteps:
                 self._heard.pop(layer).release()
                 self._edits.drop(partial(eq, slot))
         for layer in wanted - self._heard.keys():
-            self._edits.open(Slot(POINTS, layer), Placed.of(layer))
+            self._edits.open(Slot(POINTS, layer), placed_in(layer))
             self._heard[layer] = Listening((layer.events.data, self._on_data))
 
     def _on_removed(self, event: Any) -> None:
@@ -75,7 +75,7 @@ class PointSteps:
 
     def _on_data(self, event: Any) -> None:
         layer = event.source
-        slot, now = Slot(POINTS, layer), Placed.of(layer)
+        slot, now = Slot(POINTS, layer), placed_in(layer)
         before = self._edits.get(slot)
         if self._undoing or before is None:
             return
@@ -83,16 +83,17 @@ class PointSteps:
         if now == before:
             before.look.update(now.look)
             return
-        if self._edits.in_progress != slot or now.shape != before.shape:
+        if self._edits.in_progress != slot or now.count != before.count:
             self._edits.begin(slot, before.change(now, layer.name))
         self._edits.update(now)
-        if now.shape == before.shape:
+        if now.count == before.count or _is_drawn(layer):
             self._resting.start()
         else:
             self._end()
 
     def _on_rest(self) -> None:
-        if QApplication.mouseButtons() != Qt.MouseButton.NoButton:
+        drawn = any(_is_drawn(layer) for layer in self._heard)
+        if drawn or QApplication.mouseButtons() != Qt.MouseButton.NoButton:
             self._resting.start()
         else:
             self._end()
@@ -105,10 +106,15 @@ class PointSteps:
             self._edits.end()
 
     def _on_undone(self, slot: Any, value: Any) -> None:
-        if not isinstance(slot, Slot) or slot.what != POINTS or Placed.of(slot.layer) == value:
+        if not isinstance(slot, Slot) or slot.what != POINTS or placed_in(slot.layer) == value:
             return
         self._undoing = True
         try:
             value.give_to(slot.layer)
         finally:
             self._undoing = False
+
+
+def _is_drawn(layer: Any) -> bool:
+    """Whether a line is there that is not drawn to its end: it is one step with what follows."""
+    return bool(getattr(layer, "_is_creating", False))
