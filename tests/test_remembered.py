@@ -36,7 +36,7 @@ def test_what_is_computed_begins_with_the_paper_each_time(qtbot):
     assert second.settings.is_the_papers
 
 
-def test_how_arrows_look_is_remembered(qtbot):
+def test_how_many_arrows_are_drawn_is_remembered_but_not_that_they_are_longer_than_true(qtbot):
     from napari.components import ViewerModel
 
     from napari_hmrf.widgets.look.dock import LookAtResult
@@ -48,7 +48,7 @@ def test_how_arrows_look_is_remembered(qtbot):
         first, second = second, made
         if first is None:
             made._face.count.value, made._face.length.value, made._face.grid.value = 50, 2.5, True
-    assert (second._face.count.value, second._face.length.value) == (50, 2.5)
+    assert (second._face.count.value, second._face.length.value) == (50, 1.0)
     assert second._face.grid.value is False
 
 

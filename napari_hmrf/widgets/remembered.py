@@ -1,4 +1,4 @@
-"""What outlasts a session: how arrows look, and where results are computed.
+"""What outlasts a session: how many arrows are drawn, and where results are computed.
 
 Never what is computed, and never which layers a result makes: whoever opens a dock has the paper's
 model and the calm picture of the first minute, whatever was tried last.

@@ -109,7 +109,8 @@ class LookFace:
         self.status = Prose()
         self.keys = Prose()
         self.keys.say(KEYS)
-        remember("look", {"count": self.count, "length": self.length})
+        # Not how long they are: arrows that are not true to scale are asked for each time.
+        remember("look", {"count": self.count})
         self._assemble(outer)
 
     def _assemble(self, outer: Container) -> None:
