@@ -21,6 +21,7 @@ from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.point import Probe
 from napari_hmrf.layers.quantity_layers import reach_of
 from napari_hmrf.optimizers import ICM
+from napari_hmrf.quantities import green_lagrange_strain
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
 from napari_hmrf.widgets.look.saving import save_canvas
@@ -418,6 +419,20 @@ def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, se
     assert look.at((10, 21)).length == pytest.approx(3, abs=0.05)
     viewer_of(look).layers["MR deformed"].visible = False
     assert look.at((-5, 3)) is None
+
+
+def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
+    def said():
+        return look._scene.cursor.at((10, 12))[1]
+
+    set_to(look, colours="columns")
+    solution = known_of(look.result)["solution"]
+    along = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
+    col = look.at((10, 12)).col
+    assert f"strain along columns {100 * along[10, col, 1, 1]:.3g} %" in said()
+    assert along[10, col, 1, 1] > 0.05, "it is pulled out"
+    set_to(look, colours="magnitude")
+    assert "strain" not in said()
 
 
 def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):

@@ -14,8 +14,9 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.naming import full_resolution
 from napari_hmrf.layers.point import Points, Probe
+from napari_hmrf.layers.quantity_layers import FloatArray, Quantity
 from napari_hmrf.layers.view import View
-from napari_hmrf.widgets.look.words import NO_TISSUE, at_point, stiffness_of
+from napari_hmrf.widgets.look.words import NO_TISSUE, at_point, stiffness_of, strain_of
 
 
 class UnderCursor:
@@ -46,6 +47,8 @@ class UnderCursor:
         self._materials: dict[int, Material] = {}
         self._fraction: Callable[[], float] = lambda: 0.0
         self._line = ""
+        #: What colours show, and its values, (H, W); None: there are none.
+        self.coloured: tuple[Quantity, FloatArray] | None = None
         viewer.events.status.connect(self._on_status)
 
     def release(self) -> None:
@@ -106,8 +109,14 @@ class UnderCursor:
         found = points.at(place, self._fraction())
         if found is None:
             return None, NO_TISSUE
-        stiffness = self._stiffness(found)
-        return found, at_point(result.unit, found, self._ways, stiffness, self._percent())
+        more = self._strain(found), self._stiffness(found)
+        return found, at_point(result.unit, found, self._ways, more, self._percent())
+
+    def _strain(self, found: Probe) -> str:
+        if self.coloured is None:
+            return ""
+        quantity, values = self.coloured
+        return strain_of(quantity, float(values[found.row, found.col]))
 
     def _stiffness(self, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

@@ -74,7 +74,6 @@ class Scene:
             viewer, lambda line: face.point.say(line or POINT), lambda: int(face.slider.value)
         )
         self._arrows = ArrowChoices(face, self.shown, self._errands)
-        self._colours: FloatArray | None = None
         self._longest = 0.0
         self._drawn: tuple[int, Moment] | None = None
         # Lines take napari as long as the image: each has a turn of its own.
@@ -115,7 +114,7 @@ class Scene:
         shown.hide_own_picture()
         self.player.stop()
         self._errands.forget()
-        self._colours = None
+        self.cursor.coloured = None
         result = None if arrows is None else result_of(arrows)
         shown.arrows, shown.result = arrows, result
         for part in face.of_result:
@@ -191,9 +190,9 @@ class Scene:
         except HmrfError as error:
             self._refuse(error)
         self.cursor.stiffness_from(tissue_of(self._viewer.layers, result), result)
-        self.player.motion = Motion(
-            result.solution, image, labels, self._colours, bool(face.grid.value)
-        )
+        coloured = self.cursor.coloured
+        colours = None if coloured is None else coloured[1]
+        self.player.motion = Motion(result.solution, image, labels, colours, bool(face.grid.value))
 
     def ready_to_move(self) -> bool:
         """Have a layer that can be moved; whether there is one."""
@@ -295,7 +294,7 @@ class Scene:
         if result is None:
             return
         if quantity == NOTHING:
-            self._colours = None
+            self.cursor.coloured = None
             layer = self.shown.layer("colours")
             if layer is not None:
                 hide(layer)
@@ -311,8 +310,10 @@ class Scene:
     def _show_colours(self, result: FoundResult, found: tuple[LayerData, FloatArray]) -> None:
         if result is not self.shown.result:
             return
-        made, self._colours = found
-        made.attributes["metadata"][METADATA]["percent"] = 0
+        made, values = found
+        known = made.attributes["metadata"][METADATA]
+        self.cursor.coloured = known["kind"], values
+        known["percent"] = 0
         self._put("colours", made)
         self.prepare()
         self.player.show(self._face.slider.value)

@@ -8,7 +8,7 @@ from pathlib import Path
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult
 from napari_hmrf.layers.point import Probe
-from napari_hmrf.layers.quantity_layers import Quantity
+from napari_hmrf.layers.quantity_layers import QUANTITIES, Quantity
 
 NO_RESULT = (
     "There is no result to look at yet. Press Deform in 'Deform tissue' (Plugins menu), or open a "
@@ -83,7 +83,11 @@ def folded(count: int) -> str:
 
 
 def at_point(
-    unit: str, found: Probe, ways: Directions, stiffness: str = "", percent: int = FULL
+    unit: str,
+    found: Probe,
+    ways: Directions,
+    more: Sequence[str] = (),
+    percent: int = FULL,
 ) -> str:
     """What is under the cursor, in a line short enough for the status bar.
 
@@ -95,8 +99,14 @@ def at_point(
         f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
         f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
     ]
-    line = ", ".join([*parts, *([stiffness] if stiffness else [])])
+    line = ", ".join([*parts, *filter(None, more)])
     return line if percent == FULL else f"at {FULL} %: {line}"
+
+
+def strain_of(quantity: Quantity, value: float) -> str:
+    """The strain that colours show; of what is in each line anyway, nothing."""
+    title, unit = QUANTITIES[quantity]
+    return f"{title} {_rounded(value):g} {unit}" if unit == "%" else ""
 
 
 def _rounded(length: float) -> float:
