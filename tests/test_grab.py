@@ -520,3 +520,30 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
     solution = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"]
     assert np.array_equal(solution.tissue, disc)
     assert not solution.displacement[~disc].any()
+
+
+def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, qtbot):
+    person, widget = open_window()
+    person.viewer.dims.ndisplay = 3
+    assert not widget.start()
+    assert "two dimensions" in widget.status
+    person.viewer.dims.ndisplay = 2
+    qtbot.wait(100)
+    assert widget.status == "Press 'Grab and pull', then drag tissue in the image."
+
+
+def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling, settle):
+    person, widget = pulling
+    how = widget.status
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    layers = person.viewer.layers
+    layers.selection.active = layers["MR"]
+    assert "Paused" in widget.status
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.status.startswith("Took back: drew an arrow. Paused")
+    layers.selection.active = layers["Arrows"]
+    layers.selection.active = layers["MR"]
+    assert widget.status.startswith("Paused")
+    layers.selection.active = layers["Arrows"]
+    assert (widget.active, widget.status) == (True, how)

@@ -53,9 +53,10 @@ class GrabAndPull(GrabControls):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        self._started = self._sized = False
+        self._started = self._sized = self._was_active = False
         self._status = self._step = ""
         self._resting = single_shot(self.native, _REST, self._on_rest)
+        self._selected = single_shot(self.native, 0, self.active_changed)
         self._toolbox = Toolbox(
             self.form, self._puller, self._viewer, self.say, start=self.start, stop=self.stop
         )
@@ -125,6 +126,8 @@ class GrabAndPull(GrabControls):
             Whether there is anything to draw on.
         """
         if not self._started or self.away:
+            if self._status == FLAT and self._viewer.dims.ndisplay == 2:
+                self.say(self._invitation)
             return False
         try:
             if self.image is None:
@@ -177,14 +180,19 @@ class GrabAndPull(GrabControls):
 
     def active_changed(self) -> None:
         """Another layer feels the mouse, or ours does again."""
-        if self._puller.quiet or is_selection_kept(self._viewer):
+        if is_selection_kept(self._viewer):
+            self._selected.start()  # what is selected then counts
+            return
+        before, self._was_active = self._was_active, self.active
+        if self._puller.quiet:
             return
         if not self.active:
             self._puller.answers.release()
-            if self._status.startswith(self._puller.tool.how):
+            if before and self._rests and self._status != ARROWS_GONE:
                 self.say(OFF)
         else:
-            self._puller.display.take_turn()
+            if not before:
+                self._puller.display.take_turn()
             if self._status == OFF:
                 self.say(self._puller.tool.how)
         self.show_toggle()
@@ -226,6 +234,11 @@ class GrabAndPull(GrabControls):
         puller.seen.connect(self.seen.emit)
 
     @property
+    def _rests(self) -> bool:
+        """Whether the tool was taken up, and put down."""
+        return self._started and self._puller.ground is not None and not self.active
+
+    @property
     def _covered(self) -> str:
         """That the image is hidden beneath another, if it is."""
         image = still_there(self._viewer, self.image)
@@ -254,21 +267,26 @@ class GrabAndPull(GrabControls):
             self.form.show_steps(self._puller.steps, len(self.drawing.marks), selected)
 
     def _on_said(self, sentence: str) -> None:
+        if sentence == self._puller.tool.how and self._puller.preparing:
+            return  # not yet
         # On another slice, too, it is still to be read what was taken back there.
         if sentence not in (self._puller.tool.how, OFF) or self._status != self._step:
             self.say(self._covered or sentence if sentence == self._puller.tool.how else sentence)
 
     def _on_begun(self) -> None:
         self._step = ""
-        self.say(self._puller.tool.how)
+        if not self._puller.preparing:
+            self.say(self._puller.tool.how)
 
     def _on_warned(self, warning: str) -> None:
         if not self.away:
             self.form.warn(warning)
 
     def _on_step(self, sentence: str, _: object) -> None:
-        self._step = sentence
-        self.say(sentence)
+        gone = self._puller.display.arrows.layer is None
+        next_ = (ARROWS_GONE if gone else OFF) if self._rests else ""
+        self._step = f"{sentence} {next_}".strip()
+        self.say(self._step)
 
     def _on_rest(self) -> None:
         if self.away:
@@ -292,6 +310,7 @@ class GrabAndPull(GrabControls):
     def _on_closed(self) -> None:
         self._started = False
         self._resting.stop()
+        self._selected.stop()
         self._toolbox.release()
         self._puller.steps.unbind_keys(self._puller.answers)
         self._puller.leave()

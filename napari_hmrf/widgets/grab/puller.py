@@ -21,7 +21,7 @@ from napari_hmrf.widgets.grab.histories import Histories
 from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
-from napari_hmrf.widgets.grab.words import OFF, OPEN, PREPARING
+from napari_hmrf.widgets.grab.words import LATER, OFF, OPEN, PREPARING
 from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import COMPILING, in_short
 
@@ -107,6 +107,11 @@ class Puller:
     def active(self) -> bool:
         """Whether the mouse pulls tissue."""
         return self.ground is not None and self.display.arrows.active
+
+    @property
+    def preparing(self) -> bool:
+        """Whether the mouse draws, and nothing follows yet: something is read, or compiled."""
+        return self.active and not self._working
 
     @property
     def steps(self) -> ViewerSteps:
@@ -255,7 +260,7 @@ class Puller:
 
     def _on_long(self) -> None:
         if not self._working and self.ground is not None and self.follower.busy:
-            self.said.emit(COMPILING)
+            self.said.emit(f"{COMPILING} {LATER}")
 
     def _on_error(self, seen: Seen) -> None:
         assert seen.error is not None

@@ -189,7 +189,11 @@ class GrabWatch:
             self._widget.active_changed()
 
 
-def _slice_of(dims: Any) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Which axes are drawn, and where on all others."""
+def _slice_of(dims: Any) -> tuple[int, tuple[int, ...], tuple[float, ...]]:
+    """In how many dimensions, which axes are drawn, and where on all others."""
     shown = tuple(int(axis) for axis in dims.displayed)
-    return shown, tuple(float(at) for axis, at in enumerate(dims.point) if axis not in shown)
+    return (
+        int(dims.ndisplay),
+        shown,
+        tuple(float(at) for axis, at in enumerate(dims.point) if axis not in shown),
+    )

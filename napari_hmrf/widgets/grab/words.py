@@ -4,6 +4,7 @@ from __future__ import annotations
 
 START = "Press 'Grab and pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
+LATER = "What you draw meanwhile is followed then."
 OFF = "Paused: press 'Grab and pull', or choose the layer 'Arrows', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
 ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back."
