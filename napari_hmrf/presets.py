@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 from napari_hmrf.annotation import Material
 
@@ -109,3 +111,67 @@ PRESETS: tuple[Preset, ...] = (
         ),
     ),
 )
+
+
+def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
+    """Put the materials of a preset in place of those of a table.
+
+    Those of one name are one material, whatever its number in the preset; the others go by their
+    number. What the preset does not have stays void, or becomes its first tissue, since an old
+    stiffness may be in another unit.
+
+    Parameters
+    ----------
+    preset : Preset
+    rows : sequence of Material
+        The table.
+
+    Returns
+    -------
+    materials : tuple of Material
+        By label.
+    words : str
+        What became of what the preset calls otherwise, or does not have; empty if all is as named.
+    """
+    ours, theirs = _by_name(rows), _by_name(preset.materials)
+    given = {ours[name].label: theirs[name] for name in ours.keys() & theirs.keys()}
+    named, mine = set(given), {row.label: row for row in rows}
+    for material in preset.materials:
+        if material in given.values():
+            continue
+        label = material.label
+        if label in given:
+            label = max([*mine, *given, *(each.label for each in preset.materials)]) + 1
+        given[label] = material
+    first = next(each for each in preset.materials if each.stiffness > 0)
+    left = [row for row in rows if row.label not in given]
+    others = (
+        replace(row, stiffness=first.stiffness if row.stiffness > 0 else 0.0, poisson=first.poisson)
+        for row in left
+    )
+    renamed = [
+        f"'{mine[label].name}' is {material.name} now"
+        for label, material in sorted(given.items())
+        if label in mine and label not in named and mine[label].name != material.name
+    ]
+    sentences = []
+    if renamed:
+        number = "its number" if len(renamed) == 1 else "their numbers"
+        sentences.append(f"By {number} {_and(renamed)}.")
+    stiff = [f"'{row.name}'" for row in left if row.stiffness > 0]
+    if stiff:
+        isare = "is" if len(stiff) == 1 else "are"
+        sentences.append(f"{_and(stiff)} {isare} not among them: as stiff as {first.name} now.")
+    materials = (*others, *(replace(each, label=label) for label, each in given.items()))
+    return tuple(sorted(materials, key=lambda each: each.label)), " ".join(sentences)
+
+
+def _by_name(rows: Iterable[Material]) -> dict[str, Material]:
+    """Those whose name is theirs alone; what is unpainted is nothing that has one."""
+    named = [(row.name.strip().casefold(), row) for row in rows if row.label > 0]
+    often = Counter(name for name, _ in named)
+    return {name: row for name, row in named if name and often[name] == 1}
+
+
+def _and(parts: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(parts[:-1]), parts[-1]) if part)

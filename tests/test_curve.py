@@ -416,7 +416,8 @@ def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sampl
     found["Liver 5.4, carcinoma 70 kPa"].trigger()
     assert widget.materials[1] == Material(1, "liver", 5.4, 0.49)
     assert widget._face.tissue.table.unit == "kPa"
-    assert widget.status == "Materials: Liver 5.4, carcinoma 70."
+    said = "Materials: Liver 5.4, carcinoma 70. By its number 'gel' is liver now."
+    assert widget.status == said
 
 
 def test_materials_are_taken_from_another_layer(widget, small_sample, own):

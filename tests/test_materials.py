@@ -8,7 +8,7 @@ import pytest
 from napari_hmrf.annotation import Material
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.material_files import MaterialLibrary, load_materials, save_materials
-from napari_hmrf.presets import PRESETS, Preset
+from napari_hmrf.presets import PRESETS, Preset, take_over
 
 LIVER = Preset(
     "Liver",
@@ -127,3 +127,32 @@ def test_a_broken_file_in_the_library_hides_none_of_the_others(tmp_path):
 def test_materials_are_remembered_by_a_name(tmp_path):
     with pytest.raises(FileFormatError, match="name"):
         MaterialLibrary(tmp_path).remember(replace(LIVER, name=" "))
+
+
+def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have():
+    brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "Tumour ", 8.0)))
+    table = (
+        Material(0, "air", 0.0),
+        Material(1, "normal tissue", 20.0),
+        Material(2, "soft tissue", 10.0),
+        Material(3, "tumour", 40.0),
+    )
+    found, words = take_over(brain, table)
+    assert [(row.label, row.stiffness) for row in found] == [(0, 0), (1, 0.1), (2, 0.1), (3, 8)]
+    assert words == (
+        "By its number 'normal tissue' is fluid now. "
+        "'soft tissue' is not among them: as stiff as fluid now."
+    )
+    found, words = take_over(PRESETS[0], table)
+    assert (found[1:], words) == (PRESETS[0].materials, ""), "they are called the same"
+    liver = next(preset for preset in PRESETS if preset.name.startswith("Liver"))
+    words = take_over(liver, (Material(0, "unpainted", 20.0), *table[1:]))[1]
+    assert words.startswith("By their numbers 'normal tissue' is liver now and 'soft tissue' is h")
+    assert words.endswith("'unpainted' and 'tumour' are not among them: as stiff as liver now.")
+
+
+def test_a_material_whose_number_is_taken_by_a_name_gets_another():
+    brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "tumour", 8.0)))
+    found, words = take_over(brain, (Material(1, "tumour", 40.0),))
+    assert found == (Material(1, "tumour", 8.0), Material(3, "fluid", 0.1))
+    assert not words

@@ -50,9 +50,12 @@ class MaterialMenu(QPushButton):
     ----------
     said : Signal(str)
         What was done, or why not.
+    taken : Signal(str)
+        What was put into the table, and what became of what it called otherwise.
     """
 
     said = Signal(str)
+    taken = Signal(str)
 
     def __init__(
         self, table: MaterialTable, layers: Callable[[], list[Any]], layer: Callable[[], Any]
@@ -102,8 +105,8 @@ class MaterialMenu(QPushButton):
 
     def take(self, preset: Preset) -> None:
         """Put a preset into the table."""
-        self._table.apply_preset(preset)
-        self.said.emit(f"Materials: {preset.name}.")
+        words = self._table.apply_preset(preset)
+        self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
         rows = "\n".join(

@@ -11,7 +11,7 @@ from qtpy.QtCore import Qt
 
 from napari_hmrf.annotation import Material
 from napari_hmrf.layers.defaults import default_material
-from napari_hmrf.presets import Preset
+from napari_hmrf.presets import Preset, take_over
 from napari_hmrf.priors.elastic import POISSON_RANGE
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 from napari_hmrf.widgets.words import ABOUT_POISSON
@@ -80,22 +80,11 @@ class MaterialTable(LabelTable):
         self.setColumnHidden(_POISSON, not is_shown)
         self._fit()
 
-    def apply_preset(self, preset: Preset) -> None:
-        """Take over a preset's tissues.
-
-        What is unpainted stays void, or becomes the preset's first tissue; so do labels that the
-        preset does not have, since their old stiffness may be in another unit.
-        """
-        given = {material.label: material for material in preset.materials}
-        first = next(row for row in preset.materials if row.stiffness > 0)
-        others = [
-            replace(
-                row, stiffness=first.stiffness if row.stiffness > 0 else 0.0, poisson=first.poisson
-            )
-            for row in self._rows
-            if row.label not in given
-        ]
-        self.contents = Preset("", preset.unit, "", (*others, *given.values()))
+    def apply_preset(self, preset: Preset) -> str:
+        """Take over a preset's tissues; what became of others, in words, as of `take_over`."""
+        materials, words = take_over(preset, self._rows)
+        self.contents = Preset("", preset.unit, "", materials)
+        return words
 
     def _on_edited(self) -> None:
         if self.contents != self._said:

@@ -75,6 +75,7 @@ class Watch:
             section.painted.found.connect(widget.note)
             section.table.refused.connect(widget.say)
         face.tissue.menu.said.connect(widget.say)
+        face.tissue.menu.taken.connect(widget.note)
         face.tissue.curve.refused.connect(widget.say)
         self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
