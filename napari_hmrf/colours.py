@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,6 +18,13 @@ FOLDED = "#ffee00"
 OPACITY = 0.8
 # From this part of their range on colours hide the image under them.
 _OPAQUE = 0.4
+# So many of a hundred pixels lie within the limits of a scale; the others are a few at corners.
+_WITHIN = 99.0
+#: The shortest scale; of what is in per cent a hundred times that.
+SMALLEST = 1e-3
+# Where a scale with 0 in its middle may end, but for powers of ten: between its ends napari then
+# writes at least two numbers beside it, where for 0.45 or 0.8 it has room for the 0 alone.
+_ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 
 def opacity(part: npt.ArrayLike, signed: bool) -> npt.NDArray[np.float64]:
@@ -35,3 +45,26 @@ def opacity(part: npt.ArrayLike, signed: bool) -> npt.NDArray[np.float64]:
     place = np.asarray(part, dtype=np.float64)
     much = np.abs(2 * place - 1) if signed else place
     return np.minimum(1, much / _OPAQUE)
+
+
+def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMALLEST) -> float:
+    """How far from 0 a scale should go to show nearly all values.
+
+    Rounded up to two digits, or, if it goes to both sides, so that numbers can stand beside it.
+    """
+    sizes = np.abs(values[np.isfinite(values)])
+    reach = float(np.percentile(sizes, _WITHIN)) if sizes.size else 0.0
+    if reach <= least:
+        return least
+    power = 10.0 ** math.floor(math.log10(reach))
+    if signed:
+        end = next(end for end in _ENDS if reach <= end * power * (1 + 1e-9))
+    else:
+        end = math.ceil(10 * reach / power - 1e-9) / 10
+    return float(f"{end * power:.3g}")
+
+
+def area_limits(jacobian: npt.NDArray[Any], folded: bool) -> tuple[float, float]:
+    """The limits of a scale of area ratios, 1 in its middle; from 0 on where tissue folds."""
+    reach = 1.0 if folded else min(1.0, reach_of(jacobian - 1, True))
+    return 1 - reach, 1 + reach

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.colours import DIVERGING, FOLDED, OPACITY, RISING, opacity
+from napari_hmrf.colours import (
+    DIVERGING,
+    FOLDED,
+    OPACITY,
+    RISING,
+    SMALLEST,
+    area_limits,
+    opacity,
+    reach_of,
+)
 from napari_hmrf.deformation import (
     arrows,
     deformation_grid,
@@ -170,7 +179,7 @@ def magnitude_picture(
 ) -> Figure:
     """Draw how far the tissue goes, where it was before it moved."""
     length = np.where(solution.tissue, magnitude(solution.displacement), np.nan)
-    return _map(solution, length, f"displacement / {unit}", image)
+    return _map(solution, length, f"displacement / {unit}", image, (0.0, reach_of(length)))
 
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
@@ -178,10 +187,8 @@ def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> 
     field = (solution.displacement, solution.spacing, solution.tissue)
     change = jacobian_determinant(*field)
     folded = folds(*field)
-    reach = 1.0 if folded.any() else float(np.nanmax(np.abs(change - 1), initial=1e-3))
-    reach = min(1.0, reach)
-    limits = 1 - reach, 1 + reach
-    figure = _map(solution, change, "area ratio (Jacobian)", image, limits)
+    limits = area_limits(change, bool(folded.any()))
+    figure = _map(solution, change, "area ratio (Jacobian)", image, limits, signed=True)
     if folded.any():
         from matplotlib.colors import ListedColormap
 
@@ -194,7 +201,9 @@ def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
     strain = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
-    return _map(solution, 100 * equivalent_strain(strain), "equivalent strain (%)", image)
+    percent = 100 * equivalent_strain(strain)
+    limits = 0.0, reach_of(percent, least=100 * SMALLEST)
+    return _map(solution, percent, "equivalent strain (%)", image, limits)
 
 
 def energy_picture(solution: Solution) -> Figure:
@@ -232,12 +241,13 @@ def _map(
     values: npt.NDArray[Any],
     title: str,
     image: npt.ArrayLike | None,
-    signed: tuple[float, float] | None = None,
+    limits: tuple[float, float],
+    signed: bool = False,
 ) -> Figure:
     """Draw one number per site as colours on the image, with their scale, as the viewer does.
 
-    Nothing where there is no tissue. `signed` are the limits of a scale on which no change is in
-    the middle; else it begins with 0.
+    Nothing where there is no tissue. No change is at the lower of the scale's limits, or, if it is
+    `signed`, in their middle.
     """
     import matplotlib
     from matplotlib.colors import ListedColormap
@@ -245,19 +255,20 @@ def _map(
     figure, (axes,) = _figure(solution.spacing, _BEFORE.format(title))
     if image is not None:
         _show(axes, np.asarray(image))
-    low, high = signed or (0.0, float(np.nanmax(values, initial=0.0)) or 1.0)
     part = np.linspace(0, 1, 256)
     colours = matplotlib.colormaps[DIVERGING if signed else RISING](part)
-    colours[:, 3] = opacity(part, signed is not None)
+    colours[:, 3] = opacity(part, signed)
     shown = axes.imshow(
         values,
         cmap=ListedColormap(colours),
         alpha=OPACITY,
         aspect=axes.get_aspect(),
-        vmin=low,
-        vmax=high,
+        vmin=limits[0],
+        vmax=limits[1],
     )
-    figure.colorbar(shown, ax=axes, shrink=0.8)
+    above, below = (values > limits[1]).any(), (values < limits[0]).any() and signed
+    ends = "both" if above and below else "max" if above else "min" if below else "neither"
+    figure.colorbar(shown, ax=axes, shrink=0.8, extend=ends)
     return figure
 
 

@@ -15,12 +15,14 @@ from vispy.visuals import AxisVisual
 
 from napari_hmrf import Problem, solve
 from napari_hmrf.annotation import BoundaryRule
+from napari_hmrf.colours import reach_of
 from napari_hmrf.contributions import open_solution
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.point import Probe
-from napari_hmrf.layers.quantity_layers import reach_of
+from napari_hmrf.layers.quantity_layers import quantity_layer
 from napari_hmrf.optimizers import ICM
+from napari_hmrf.pictures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.quantities import green_lagrange_strain
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
@@ -543,6 +545,18 @@ def test_a_photograph_moves_in_colour(widget, small_sample, run, qtbot, set_to):
 
 
 # Pictures
+
+
+def test_a_picture_has_the_scale_that_the_viewer_shows(look):
+    result = look._taken
+    for quantity, drawn in (
+        ("jacobian", jacobian_picture),
+        ("equivalent", strain_picture),
+        ("magnitude", magnitude_picture),
+    ):
+        (map_, *_) = drawn(result.solution).axes[0].images
+        seen = quantity_layer(result, quantity).attributes["contrast_limits"]
+        assert map_.get_clim() == pytest.approx(seen)
 
 
 def test_pictures_are_saved_without_holding_up_the_window(look, tmp_path, wait_for):

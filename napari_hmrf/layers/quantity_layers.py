@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.colours import OPACITY
+from napari_hmrf.colours import OPACITY, SMALLEST, area_limits, reach_of
 from napari_hmrf.deformation import smallest_determinant
 from napari_hmrf.layers.colours import quantity_colours
 from napari_hmrf.layers.found import FoundResult, facts_for
@@ -26,6 +25,7 @@ Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
 ]
 FloatArray = npt.NDArray[np.float32]
+_PER_CENT = 100.0
 
 
 class _Words(NamedTuple):
@@ -46,13 +46,6 @@ QUANTITIES: dict[Quantity, _Words] = {
     "columns": _Words("strain along columns", "%"),
     "shear": _Words("shear strain", "%"),
 }
-#: So many of a hundred pixels lie within the contrast limits; the others are a few at corners.
-_WITHIN = 99.0
-_SMALLEST = 1e-3
-_PER_CENT = 100.0
-#: Where a scale with 0 in its middle may end, but for powers of ten: between its ends napari then
-#: writes at least two numbers beside it, where for 0.45 or 0.8 it has room for the 0 alone.
-_ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 
 def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
@@ -111,10 +104,9 @@ def quantity_layer(
     signed, folded = quantity not in ("magnitude", "equivalent"), False
     if quantity == "jacobian":
         folded = bool((values <= 0).any())
-        reach = 1.0 if folded else min(1.0, reach_of(values - 1, True))
-        limits = (1 - reach, 1 + reach)
+        limits = area_limits(values, folded)
     else:
-        least = _SMALLEST * (_PER_CENT if QUANTITIES[quantity].unit == "%" else 1)
+        least = SMALLEST * (_PER_CENT if QUANTITIES[quantity].unit == "%" else 1)
         reach = reach_of(values, signed, least)
         limits = (-reach if signed else 0.0, reach)
     attributes = {
@@ -136,20 +128,3 @@ def _name(result: FoundResult, quantity: Quantity) -> str:
     where = str(result.facts.get("slice_seen") or result.facts.get("slice") or "")
     name = f"{result.source} {words.title} ({words.unit or result.unit})".strip()
     return name + (f", {model}" if model else "") + (f" ({where})" if where else "")
-
-
-def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = _SMALLEST) -> float:
-    """How far from 0 a scale should go to show nearly all values.
-
-    Rounded up to two digits, or, if it goes to both sides, so that numbers can stand beside it.
-    """
-    sizes = np.abs(values[np.isfinite(values)])
-    reach = float(np.percentile(sizes, _WITHIN)) if sizes.size else 0.0
-    if reach <= least:
-        return least
-    power = 10.0 ** math.floor(math.log10(reach))
-    if signed:
-        end = next(end for end in _ENDS if reach <= end * power * (1 + 1e-9))
-    else:
-        end = math.ceil(10 * reach / power - 1e-9) / 10
-    return float(f"{end * power:.3g}")

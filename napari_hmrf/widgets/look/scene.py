@@ -190,8 +190,8 @@ class Scene:
         except HmrfError as error:
             self._refuse(error)
         self.cursor.stiffness_from(tissue_of(self._viewer.layers, result), result)
-        coloured = self.cursor.coloured
-        colours = None if coloured is None else coloured[1]
+        seen = self.cursor.coloured
+        colours = None if seen is None else seen[1]
         self.player.motion = Motion(result.solution, image, labels, colours, bool(face.grid.value))
 
     def ready_to_move(self) -> bool:
