@@ -136,3 +136,20 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     viewer.layers.remove(upper)
     viewer.add_image(LARGER, rgb=True, name="new")
     assert dock.status.startswith("The image is covered by 'new'")
+
+
+def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(open_window, settle):
+    person, widget = open_window()
+    assert widget.start()
+    settle(widget)
+    patch = np.full((20, 64), 200, np.uint8)
+    person.viewer.add_image(patch, name="strip", translate=(40, 0))
+    person.viewer.layers.selection.active = person.viewer.layers["Arrows"]
+    person.drag((50, 30), (54, 34))
+    assert widget.status == "The image is covered by 'strip': hide that one, or choose it here."
+    assert not widget.drawing.marks
+    person.drag((20, 30), (24, 34))
+    assert len(widget.drawing.marks) == 1
+    person.viewer.layers["strip"].visible = False
+    person.drag((50, 30), (54, 34))
+    assert len(widget.drawing.marks) == 2

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 
 from napari_hmrf.annotation import Material
 from napari_hmrf.drawing import Arrow, Drawing, Landmark, Stroke
@@ -452,3 +453,44 @@ def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(br
     person.paint((20, 20), (30, 20))
     settle(widget)
     assert displacement(widget) == pytest.approx(before, abs=0.02), "it was that already"
+
+
+def test_a_stroke_beside_all_tissue_is_said_to_change_nothing(open_window, settle):
+    rows, cols = np.indices((64, 64))
+    disc = np.hypot(rows - 32, cols - 32) < 18
+    person, widget = open_window((150 * disc).astype(np.uint8))
+    assert widget.start()
+    widget.tool = "pin"
+    settle(widget)
+    person.paint((4, 30), (4, 40))
+    settle(widget)
+    assert "no tissue where you painted" in widget.status
+    person.paint((30, 30), (30, 40))
+    settle(widget)
+    assert "no tissue" not in widget.status
+
+
+def test_a_radius_that_is_typed_is_one_step(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    field = widget.form.radius.native
+    field.setFocus()
+    field.selectAll()
+    QTest.keyClicks(field, "12.5")
+    QTest.keyClick(field, Qt.Key.Key_Return)
+    settle(widget)
+    assert widget.drawing.marks[0].radius == 12.5
+    widget.undo()
+    assert widget.drawing.marks[0].radius != 12.5
+    assert widget.history.undo_word == "drew an arrow"
+
+
+def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_window, settle):
+    person, widget = open_window()
+    labels = person.viewer.add_labels(np.ones((64, 64), np.uint8), name="T")
+    rows = (Material(0, "x", 1.0), Material(1, "gel", 2.0), Material(2, "air", 0.0))
+    labels.metadata.update(described(TISSUE, rows, "kPa"))
+    widget.tissue = labels
+    assert widget.start()
+    assert widget.form.fields.material.value == 1

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from napari.layers import Image
 
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, role_of
+from napari_hmrf.layers.naming import full_resolution
 from napari_hmrf.layers.reading import fits
 from napari_hmrf.layers.view import View
 
@@ -63,6 +64,27 @@ def image_covering(viewer: Any, image: Any) -> Any:
     for layer in reversed(layers[layers.index(image) + 1 :]):
         if _is_opaque(layer) and _covers(layer, image, displayed):
             return layer
+    return None
+
+
+def image_covering_at(viewer: Any, image: Any, place: Sequence[float]) -> Any:
+    """Find the topmost image that hides a place of another one; else None.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    image : napari.layers.Image
+        In the viewer.
+    place : sequence of float
+        In the world.
+    """
+    layers = list(viewer.layers)
+    for layer in reversed(layers[layers.index(image) + 1 :]):
+        if _is_opaque(layer) and layer.ndim <= len(place):
+            pixel = np.rint(layer.world_to_data(place[len(place) - layer.ndim :]))
+            extents = np.array(full_resolution(layer).shape[: layer.ndim])
+            if ((pixel >= 0) & (pixel < extents)).all():
+                return layer
     return None
 
 

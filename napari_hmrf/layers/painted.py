@@ -215,6 +215,14 @@ def _crosses(at: FloatArray, by: FloatArray, arm: float) -> npt.NDArray[np.float
     )
 
 
+def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
+    """Whether a stroke covers any pixel of a mask, shape (H, W)."""
+    top, bottom, left, right = box = box_of(stroke, canvas)
+    distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
+    covered = distance <= max(stroke.radius, 0.5 * max(canvas.spacing))
+    return bool((covered & where[top:bottom, left:right]).any())
+
+
 def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) -> Lines:
     """The outline of a stroke that is selected, as lines like those of arrows.
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from napari_hmrf.drawing.marks import Point, Stroke
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.painted import touches
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.words import (
+    BESIDE,
     CANCELLED,
     HALF,
     NO_OUTSIDE,
@@ -16,6 +18,7 @@ from napari_hmrf.widgets.grab.words import (
     OUTSIDE,
     PICKED,
     REMOVED,
+    covered,
 )
 
 
@@ -36,6 +39,10 @@ class Answers:
         if seen is None:
             return False
         puller.begun.emit()
+        other = puller.display.covering
+        if other is not None:
+            puller.said.emit(covered(other.name))
+            return False
         if puller.tool.is_brush and not seen.is_inside(point):
             puller.said.emit(OUTSIDE)
             return False
@@ -97,6 +104,11 @@ class Answers:
             self._puller.draw()
             return
         if done:
+            mark, seen = self._puller.hand.mark, self._puller.display.seen
+            if isinstance(mark, Stroke) and mark.action != "tissue" and seen is not None:
+                ground = seen.ground
+                if not touches(mark, ground.base, ground.body):
+                    self._puller.said.emit(BESIDE)
             if self._puller.tool.name == "landmark":  # no click is waited for any more
                 self._puller.said.emit(self._puller.tool.how)
             self._puller.draw()

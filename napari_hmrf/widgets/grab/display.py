@@ -12,6 +12,7 @@ from napari_hmrf.drawing import Drawing, Stroke
 from napari_hmrf.drawing.hand import Hand
 from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.drawn import Lines
+from napari_hmrf.layers.front import image_covering_at
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import outline_of
 from napari_hmrf.layers.shared import shared
@@ -21,6 +22,7 @@ from napari_hmrf.widgets.grab.live_layers import LiveLayers
 from napari_hmrf.widgets.grab.paint import PaintedLayer
 from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.timers import single_shot
+from napari_hmrf.widgets.viewer_layers import still_there
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -51,6 +53,7 @@ class Display:
         self.painted = PaintedLayer(viewer)
         self.seen: Seen | None = None
         self.tissues: dict[int, Any] = {}
+        self._viewer = viewer
         self._live = shared(viewer, LiveLayers)
         self._image: Any = None
         self._busy = False
@@ -73,6 +76,15 @@ class Display:
             self.painted.forget()
             if ground is not None:
                 self.arrows.place(ground.frame, ground.shape)
+
+    @property
+    def covering(self) -> Any:
+        """The image of somebody else's that hides the place the mouse is at; else None."""
+        picture, image = self._live.picture, still_there(self._viewer, self._image)
+        lowest = picture if picture is not None and picture.visible else image
+        if lowest is None:
+            return None
+        return image_covering_at(self._viewer, lowest, self._viewer.cursor.position)
 
     def take_turn(self) -> None:
         """Have this seen, and no result of another dock."""

@@ -90,6 +90,8 @@ class ToolFields(Container):
         for field, name in zip(fields, _NAMES, strict=True):
             field.name = name
         super().__init__(widgets=fields)
+        for name in _LENGTHS:  # what is being typed is no length yet
+            getattr(self, name).native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
         self._labels = {name: str(getattr(self, name).label) for name in _LENGTHS}
@@ -197,7 +199,10 @@ class ToolFields(Container):
         before = self.material.value
         with self.material.changed.blocked():
             self.material.choices = choices
-            self.material.value = before if before in labels else labels[-1]
+            # What is painted first is a tissue, the last of them: it is what is special.
+            solid = [row.label for row in palette.materials if row.stiffness > 0]
+            usual = (solid or labels)[-1]
+            self.material.value = before if before in labels else usual
         self._own_table = palette.own
         self.show_for(self._tool)
 

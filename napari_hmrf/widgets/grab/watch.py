@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from napari_hmrf.drawing import Drawing
 from napari_hmrf.layers.front import image_in_front, painted_on
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.grab.form import GrabForm
@@ -113,7 +113,8 @@ class GrabWatch:
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""
         for layer in self._viewer.layers:
-            if layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY):
+            shown_for_it = known_of(layer).get("kind") == "preview"
+            if shown_for_it or layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY):
                 layer.visible = False
 
     def release(self) -> None:

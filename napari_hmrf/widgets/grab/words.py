@@ -11,6 +11,7 @@ ARROWS_GONE = "The layer 'Arrows' is gone: press 'Grab and pull' to have it back
 COVERED = "The image is covered by "
 IMAGE_GONE = "There is no image to pull: choose one, or open one (File > Open)."
 NOTHING = "There is no tissue to take hold of there."
+BESIDE = "There is no tissue where you painted, so that nothing changes."
 OUTSIDE = "That is outside the image."
 HALF = "Now click where it should be. Esc: not after all."
 PICKED = "Selected: the fields change it, Delete removes it."
