@@ -1,5 +1,7 @@
 """Scraps of tissue that hang on nothing stay where they are, and keep nobody waiting."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import quick
@@ -126,6 +128,17 @@ def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
     widget = painted(qtbot, moves=False)
     run(widget)
     assert "Tissue moved up to 0.0 px. Nothing that is painted moves" in widget.status
+    widget = painted(qtbot)
+    moved = widget.rules[1]
+    widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
+    run(widget)
+    assert "0.0 px. Nothing moves: all that is to move has a confidence of 0" in widget.status
+    widget.rules = (widget.rules[0], moved)
+    widget.tissue.data[8:13, 11:16] = 0
+    widget.tissue.refresh()
+    run(widget)
+    assert "0.0 px. 9 boundary pixels outside tissue were ignored. Nothing mo" in widget.status
+    assert "is painted where there is no tissue (stiffness 0). Paint it on" in widget.status
     widget = painted(qtbot, wall=False)
     run(widget)
     assert "Nothing holds the tissue" in widget.status

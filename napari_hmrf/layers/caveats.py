@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage
 
 from napari_hmrf.hierarchy import levels, nearest_pixels
@@ -34,18 +36,43 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
     return (*thin, *_loose_pieces(problem))
 
 
-def lacks(problem: Problem) -> tuple[str, ...]:
-    """Say what a painted boundary lacks: something that moves, or that holds the rest."""
-    return _at_rest(problem) or _adrift(problem)
+def lacks(
+    problem: Problem, painted: npt.NDArray[np.floating[Any]], tissue: npt.NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Say what a painted boundary lacks: something that moves, or that holds the rest.
+
+    Parameters
+    ----------
+    problem : Problem
+    painted : ndarray, shape (H, W, 2)
+        How what was painted should move, however sure that is.
+    tissue : ndarray of bool, shape (H, W)
+        What is tissue, be it held or not.
+    """
+    return _at_rest(problem, painted != 0, tissue[..., None]) or _adrift(problem)
 
 
-def _at_rest(problem: Problem) -> tuple[str, ...]:
-    """Say so where all that was observed stays where it is."""
-    if (problem.y[problem.observed] != 0).any():
-        return ()
-    return (
-        "nothing that is painted moves: have something move or expand, by a distance other than 0",
-    )
+def _at_rest(
+    problem: Problem, moves: npt.NDArray[np.bool_], tissue: npt.NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Say so, and why, where all that was observed stays where it is."""
+    note = ""
+    if not moves.any():
+        note = (
+            "nothing that is painted moves: have something move or expand, by a distance other "
+            "than 0"
+        )
+    elif not (moves & tissue).any():
+        note = (
+            "nothing moves: all that is to move is painted where there is no tissue (stiffness 0). "
+            "Paint it on tissue, or give that place a stiffness"
+        )
+    elif not (moves & tissue & (problem.c > 0)).any():
+        note = (
+            "nothing moves: all that is to move has a confidence of 0, with which it does not "
+            "count. Give it one above 0, up to 1 for certain"
+        )
+    return (note,) if note else ()
 
 
 def _adrift(problem: Problem) -> tuple[str, ...]:

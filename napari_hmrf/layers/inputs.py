@@ -141,15 +141,16 @@ def prepare(
         ignored = int(((c > 0).any(axis=-1) & (m == 0)).sum())
         y, c = _with_landmarks(snapshot, m, y, c)
         _refuse_in_words(snapshot, m, c)
+        there = np.asarray(m > 0)
         if isinstance(prior, ElasticPrior):
-            scrap = scraps(m > 0, c > 0)
+            scrap = scraps(there, c > 0)
             if scrap.any():
                 m = np.where(scrap, 0, m)
                 notes += (left_at_rest(scrap),)
         problem = Problem(y, c, m, snapshot.frame.spacing)
     checkpoint()
     if snapshot.boundary_labelled and snapshot.landmarks is None:
-        notes += lacks(problem)
+        notes += lacks(problem, y, there)
     return Inputs(
         problem=problem,
         prior=prior,
