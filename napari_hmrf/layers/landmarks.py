@@ -121,7 +121,7 @@ def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
 
 def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
     """How far tissue is pushed to begin with: enough to be seen. As `usual_radius`."""
-    return float(f"{0.03 * max(shape) * min(spacing):.1g}")
+    return float(f"{0.02 * max(shape) * min(spacing):.1g}")
 
 
 def landmarks_of(
