@@ -230,6 +230,27 @@ def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
     assert "MR deformed" in names(widget)
 
 
+def test_another_image_is_not_deformed_unasked(living, small_sample, run, settle, qtbot):
+    widget, _ = living
+    viewer = viewer_of(widget)
+    before, said = widget.solution, []
+    widget.followed.connect(said.append)
+    image, other, boundary = small_sample(viewer)
+    assert (widget.image, widget.tissue) == (image, other), "a second sample is chosen by itself"
+    known = names(widget)
+    paint(boundary, [(row, 12) for row in range(6, 14)], 1)
+    settle(widget)
+    qtbot.wait(400)
+    assert (widget.solution, names(widget), said) == (before, known, [])
+    assert widget.live
+    assert widget.status == "Press Deform."
+    run(widget)
+    paint(boundary, [(row, 14) for row in range(6, 14)], 1)
+    settle(widget)
+    assert said, "once it is deformed it is followed"
+    assert_newest(widget)
+
+
 def test_for_a_large_image_it_is_off_and_the_reason_is_shown(widget, small_sample, monkeypatch):
     monkeypatch.setattr(live_mode, "LARGEST", 300)
     widget._live._wanted = None

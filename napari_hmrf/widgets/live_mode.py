@@ -55,6 +55,8 @@ class LiveMode:
         self._newest = Newest(self._on_news)
         self._asked: tuple[Snapshot, Any] | None = None
         self._source: weakref.ref[Any] | None = None
+        #: What is followed, if anything yet: nobody asked for another image to be deformed.
+        self._followed: weakref.ref[Any] | None = None
         #: Where it was looked last, and whether what was asked for last is somebody's edit.
         self._place: Any = None
         self._turn = True
@@ -79,7 +81,8 @@ class LiveMode:
     @property
     def begun(self) -> bool:
         """Whether there is something to follow with: a result, or somebody who asked for one."""
-        return self.on and (self._wanted is True or self._widget.solution is not None)
+        wanted = self._wanted is True or self._widget.solution is not None
+        return self.on and wanted and not self._elsewhere
 
     @property
     def busy(self) -> bool:
@@ -106,12 +109,14 @@ class LiveMode:
         others = () if sure is None else (sure,)
         self._pixels.listen_to((*layers, *others, *self._widget.landmark_layers))
         self._judge(layers)
+        if self._elsewhere:
+            self._drop()
         self.touch()
 
     def result_shown(self, snapshot: Snapshot, settings: Any, source: Any) -> None:
         """There is a result that was asked for: what comes next begins from these layers."""
         self._asked, self._said = (snapshot, settings), ""
-        self._source = weakref.ref(source)
+        self._source = self._followed = weakref.ref(source)
         self.touch()
 
     def cancel(self) -> bool:
@@ -143,9 +148,11 @@ class LiveMode:
 
     def _on_check(self, on: bool) -> None:
         self._wanted = bool(on)
-        self._judge(self._chosen())
+        chosen = self._chosen()
+        self._judge(chosen)
         if on:
             self._asked = self._widget.shown
+            self._followed = weakref.ref(chosen[0]) if chosen else None
             self.touch()
         else:
             self._drop()
@@ -165,6 +172,12 @@ class LiveMode:
         off = large and not self.on
         self._check.text = f"Live: off, slow at {rows} x {cols}" if off else LIVE
         self._check.tooltip = (SLOW if off else "") + ABOUT
+
+    @property
+    def _elsewhere(self) -> bool:
+        """Whether another image is chosen than the one that is followed, or it is gone."""
+        chosen = self._chosen()
+        return self._followed is not None and bool(chosen) and self._followed() is not chosen[0]
 
     def _size(self, layer: Any) -> tuple[int, int]:
         """Rows and columns of what is shown of a layer."""
@@ -199,7 +212,7 @@ class LiveMode:
         self._asked, self._layers = (snapshot, settings), request.layers
         # To go to another slice is no work in this dock, and hides nothing of another's.
         self._turn = before in (None, self._place)
-        self._source = weakref.ref(request.layers[0])
+        self._source = self._followed = weakref.ref(request.layers[0])
         job = self._job
         if job is None or job.made_with != (optimizer, backend):
             self._drop()
