@@ -750,3 +750,10 @@ def test_what_is_added_says_what_it_is(look, set_to):
     facts = viewer.layers["MR largest stretch (%)"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert facts["percent"] == 100
+
+
+def test_what_was_deformed_is_not_offered_as_stiffness(deformed):
+    offered = deformed._face.tissue.choice.offered
+    image = viewer_of(deformed).layers["MR deformed"]
+    assert image not in offered
+    assert viewer_of(deformed).layers["MR"] in offered

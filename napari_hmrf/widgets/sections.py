@@ -105,7 +105,11 @@ class TissueSection(_PaintedSection[MaterialTable]):
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Labels | Image),
+            # What a dock has deformed, or drawn of it, is nobody's stiffness.
+            lambda layer: (
+                isinstance(layer, Labels)
+                or (isinstance(layer, Image) and "by" not in known_of(layer))
+            ),
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
             label="tissue",
             tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
