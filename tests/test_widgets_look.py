@@ -719,6 +719,31 @@ def test_the_brush_is_put_away_for_a_picture_of_the_canvas(tmp_path):
     assert (str(labels.mode), bar.visible) == ("paint", False)
 
 
+def test_nothing_of_the_cursor_is_in_a_picture_of_the_canvas(make_napari_viewer, qtbot, tmp_path):
+    from skimage.io import imread
+
+    viewer = make_napari_viewer(show=True)
+    viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
+    viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
+    qtbot.wait(100)
+    arrows = viewer.add_vectors(np.array([[[2.0, 2.0], [0.0, 1.0]]]))
+    viewer.mouse_over_canvas = True
+    arrows.cursor_size, arrows.cursor = 2, "circle"  # as something to be taken hold of
+    person = Person(viewer, qtbot)
+    person.move(20, 30, Qt.MouseButton.NoButton)
+    qtbot.wait(50)
+
+    def white_at_the_cursor(picture):
+        place = person.where(20, 30)
+        rows, cols = (slice(at - 15, at + 15) for at in (place.y(), place.x()))
+        return (picture[rows, cols] == 255).all()
+
+    save_canvas(viewer, tmp_path / "canvas.png")
+    assert white_at_the_cursor(imread(tmp_path / "canvas.png"))
+    arrows.cursor = "standard"
+    assert white_at_the_cursor(viewer.screenshot(flash=False)), "napari's own square stayed there"
+
+
 def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_for, monkeypatch):
     _, _, look = window
     monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getExistingDirectory", lambda *_: str(tmp_path))

@@ -6,6 +6,7 @@ from typing import Any
 
 from magicgui.widgets import Container
 
+from napari_hmrf.widgets.brush_circle import clear_middle
 from napari_hmrf.widgets.life import Life
 from napari_hmrf.widgets.tabs import Tabs
 
@@ -24,6 +25,7 @@ class Dock(Container):
         self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         Tabs(self, self._viewer)
+        clear_middle(self._viewer)
 
     @property
     def away(self) -> bool:

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from napari_hmrf.widgets.brush_circle import no_circle
+
 
 def save_canvas(viewer: Any, path: Path) -> list[Path]:
     """Save what the canvas shows, with a scale bar.
@@ -33,7 +35,7 @@ def save_canvas(viewer: Any, path: Path) -> list[Path]:
     visible = bar.visible
     bar.visible = True
     try:
-        with _no_brush(viewer):
+        with _no_brush(viewer), no_circle(viewer):
             viewer.screenshot(str(path), canvas_only=True, flash=False)
     finally:
         bar.visible = visible
