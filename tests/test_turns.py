@@ -119,6 +119,22 @@ def go_on_pulling(viewer):
     viewer.layers.selection = {viewer.layers["Arrows"]}
 
 
+def test_what_was_pulled_is_seen_as_it_was_too(two_results):
+    viewer, look = two_results
+    look.before = True
+    assert seen(viewer) <= {"Arrows"}
+    look.before = False
+    assert viewer.layers["Deformed image"].visible
+
+
+def test_colours_of_what_was_pulled_are_named_after_the_image(two_results, wait_for):
+    viewer, look = two_results
+    look.colours = "squeeze"
+    wait_for(lambda: look.idle)
+    assert "MR largest squeeze (%)" in {layer.name.partition(",")[0] for layer in viewer.layers}
+    assert look.image is viewer.layers["MR"]
+
+
 def colours_seen(viewer):
     """What the colours that are seen belong to: who made the result."""
     return [

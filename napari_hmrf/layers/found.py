@@ -69,12 +69,12 @@ def result_of(layer: Any) -> FoundResult | None:
 
 
 def companion(layers: Iterable[Any], result: FoundResult, kind: Kind) -> Any:
-    """Find another layer that was made of the same source and slice; the topmost, or None."""
+    """Find another layer that the same dock made of a source and slice; the topmost, or None."""
     if not result.source:
         return None
     for layer in reversed(list(layers)):
         known = known_of(layer)
-        same = all(known.get(key) == result.facts.get(key) for key in ("source", "slice"))
+        same = all(known.get(key) == result.facts.get(key) for key in ("by", "source", "slice"))
         if known.get("kind") == kind and same and "folds" in known:
             return layer
     return None

@@ -72,6 +72,7 @@ class LiveLayers:
         if seen.outputs is not None:
             made = sign(seen.outputs.layers["arrows"], "grab")
             made.attributes["name"] = ARROWS
+            made.attributes["metadata"][METADATA]["source"] = seen.ground.pictures.name
             layer = self.arrows
             if layer is None or layer.ndim != seen.ground.frame.ndim:
                 self._arrows = self._add(made, len(self._viewer.layers), visible=False)

@@ -207,7 +207,11 @@ class ShownLayers:
             same = self.result is not None and all(
                 known.get(key) == self.result.facts.get(key) for key in ("source", "slice")
             )
-            if layer is self.arrows or id(layer) in made or ("folds" in known and same):
+            if (
+                layer is self.arrows
+                or id(layer) in made
+                or (same and known.keys() & {"by", "folds"})
+            ):
                 yield layer
 
     def _place(self, kind: str) -> int:
