@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf.layers.background import background_of, between_air_and_tissue
+from napari_hmrf.layers.background import air_that_is_tissue, background_of, between_air_and_tissue
 from napari_hmrf.layers.metadata import TISSUE, rows_of
 from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.phantoms import sample
@@ -182,3 +182,11 @@ def test_a_background_of_a_stack_is_taken_back_though_its_tissue_is_hidden(widge
     assert len(widget.materials) == len(rows) + 1
     tissue.undo()
     assert not tissue.data.any(), "napari has it as a stroke, too"
+
+
+def test_air_that_was_taken_for_tissue_is_spoken_of():
+    picture, inside = head()
+    everywhere = np.ones_like(inside)
+    assert "dark surroundings" in air_that_is_tissue(picture, everywhere)[0]
+    assert air_that_is_tissue(picture, inside) == ()
+    assert air_that_is_tissue(picture[20:40, 30:50], everywhere[20:40, 30:50]) == ()

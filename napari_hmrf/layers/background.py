@@ -125,6 +125,24 @@ def between_air_and_tissue(picture: npt.NDArray[Any]) -> float | None:
     return float(f"{(float(np.median(air)) + float(np.percentile(inside, 5))) / 2:.2g}")
 
 
+def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> tuple[str, ...]:
+    """Say so where most of what is dark around a picture counts as tissue, as a clause.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+    tissue : ndarray of bool, shape (H, W)
+    """
+    dark = background_of(picture)
+    if not surrounds(dark) or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
+        return ()
+    note = (
+        "the dark surroundings of the image move as tissue does, too: if they are air, press "
+        "'Background is no tissue'"
+    )
+    return (note,)
+
+
 def unpainted_background(
     image: Any, tissue: Any, view: View | None = None
 ) -> tuple[npt.NDArray[Any], ...]:

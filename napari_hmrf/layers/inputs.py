@@ -12,6 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.annotation import boundary_images, poisson_image, stiffness_image
 from napari_hmrf.drawing import Canvas, Drawing
 from napari_hmrf.label_images import labels_present
+from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.caveats import caveats, lacks
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.frame import Frame
@@ -151,6 +152,9 @@ def prepare(
     checkpoint()
     if snapshot.boundary_labelled and snapshot.landmarks is None:
         notes += lacks(problem, y, there)
+    picture = snapshot.pictures.image
+    if complete and snapshot.tissue_labelled and picture is not None:
+        notes += air_that_is_tissue(picture, there)
     return Inputs(
         problem=problem,
         prior=prior,

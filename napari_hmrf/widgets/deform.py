@@ -22,6 +22,7 @@ from napari_hmrf.widgets.step_buttons import StepKeys
 from napari_hmrf.widgets.timers import repeating
 from napari_hmrf.widgets.watch import Watch
 from napari_hmrf.widgets.words import (
+    AIR,
     CANCELLED,
     CHOOSE,
     CURVE,
@@ -127,7 +128,7 @@ class DeformTissue(ResultDock):
 
     def mark_background(self) -> None:
         """Paint the dark surroundings of the image as no tissue, where nothing is painted yet."""
-        self._try(self.fill_background, "The dark surroundings of the image are now no tissue.")
+        self._try(self.fill_background, AIR)
 
     def deform(self) -> None:
         """Start; the layers are copied now, and the result appears when `finished` is emitted."""

@@ -29,6 +29,7 @@ CURVE = (
     "A first guess: the brighter, the stiffer. Drag the points of the curve; 'Make layers to paint "
     "on' then adds the boundary."
 )
+AIR = "The dark surroundings of the image are now no tissue, in the slice that is shown."
 CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
