@@ -588,7 +588,8 @@ def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
 def test_painting_is_spoken_of_as_long_as_somebody_paints(widget, small_sample, run):
     image, tissue, _ = small_sample(widget._viewer)
     widget.hand_brush(tissue)
-    assert widget.status.startswith("Painting label")
+    name = next(row.name for row in widget.materials if row.label == tissue.selected_label)
+    assert widget.status.startswith(f"Painting '{name}' (label {tissue.selected_label}) in ")
     widget._viewer.layers.selection = {image}
     assert widget.status == "Press Deform."
     run(widget)

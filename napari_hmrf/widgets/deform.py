@@ -32,6 +32,7 @@ from napari_hmrf.widgets.words import (
     READY,
     WELCOME,
     in_short,
+    painting,
 )
 from napari_hmrf.widgets.words import progress as progress_of
 
@@ -178,7 +179,7 @@ class DeformTissue(ResultDock):
         note = " What was deformed is hidden meanwhile." if hidden else ""
         if begun:
             note = " The tissue follows; paint lies where it was before it moved."
-        self.say_painting(f"Painting label {layer.selected_label} in '{layer.name}'.{note}", layer)
+        self.say_painting(painting(layer) + note, layer)
 
     # How it goes on
 

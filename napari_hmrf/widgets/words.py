@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.models import Model, Schedule, in_words, is_multigrid
@@ -142,6 +145,15 @@ def details(done: Done) -> str:
         f"{model[0].upper()}{model[1:]}: {solution.iterations} {turns} in {seconds}{near}, on "
         f"{run.renderer}; mean energy {solution.mean_energy:.3g} px²{folds}."
     )
+
+
+def painting(layer: Any) -> str:
+    """What is painted with from now on, by its name in the table if it has one."""
+    label, role = int(layer.selected_label), role_of(layer)
+    rows = rows_of(layer, role) if role in (TISSUE, BOUNDARY) else ()
+    name = next((row.name for row in rows or () if row.label == label), "")
+    what = f"'{name}' (label {label})" if name else f"label {label}"
+    return f"Painting {what} in '{layer.name}'."
 
 
 def progress(monitor: Monitor, seconds: float) -> str:
