@@ -547,3 +547,17 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling, settle):
     assert widget.status.startswith("Paused")
     layers.selection.active = layers["Arrows"]
     assert (widget.active, widget.status) == (True, how)
+
+
+def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_window, settle):
+    rows, cols = np.indices((64, 64))
+    disc = np.hypot(rows - 32, cols - 32) < 18
+    person, widget = open_window((150 * disc).astype(np.uint8))
+    labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="T")
+    labels.metadata.update(described(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))
+    for tissue, speaks in ((labels, True), (None, False)):
+        widget.tissue = tissue
+        assert widget.start()
+        widget.drawing = Drawing((Arrow((32, 32), (3, -3), 5.0),))
+        settle(widget)
+        assert ("dark surroundings" in widget.warning) == speaks

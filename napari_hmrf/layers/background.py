@@ -137,8 +137,8 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
     if not surrounds(dark) or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
         return ()
     note = (
-        "the dark surroundings of the image move as tissue does, too: if they are air, press "
-        "'Background is no tissue'"
+        "the dark surroundings of the image move as tissue does, too: if they are air, 'Background "
+        "is no tissue' in Deform tissue makes them none"
     )
     return (note,)
 

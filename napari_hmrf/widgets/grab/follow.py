@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.drawing import Drawing, Rendering, Stroke
+from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.outputs import RESTORED, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
@@ -240,11 +242,19 @@ class _Scene:
         note = ""
         if not any(isinstance(mark, Stroke) and mark.action == "tissue" for mark in marks):
             note = left_at_rest((self.ground.m > 0) & ~seen.solution.tissue)
-        notes = [f"{note[0].upper()}{note[1:]}."] if note else []
+        notes = [
+            f"{each[0].upper()}{each[1:]}." for each in (note, *self._air_that_is_tissue) if each
+        ]
         if self._moves_edge():
             notes.append(EDGE_MOVED)
         if not self.live.busy:
             self._newest.put(replace(seen, outputs=outputs, note=" ".join(notes)))
+
+    @cached_property
+    def _air_that_is_tissue(self) -> tuple[str, ...]:
+        picture = self.ground.pictures.image
+        assert picture is not None
+        return air_that_is_tissue(picture, self.ground.body)
 
     def _moves_edge(self) -> bool:
         """Whether a patch that was taken hold of lies over what is held without it."""
