@@ -204,6 +204,23 @@ def test_landmarks_alone_need_layers_and_no_paint(docked, run):
     np.testing.assert_allclose(docked.solution.displacement[8, 8], (2, 0), atol=0.1)
 
 
+@pytest.mark.parametrize(
+    ("kept", "advice"),
+    [
+        (False, "Let the landmarks move it less, or give them a larger radius; tick"),
+        (True, "over a wider boundary, or by landmarks of a larger radius; tick"),
+    ],
+)
+def test_tissue_that_landmarks_fold_is_to_be_moved_over_a_larger_radius(chosen, run, kept, advice):
+    widget, where, should = chosen
+    where.data, should.data = [[8.0, 8.0], [14.0, 8.0]], [[16.0, 9.0], [7.0, 8.0]]
+    widget.landmarks = LandmarkLayers(where, should, 1.5)
+    if not kept:
+        widget.boundary = None
+    run(widget)
+    assert advice in widget.status
+
+
 def test_the_pairs_are_drawn_as_arrows_until_there_is_a_result(chosen, run, wait_for):
     widget, where, should = chosen
     widget.landmarks = (where, should)

@@ -9,6 +9,7 @@ import numpy as np
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.layers.snapshot import Snapshot
 from napari_hmrf.layers.view import unit_symbol
 from napari_hmrf.models import Model, Schedule, in_words, is_multigrid
 from napari_hmrf.optimizers import Monitor
@@ -102,8 +103,8 @@ def report(done: Done) -> str:
         where = "'folds' shows where" if "folds" in outputs.layers else "tick 'folds' to see where"
         parts.append(
             f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
-            "pushed through itself (it folds), which no tissue does. Let it move less or over a "
-            f"wider boundary; {where}."
+            f"pushed through itself (it folds), which no tissue does. {_less(done.snapshot)}; "
+            f"{where}."
         )
     if outputs.overlaps > _HANDFUL:
         parts.append(
@@ -115,6 +116,16 @@ def report(done: Done) -> str:
         parts.append(f"{what} outside tissue {'was' if done.ignored == 1 else 'were'} ignored.")
     parts += [f"{note[0].upper()}{note[1:]}." for note in done.notes]
     return " ".join(parts)
+
+
+def _less(snapshot: Snapshot) -> str:
+    """What keeps tissue from folding, of what there is to change."""
+    painted = not snapshot.boundary_labelled or bool(snapshot.boundary.any())
+    if snapshot.landmarks is None:
+        return "Let it move less or over a wider boundary"
+    if painted:
+        return "Let it move less, over a wider boundary, or by landmarks of a larger radius"
+    return "Let the landmarks move it less, or give them a larger radius"
 
 
 def in_short(error: Exception) -> str:
