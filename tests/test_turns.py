@@ -149,6 +149,35 @@ def test_a_look_begins_with_the_result_that_is_seen(two_results):
     assert look.result is viewer.layers["Displacement"]
 
 
+def test_a_look_that_comes_to_the_front_looks_at_what_is_seen_by_then(
+    at_hand, run, settle, wait_for, qtbot
+):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller, deform = opened("Grab and pull"), opened("Deform tissue")
+    drag_a_patch(person, puller, settle)
+    run(deform)
+    look = opened("Look at the result")
+    wait_for(lambda: look.idle)
+    assert look.result is viewer.layers["MR arrows"]
+
+    def bring(dock):
+        dock.native.parent().raise_()
+        qtbot.wait(50)
+
+    bring(puller)
+    person.drag((24, 20), (20, 20))
+    settle(puller)
+    assert look.result is viewer.layers["MR arrows"]
+    bring(look)
+    assert look.result is viewer.layers["Displacement"]
+    assert viewer.layers["Deformed image"].visible
+    look.result = viewer.layers["MR arrows"]
+    bring(deform)
+    bring(look)
+    assert look.result is viewer.layers["MR arrows"]
+
+
 def test_a_result_that_is_chosen_is_seen_and_its_colours_alone(two_results, wait_for):
     viewer, look = two_results
     for choice, by in (("Displacement", "grab"), ("MR arrows", "deform")) * 2:

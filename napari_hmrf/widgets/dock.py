@@ -24,7 +24,7 @@ class Dock(Container):
         # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
         self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
-        Tabs(self, self._viewer)
+        Tabs(self, self._viewer, self._on_front)
         clear_middle(self._viewer)
 
     @property
@@ -37,6 +37,9 @@ class Dock(Container):
 
     def _on_opened(self) -> None:
         """There is a dock around this."""
+
+    def _on_front(self) -> None:
+        """It is in front of other tabs."""
 
     def _on_closed(self) -> None:
         """The dock was closed."""

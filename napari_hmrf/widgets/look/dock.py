@@ -15,7 +15,7 @@ from napari_hmrf.layers.point import Probe
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.look.controls import LookControls
 from napari_hmrf.widgets.look.face import BEFORE_KEY, PAUSE, PLAY
-from napari_hmrf.widgets.look.shown import is_seen
+from napari_hmrf.widgets.look.shown import is_seen, seen_instead
 from napari_hmrf.widgets.look.words import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, POINT
 from napari_hmrf.widgets.timers import single_shot
 
@@ -254,6 +254,14 @@ class LookAtResult(LookControls):
         self._bind_key()
         self._choose(seen=True)
         self._take()
+
+    def _on_front(self) -> None:
+        """What has been seen since, by the work of another dock, is what is looked at."""
+        if self.away or self.result is None:
+            return
+        other = seen_instead(self._viewer, self.result, self._face.result.offered)
+        if other is not None:
+            self.result = other
 
     def _on_closed(self) -> None:
         self._unbind_key()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from napari.layers import Layer
@@ -232,6 +232,21 @@ def is_seen(viewer: Any, arrows: Any) -> bool:
     if result is None or "by" not in result.facts:
         return bool(arrows.visible)
     return has_turn(viewer, *_place_of(result))
+
+
+def seen_instead(viewer: Any, arrows: Any, others: Sequence[Any]) -> Any:
+    """Of other layers' results that of the same slice which is seen while this one's is not."""
+    if is_seen(viewer, arrows):
+        return None
+    here = _where(arrows)
+    found = (other for other in others if _where(other) == here and is_seen(viewer, other))
+    return next(found, None)
+
+
+def _where(arrows: Any) -> tuple[Any, Any]:
+    """The image and the slice of a layer."""
+    known = known_of(arrows)
+    return known.get("source"), known.get("slice")
 
 
 def _place_of(result: FoundResult) -> tuple[Maker, str, str | None]:
