@@ -1,16 +1,16 @@
-"""What a dock remembers from one session to the next."""
+"""What a dock remembers from one session to the next, and within one."""
 
 from qtpy.QtCore import QSettings
 
 from napari_hmrf.priors import SeilerPrior
 
 
-def another(qtbot):
+def another(qtbot, viewer=None):
     from napari.components import ViewerModel
 
     from napari_hmrf.widgets.deform import DeformTissue
 
-    made = DeformTissue(ViewerModel())
+    made = DeformTissue(ViewerModel() if viewer is None else viewer)
     qtbot.addWidget(made.native)
     return made
 
@@ -34,6 +34,20 @@ def test_what_is_computed_begins_with_the_paper_each_time(qtbot):
     second = another(qtbot)
     assert second.settings.prior == SeilerPrior()
     assert second.settings.is_the_papers
+
+
+def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
+    first = another(qtbot)
+    first.model.energy.value = "elastic"
+    first.model.plane.value = "strain"
+    first.settings.accuracy.value = 1e-4
+    first.outputs = ("image", "magnitude")
+    again = another(qtbot, first._viewer)
+    assert again.solver == first.solver
+    assert again.settings.optimizer.tolerance == 1e-4
+    assert again.outputs == first.outputs
+    again.settings.back_to_the_paper()
+    assert another(qtbot, first._viewer).settings.is_the_papers
 
 
 def test_how_many_arrows_are_drawn_is_remembered_but_not_that_they_are_longer_than_true(qtbot):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from magicgui.widgets import CheckBox, Container, Label, PushButton
+from magicgui.widgets.bases import ValueWidget
 from qtpy.QtWidgets import QSizePolicy
 from superqt import QCollapsible
 
@@ -92,6 +95,20 @@ class Face:
     def checks(self) -> tuple[CheckBox, ...]:
         """The boxes that say which layers a result makes."""
         return tuple(self._checks.values())
+
+    @property
+    def solved(self) -> dict[str, ValueWidget[Any]]:
+        """All that says how to solve, and what to show of it, by names."""
+        model = self.model
+        fields: dict[str, ValueWidget[Any]] = {
+            "energy": model.energy,
+            "schedule": model.schedule,
+            "plane": model.plane,
+            "poisson": model.poisson,
+        }
+        fields.update((str(kind), check) for kind, check in self._checks.items())
+        fields.update((name, self.settings[name]) for name in self.settings.details)
+        return fields
 
     @property
     def folds(self) -> CheckBox:

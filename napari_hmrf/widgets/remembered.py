@@ -12,6 +12,8 @@ from typing import Any
 from magicgui.widgets.bases import ValueWidget
 from qtpy.QtCore import QSettings
 
+from napari_hmrf.layers.shared import shared
+
 
 def remember(dock: str, widgets: Mapping[str, ValueWidget[Any]]) -> None:
     """Give fields the values that they had last, and keep those that they get.
@@ -31,6 +33,29 @@ def remember(dock: str, widgets: Mapping[str, ValueWidget[Any]]) -> None:
         if store.contains(key):
             _restore(widget, store.value(key))
         widget.changed.connect(lambda value, key=key: store.setValue(key, value))
+
+
+class _Kept(dict[str, Any]):
+    """What fields held last in a viewer."""
+
+    def __init__(self, _: Any) -> None:
+        super().__init__()
+
+
+def keep(viewer: Any, widgets: Mapping[str, ValueWidget[Any]]) -> None:
+    """Give fields the values that they had in a dock of this viewer, and keep those they get.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    widgets : mapping of str to ValueWidget
+        By the name under which each is kept.
+    """
+    kept = shared(viewer, _Kept)
+    for name, widget in widgets.items():
+        if name in kept:
+            widget.value = kept[name]
+        widget.changed.connect(lambda value, name=name: kept.update({name: value}))
 
 
 def _restore(widget: ValueWidget[Any], kept: Any) -> None:

@@ -19,6 +19,7 @@ from napari_hmrf.widgets.footer import Footer
 from napari_hmrf.widgets.job import Done
 from napari_hmrf.widgets.latest import Latest
 from napari_hmrf.widgets.live_job import News
+from napari_hmrf.widgets.remembered import keep
 from napari_hmrf.widgets.results import ResultLayers
 from napari_hmrf.widgets.words import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.widgets.words import details as details_of
@@ -44,6 +45,7 @@ class ResultDock(Chooser):
         self._status = ""
         self._latest = Latest()
         self._painting: tuple[str, weakref.ref[Any] | None] = ("", None)
+        keep(self._viewer, self._face.solved)
         self._results = shared(self._viewer, ResultLayers)
         self._face.folds.changed.connect(self._on_folds)
         self._source: weakref.ref[Any] | None = None

@@ -161,6 +161,11 @@ class SolverSettings(Container):
         return str(self.device.value)
 
     @property
+    def details(self) -> tuple[str, ...]:
+        """The names of all fields but the device."""
+        return tuple(self._beginning)
+
+    @property
     def is_the_papers(self) -> bool:
         """Whether a solve is that of the paper."""
         return (self.prior, self.optimizer) == (SeilerPrior(), ICM())
