@@ -230,6 +230,24 @@ def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
     assert "MR deformed" in names(widget)
 
 
+def test_that_the_image_is_gone_is_said(living, settle, qtbot):
+    widget, (image, *_) = living
+    viewer = viewer_of(widget)
+    settle(widget)
+    viewer.layers.remove(image)
+    qtbot.wait(400)
+    assert widget.status == "'MR' is gone: choose or open another image."
+    assert widget.solution is None
+    viewer.add_image(image.data, name="T1")
+    assert widget.image is viewer.layers["T1"]
+    viewer.add_image(image.data, name="T2")
+    viewer.layers.remove("T1")
+    assert widget.status == "'T1' is gone: 'T2' is chosen now."
+    viewer.layers.clear()
+    qtbot.wait(400)
+    assert widget.status.startswith("Open an image first")
+
+
 def test_another_image_is_not_deformed_unasked(living, small_sample, run, settle, qtbot):
     widget, _ = living
     viewer = viewer_of(widget)

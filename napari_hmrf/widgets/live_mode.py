@@ -177,7 +177,7 @@ class LiveMode:
     def _elsewhere(self) -> bool:
         """Whether another image is chosen than the one that is followed, or it is gone."""
         chosen = self._chosen()
-        return self._followed is not None and bool(chosen) and self._followed() is not chosen[0]
+        return self._followed is not None and (not chosen or self._followed() is not chosen[0])
 
     def _size(self, layer: Any) -> tuple[int, int]:
         """Rows and columns of what is shown of a layer."""

@@ -137,6 +137,16 @@ class ResultDock(Chooser):
             return CHOOSE if self._viewer.layers else WELCOME
         return MAKE
 
+    def image_gone(self, image: Any) -> None:
+        """The image was removed: what was said of its result is over."""
+        if self._source is not None and self._source() is image:
+            self._latest.forget()
+            self._face.energy.show_solution(None)
+        next_one = "choose or open another image."
+        if self.image is not None:
+            next_one = f"'{self.image.name}' is chosen now."
+        self.say(f"'{image.name}' is gone: {next_one}")
+
     def show_live(self, done: Done, source: Any, turn: bool = True) -> None:
         """The result has followed an edit, which has a turn, or the slice that is shown."""
         if source not in self._viewer.layers:

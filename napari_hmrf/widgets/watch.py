@@ -148,6 +148,7 @@ class Watch:
         widget.reset_choices()
         if was_image:
             widget.choose_another()
+            widget.image_gone(event.value)
         self._check_soon()
         self._removed(event.value)
 
