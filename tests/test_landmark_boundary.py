@@ -14,6 +14,8 @@ from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.landmarks import LandmarkLayers
+from napari_hmrf.layers.shared import shared
+from napari_hmrf.widgets.point_steps import PointSteps
 
 SHAPE = (40, 48)
 SIZE = (0.5, 2.0)
@@ -276,6 +278,19 @@ def test_a_dock_that_is_opened_again_hears_its_landmarks(chosen, wait_for):
     wait_for(lambda: not (watch._drawing.isActive() or watch._checking.isActive()))
     where.add([5.0, 5.0])
     wait_for(lambda: widget.status.startswith("'ought' has 2 points, but 'is' has 3"))
+
+
+def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen, monkeypatch):
+    widget, where, should = chosen
+    widget.landmarks = (where, should)
+
+    class Gone:
+        def stop(self):
+            raise RuntimeError("wrapped C/C++ object of type QTimer has been deleted")
+
+    monkeypatch.setattr(shared(widget._viewer, PointSteps), "_resting", Gone())
+    widget._life.end()
+    assert widget.away
 
 
 def test_moved_added_and_removed_points_are_taken_back_in_their_order(chosen, wait_for):

@@ -115,7 +115,9 @@ class DockSteps:
         self._steps.unbind_keys(self)
         self._listening.release()
         self._curve.leave()
-        self._points.listen(self, ())
+        # Where a process ends, the timers of what all docks share are gone before its windows.
+        if not self._life.over:
+            self._points.listen(self, ())
 
     def interrupt(self) -> bool:
         """Nothing here is ever half done."""
