@@ -20,16 +20,14 @@ from napari_hmrf.layers.found import (
     source_of,
     tissue_of,
 )
-from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.moving import Moment, Motion
-from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.point import Points
-from napari_hmrf.layers.quantity_layers import FloatArray
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.look.arrow_choices import ArrowChoices
 from napari_hmrf.widgets.look.cursor import UnderCursor
 from napari_hmrf.widgets.look.errands import Errands
 from napari_hmrf.widgets.look.face import LookFace
+from napari_hmrf.widgets.look.layer_choices import LayerChoices
 from napari_hmrf.widgets.look.player import Player
 from napari_hmrf.widgets.look.saving import new_folder, save_canvas
 from napari_hmrf.widgets.look.shown import ShownLayers
@@ -44,9 +42,8 @@ from napari_hmrf.widgets.look.words import (
     how_far,
     saved,
 )
-from napari_hmrf.widgets.look.work import coloured, figures_of, grid_of, unmoved
+from napari_hmrf.widgets.look.work import figures_of, unmoved
 from napari_hmrf.widgets.timers import single_shot
-from napari_hmrf.widgets.turns import hide
 
 #: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
 _TURN = 10
@@ -74,12 +71,11 @@ class Scene:
             viewer, lambda line: face.point.say(line or POINT), lambda: int(face.slider.value)
         )
         self._arrows = ArrowChoices(face, self.shown, self._errands)
+        self._layers = LayerChoices(face, self.shown, self._errands, self.cursor, self._moves_anew)
         self._longest = 0.0
         self._drawn: tuple[int, Moment] | None = None
         # Lines take napari as long as the image: each has a turn of its own.
         self._lines = single_shot(widget.native, _TURN, self._draw_lines)
-        face.colours.changed.connect(self._on_colours)
-        face.grid.changed.connect(self._on_grid)
 
     @property
     def busy(self) -> bool:
@@ -158,9 +154,9 @@ class Scene:
         self.prepare()
         self._arrows.apply()
         if face.colours.value != NOTHING:
-            self._make_colours(result, face.colours.value)
+            self._layers.make_colours(result, face.colours.value)
         if face.grid.value and (drawn or shown.own("grid") is not None):
-            self._make_grid(result)
+            self._layers.make_grid(result)
 
     def look_at_eyes(self) -> None:
         """Let the boxes say which layers are seen, whoever has hidden or shown them."""
@@ -287,57 +283,13 @@ class Scene:
         self._drawn = None
         self._arrows.show_whole()
 
-    # What is chosen in the widget
+    # What is shown
 
-    def _on_colours(self, quantity: Any) -> None:
-        result = self.shown.result
-        if result is None:
-            return
-        if quantity == NOTHING:
-            self.cursor.coloured = None
-            layer = self.shown.layer("colours")
-            if layer is not None:
-                hide(layer)
-            self.prepare()
-            return
-        self._make_colours(result, quantity)
-        self.shown.take_turn()
-
-    def _make_colours(self, result: FoundResult, quantity: Any) -> None:
-        work = partial(coloured, result, quantity)
-        self._errands.send("colours", work, partial(self._show_colours, result))
-
-    def _show_colours(self, result: FoundResult, found: tuple[LayerData, FloatArray]) -> None:
-        if result is not self.shown.result:
-            return
-        made, values = found
-        known = made.attributes["metadata"][METADATA]
-        self.cursor.coloured = known["kind"], values
-        known["percent"] = 0
-        self._put("colours", made)
+    def _moves_anew(self, now: bool) -> None:
+        """Other layers move from now on."""
         self.prepare()
-        self.player.show(self._face.slider.value)
-
-    def _on_grid(self, drawn: bool) -> None:
-        result, layer = self.shown.result, self.shown.layer("grid")
-        if result is None:
-            return
-        if layer is not None:
-            layer.visible = drawn
-        elif drawn:
-            self._make_grid(result)
-        self.prepare()
-        if drawn:
-            self.shown.take_turn()
+        if now:
             self.player.show(self._face.slider.value)
-
-    def _make_grid(self, result: FoundResult) -> None:
-        self._errands.send("grid", partial(grid_of, result), partial(self._put, "grid"))
-
-    def _put(self, kind: str, made: LayerData) -> None:
-        """Show what was made for this result, now or when it is its turn."""
-        self.shown.put(kind, made)
-        self.shown.give_way()
 
     def _make_image(self) -> None:
         result, source, motion = self.shown.result, self.shown.source, self.player.motion
