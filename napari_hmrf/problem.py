@@ -218,13 +218,18 @@ def _check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
     length = np.linalg.norm(y.astype(np.float64), axis=-1)
     far = length > MAX_REACH * diagonal
     if far.any():
+        size = " x ".join(_shown(size * step) for size, step in zip(grid, spacing, strict=True))
+        pixel = " x ".join(f"{step:.3g}" for step in spacing)
         raise ProblemError(
             "y",
-            f"moves {int(far.sum())} pixels by more than {MAX_REACH:g} diagonals of the image "
-            f"({diagonal:.3g} each), the furthest by {float(length.max()):.3g}, the first at "
-            f"{_first_index(far)}. Give displacements in the unit of the pixel spacing, in which "
-            f"a pixel is {' x '.join(f'{size:.3g}' for size in spacing)}.",
+            f"moves tissue by up to {_shown(float(length.max()))} (first at {_first_index(far)}), "
+            f"but the image is only {size}. Give lengths in the unit in which a pixel is {pixel}.",
         )
+
+
+def _shown(length: float) -> str:
+    """Three digits, and no exponent as long as it can be read without."""
+    return f"{float(f'{length:.3g}'):g}"
 
 
 def _check_stiffness(m: FloatArray) -> None:
@@ -243,9 +248,9 @@ def _check_stiffness(m: FloatArray) -> None:
     if high > low * MAX_STIFFNESS_RATIO:
         raise ProblemError(
             "m",
-            f"spans a ratio of {high / low:.3g} (from {low:.3g} to {high:.3g}), beyond the "
-            f"{MAX_STIFFNESS_RATIO:.0e} that single precision carries. Make the softest part "
-            "void (0), or fix the stiffest part in place instead.",
+            f"is from {low:.3g} to {high:.3g}: the stiffest part may be at most a million times as "
+            "stiff as the softest. Give the softest part 0 (no tissue), or hold the stiffest part "
+            "fixed instead.",
         )
 
 
