@@ -42,7 +42,7 @@ def test_only_the_pairs_of_the_slice_that_is_shown_count():
     assert on_all == (Landmark((1, 2), (2, 2), 3.0, 0.5),)
     with pytest.raises(ProblemError, match="'ought' has point 0 on another slice than 'is'"):
         landmarks([[3, 1, 2]], [[4, 2, 2]], image, view)
-    with pytest.raises(ProblemError, match="no points on this slice"):
+    with pytest.raises(ProblemError, match="no points on slice 3"):
         landmarks([[2, 1, 2]], [[2, 2, 2]], image, view)
 
 

@@ -268,7 +268,7 @@ def test_paint_on_another_slice_is_pointed_to():
     wanted.boundary.data[0] = boundary_labels()
     viewer.dims.set_current_step(0, 7)
     assert str(refusal(seen(viewer, wanted))).startswith(
-        "'Boundary' has no paint in this slice (axis 0 = 7); paint here or go to slice 5."
+        "'Boundary' has no paint in slice 7; paint here or go to slice 5."
     )
 
 
@@ -613,7 +613,7 @@ def test_of_labels_with_more_axes_than_the_image_the_slice_taken_is_said():
     viewer.dims.set_current_step(0, 2)
     inputs = read_layers(seen(viewer, wanted))
     assert inputs.frame.slice_name == ""
-    assert inputs.notes == ("of 'Tissue' the slice z = 2 was taken",)
+    assert inputs.notes == ("of 'Tissue' slice z = 2 was taken",)
     np.testing.assert_array_equal(inputs.pictures.labels, tissue_labels())
 
 

@@ -334,10 +334,10 @@ def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
     settle(widget)
     assert widget.solution is not first
     assert sum("deformed" in name for name in names(widget)) == 2
-    assert "= 2" in widget.status
+    assert widget.status.startswith("Slice 2: tissue moved")
     dims.set_current_step(0, 0)
     settle(widget)
-    assert "has no paint in this slice" in widget.status
+    assert "has no paint in slice 0" in widget.status
     dims.set_current_step(0, 1)
     boundary.data_setitem((np.full(8, 1), np.arange(6, 14), np.full(8, 12)), 1)
     settle(widget)

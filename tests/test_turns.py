@@ -299,7 +299,7 @@ def test_to_go_to_another_slice_is_no_turn_of_the_dock_that_follows(
 
     viewer.dims.set_current_step(0, 2)
     at_rest()
-    of_this = {layer for layer in viewer.layers if "= 2" in known_of(layer).get("slice_seen", "")}
+    of_this = {layer for layer in viewer.layers if known_of(layer).get("slice_seen") == "slice 2"}
     followed = [layer for layer in of_this if known_of(layer).get("by") == "deform"]
     assert followed
     assert not any(layer.visible for layer in followed)

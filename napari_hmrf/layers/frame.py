@@ -152,8 +152,20 @@ class Frame:
 
     @property
     def slice_seen(self) -> str:
-        """Which slice, by the number that the viewer's slider shows: for people to read."""
+        """Which slice, by the number that the viewer's slider shows: for people to read.
+
+        Of one slider whose axis nobody has named, "slice 7".
+        """
+        others = [axis for axis in range(self.ndim) if axis not in self.plane]
+        if len(others) == 1 and not self._is_named(others[0]):
+            return f"slice {self.numbers[others[0]]}"
         return self._named(self.numbers)
+
+    @property
+    def slice_said(self) -> str:
+        """The same within a sentence: "slice 7", or "slice z = 7"."""
+        seen = self.slice_seen
+        return seen if seen.startswith("slice ") or not seen else f"slice {seen}"
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -178,8 +190,10 @@ class Frame:
         )
 
     def _axis_name(self, axis: int) -> str:
-        label = self.axis_labels[axis]
-        return f"axis {axis}" if label.lstrip("-").isdigit() else label
+        return self.axis_labels[axis] if self._is_named(axis) else f"axis {axis}"
+
+    def _is_named(self, axis: int) -> bool:
+        return not self.axis_labels[axis].lstrip("-").isdigit()
 
     def take(self, data: Any) -> npt.NDArray[Any]:
         """Copy the slice out of a layer's data, rows first; colours stay last."""

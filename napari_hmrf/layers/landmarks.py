@@ -173,8 +173,8 @@ def read_landmarks(
     )
     numbers = np.flatnonzero(here)
     if not len(numbers):
-        slice_name = f" ({frame.slice_seen})" if frame.slice_seen else ""
-        raise LayerError(where.layer, f"has no {what}s on this slice{slice_name}. Move to one.")
+        here_said = frame.slice_said or "this slice"
+        raise LayerError(where.layer, f"has no {what}s on {here_said}. Go to one that has.")
     if not there[here].all():
         leaves = numbers[~there[here]][0]
         raise LayerError(

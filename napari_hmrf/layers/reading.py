@@ -107,7 +107,5 @@ def nearest_paint(layer: Any, frame: Frame) -> str:
                 slice(None) if each in frame.plane else index[each] for each in range(frame.ndim)
             )
             if data[chosen].any():
-                there = replace(frame, index=index)
-                one = f"slice {there.numbers[axis]}"
-                return one if len(others) == 1 else f"slice {there.slice_seen}"
+                return replace(frame, index=index).slice_said
     return ""

@@ -213,7 +213,7 @@ def _refuse_unpainted(boundary: Any, own: Frame) -> None:
     if elsewhere:
         raise LayerError(
             boundary,
-            f"has no paint in this slice ({own.slice_seen}); paint here or go to {elsewhere}.",
+            f"has no paint in {own.slice_said}; paint here or go to {elsewhere}.",
         )
     raise LayerError(
         boundary,
@@ -253,7 +253,7 @@ def _notes(request: Request, frames: dict[int, Frame], shape: tuple[int, int]) -
     if any(_multiscale(layer) for layer in request.layers):
         notes.append(f"computed on the finest level, {shape[0]} x {shape[1]}")
     notes += [
-        f"of '{layer.name}' the slice {frames[id(layer)].slice_seen} was taken"
+        f"of '{layer.name}' {frames[id(layer)].slice_said} was taken"
         for layer in request.layers[1:]
         if id(layer) in frames and frames[id(layer)].ndim > frame.ndim
     ]

@@ -96,7 +96,7 @@ def report(done: Done) -> str:
     done : Done
     """
     outputs, frame = done.outputs, done.snapshot.frame
-    where = f"Slice {frame.slice_seen}: tissue" if frame.slice_seen else "Tissue"
+    where = f"S{frame.slice_said[1:]}: tissue" if frame.slice_said else "Tissue"
     parts = [f"{where} moved up to {_farthest(done)}."]
     if outputs.folds > _HANDFUL and outputs.worst is not None:
         row, col = outputs.worst
