@@ -127,7 +127,7 @@ def run(qtbot):
 def wait_for(qtbot):
     """Let the window live until something is so; how long that took, in seconds."""
 
-    def wait(condition, timeout=5000):
+    def wait(condition, timeout=30_000):
         started = time.perf_counter()
         qtbot.waitUntil(condition, timeout=timeout)
         return time.perf_counter() - started

@@ -240,7 +240,7 @@ def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling, sett
     person, widget = pulling
     fields = widget.form.fields
     person.key(EXPAND)
-    assert fields.amount.value == 2
+    assert fields.amount.value == 1
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
     assert "say in the fields above how far" in widget.status
