@@ -177,7 +177,7 @@ def _assembled(
     elif name == "mass-effect":
         boundary = (
             BoundaryRule(1, "fixed", name="outline"),
-            BoundaryRule(2, "expand", amount=8.0 * scale, name="rim of the tumour"),
+            BoundaryRule(2, "expand", amount=8.0 * scale, name="tumour rim"),
         )
     else:
         materials = (_NORMAL, _SOFT)
