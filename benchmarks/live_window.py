@@ -56,13 +56,13 @@ class Window:
             image = np.stack([np.uint8(255 * image / image.max())] * 3, axis=-1)
         elif kind == "stack":
             image, m = (np.stack([np.zeros_like(each), each, each]) for each in (image, m))
-        self.viewer.add_image(image, name="MR")
+        shown = self.viewer.add_image(image, name="MR")
         tissue = self.viewer.add_image(m, name="stiffness", visible=False)
         if kind == "stack":
             self.viewer.dims.set_current_step(0, 1)
         _, self._widget = self.viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
         self.viewer.show()
-        self._widget.tissue = tissue
+        self._widget.image, self._widget.tissue = shown, tissue
         self._canvas: Any = self.viewer.window._qt_viewer.canvas
         self._native = self._canvas.native
         self.viewer.mouse_over_canvas = True
