@@ -27,7 +27,7 @@ from napari_hmrf.quantities import green_lagrange_strain
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
 from napari_hmrf.widgets.look.saving import save_canvas
-from napari_hmrf.widgets.look.words import at_point
+from napari_hmrf.widgets.look.words import at_point, how_far
 
 
 def names(viewer):
@@ -782,3 +782,8 @@ def test_what_was_deformed_is_not_offered_as_stiffness(deformed):
     image = viewer_of(deformed).layers["MR deformed"]
     assert image not in offered
     assert viewer_of(deformed).layers["MR"] in offered
+
+
+def test_a_slice_without_a_name_is_called_one_once():
+    seen = how_far(SimpleNamespace(unit="mm"), 3.0, 100, ("slice 7", "slice 3"))
+    assert seen.endswith("Of slice 7; you look at slice 3.")

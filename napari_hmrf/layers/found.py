@@ -175,7 +175,7 @@ def place_at(
 
 
 def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str] | None:
-    """The slice of a result and the one that is shown, as people read them, if they are two.
+    """The slice of a result and the one that is shown, if they are two: `slice_said`, `slice_seen`.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str]
     frame = result.frame
     if shown.plane != frame.plane or shown.index == frame.index:
         return None
-    return replace(frame, sliders=shown.sliders).slice_seen, shown.slice_seen
+    return replace(frame, sliders=shown.sliders).slice_said, shown.slice_seen
 
 
 def facts_for(result: FoundResult, kind: str, **more: Any) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def how_far(
 ) -> str:
     """How much of the deformation is seen, or that it is of another slice than the one seen."""
     moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
-    return moved if apart is None else f"{moved}. Of slice {apart[0]}; you look at {apart[1]}."
+    return moved if apart is None else f"{moved}. Of {apart[0]}; you look at {apart[1]}."
 
 
 def folded(count: int) -> str:
