@@ -84,13 +84,19 @@ def test_what_is_deformed_after_a_pull_is_seen_and_the_pull_again_at_the_next(at
     assert seen(viewer) == {"Deformed image", "Arrows"}, "choosing the layer goes on pulling"
 
 
-def test_what_is_looked_at_lies_on_top(at_hand, run, settle, wait_for):
+@pytest.fixture
+def pulled_before(at_hand, run, settle):
+    """What was pulled, and then deformed, which is seen; a look that is opened now."""
     person, opened = at_hand
-    viewer = person.viewer
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
     drag_a_patch(person, puller, settle)
     run(deform)
-    look = opened("Look at the result")
+    return person, puller, deform, opened("Look at the result")
+
+
+def test_what_is_looked_at_lies_on_top(pulled_before, wait_for):
+    person, _, _, look = pulled_before
+    viewer = person.viewer
     look.result = viewer.layers["Displacement"]
     look.percent = 50
     wait_for(lambda: look.idle)
@@ -150,14 +156,10 @@ def test_a_look_begins_with_the_result_that_is_seen(two_results):
 
 
 def test_a_look_that_comes_to_the_front_looks_at_what_is_seen_by_then(
-    at_hand, run, settle, wait_for, qtbot
+    pulled_before, settle, wait_for, qtbot
 ):
-    person, opened = at_hand
+    person, puller, deform, look = pulled_before
     viewer = person.viewer
-    puller, deform = opened("Grab and pull"), opened("Deform tissue")
-    drag_a_patch(person, puller, settle)
-    run(deform)
-    look = opened("Look at the result")
     wait_for(lambda: look.idle)
     assert look.result is viewer.layers["MR arrows"]
 

@@ -113,7 +113,7 @@ class Canvas:
 def box_of(mark: Mark, canvas: Canvas) -> Box:
     """The pixels a mark may change; empty where it lies outside the image."""
     lines, radius = _brush(mark)
-    reach = [_reach(radius, canvas.spacing) / size for size in canvas.spacing]
+    reach = [brush_reach(radius, canvas.spacing) / size for size in canvas.spacing]
     points = np.array([point for line in lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     return common(
@@ -153,7 +153,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         mark = mark.arrow(canvas.spacing)
     lines, radius = _brush(mark)
     distance = distance_to(lines, radius, canvas.spacing, box)
-    reach = _reach(radius, canvas.spacing)
+    reach = brush_reach(radius, canvas.spacing)
     where = distance <= reach
     at = (slice(box[0], box[1]), slice(box[2], box[3]))
     which = _COMPONENTS["both" if mark.components == "both" else mark.components]
@@ -229,7 +229,7 @@ def distance_to(
     top, bottom, left, right = window
     nearest = np.full((bottom - top, right - left), np.inf, dtype=np.float32)
     size = np.array(spacing)
-    reach = _reach(radius, spacing) / size + 1
+    reach = brush_reach(radius, spacing) / size + 1
     for line in lines:
         points = np.array(line)
         starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
@@ -259,7 +259,7 @@ def _brush(mark: Mark) -> tuple[tuple[tuple[Point, ...], ...], float]:
     return mark.lines, mark.radius
 
 
-def _reach(radius: float, spacing: Sequence[float]) -> float:
+def brush_reach(radius: float, spacing: Sequence[float]) -> float:
     """The radius, but at least that within which each place has a pixel."""
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
 
@@ -279,7 +279,7 @@ def _expanded_whole(
 ) -> tuple[FloatArray, FloatArray, Box]:
     """The same of its whole region, and where that lies: normals depend on all of it."""
     rows, cols = shape
-    radius = _reach(stroke.radius, spacing)
+    radius = brush_reach(stroke.radius, spacing)
     points = np.array([point for line in stroke.lines for point in line])
     reach = radius / np.array(spacing) + 1
     low, high = np.floor(points.min(axis=0) - reach), np.ceil(points.max(axis=0) + reach) + 1

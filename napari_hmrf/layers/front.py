@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,12 +59,10 @@ def image_covering(viewer: Any, image: Any) -> Any:
     image : napari.layers.Image
         In the viewer.
     """
-    layers = list(viewer.layers)
     displayed = [axis - viewer.dims.ndim for axis in viewer.dims.displayed]
-    for layer in reversed(layers[layers.index(image) + 1 :]):
-        if _is_opaque(layer) and _covers(layer, image, displayed):
-            return layer
-    return None
+    return next(
+        (layer for layer in _opaque_above(viewer, image) if _covers(layer, image, displayed)), None
+    )
 
 
 def image_covering_at(viewer: Any, image: Any, place: Sequence[float]) -> Any:
@@ -78,14 +76,13 @@ def image_covering_at(viewer: Any, image: Any, place: Sequence[float]) -> Any:
     place : sequence of float
         In the world.
     """
+    return next((layer for layer in _opaque_above(viewer, image) if _holds(layer, place)), None)
+
+
+def _opaque_above(viewer: Any, image: Any) -> Iterator[Any]:
+    """The images that hide what lies beneath, of those above another; topmost first."""
     layers = list(viewer.layers)
-    for layer in reversed(layers[layers.index(image) + 1 :]):
-        if _is_opaque(layer) and layer.ndim <= len(place):
-            pixel = np.rint(layer.world_to_data(place[len(place) - layer.ndim :]))
-            extents = np.array(full_resolution(layer).shape[: layer.ndim])
-            if ((pixel >= 0) & (pixel < extents)).all():
-                return layer
-    return None
+    return filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
 
 
 def _is_opaque(layer: Any) -> bool:
@@ -93,6 +90,15 @@ def _is_opaque(layer: Any) -> bool:
     seen = plain and layer.visible and layer.blending in _OPAQUE
     # Of colours the fourth is how much is seen through them.
     return seen and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
+
+
+def _holds(layer: Any, place: Sequence[float]) -> bool:
+    """Whether a place in the world is one of a layer's pixels."""
+    if layer.ndim > len(place):
+        return False
+    pixel = np.rint(layer.world_to_data(place[len(place) - layer.ndim :]))
+    extents = np.array(full_resolution(layer).shape[: layer.ndim])
+    return bool(((pixel >= 0) & (pixel < extents)).all())
 
 
 def _covers(layer: Any, image: Any, displayed: list[int]) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.drawing import Canvas, Stroke
-from napari_hmrf.drawing.canvas import KINDS, Box, box_of, distance_to, is_empty
+from napari_hmrf.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
 from napari_hmrf.drawing.marks import Action
 from napari_hmrf.layers.colours import SELECTED
 from napari_hmrf.layers.drawn import Lines
@@ -219,7 +219,7 @@ def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> boo
     """Whether a stroke covers any pixel of a mask, shape (H, W)."""
     top, bottom, left, right = box = box_of(stroke, canvas)
     distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
-    covered = distance <= max(stroke.radius, 0.5 * max(canvas.spacing))
+    covered = distance <= brush_reach(stroke.radius, canvas.spacing)
     return bool((covered & where[top:bottom, left:right]).any())
 
 

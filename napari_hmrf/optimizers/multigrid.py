@@ -177,11 +177,13 @@ class Multigrid:
                     before = d.copy()
                 energy, forces = model.work(d)
                 refinement.settle(energy + states.cost(d))
-                if arrived and not states.contradicted(d, model.pull(d), steepness, near):
-                    break
-                if states.lost and states.relax(d, model.pull, bound * steepness, free):
-                    before = d.copy()
-                elif not states.exchange(d, model.pull(d), steepness, near, free) and arrived:
+                if states.lost:
+                    if arrived and not states.contradicted(d, model.pull(d), steepness, near):
+                        break
+                    if states.relax(d, model.pull, bound * steepness, free):
+                        before = d.copy()
+                        continue
+                if not states.exchange(d, model.pull(d), steepness, near, free) and arrived:
                     break
             else:
                 raise ConvergenceError(

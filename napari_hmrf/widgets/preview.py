@@ -13,7 +13,7 @@ from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.layers.colours import PREVIEW
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import LandmarkLayers, read_landmarks
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.observations import PREVIEW_LARGEST, preview_arrows
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.reading import plane_shape
@@ -23,6 +23,7 @@ from napari_hmrf.widgets.viewer_layers import same_selection, still_there, updat
 FloatArray = npt.NDArray[np.float32]
 
 NAME = "boundary preview"
+_KIND = "preview"
 LANDMARKS = "landmark preview"
 
 
@@ -70,7 +71,7 @@ class Preview:
             "edge_color": PREVIEW,
             "edge_width": self._width * max(pixels) / 400,
             "opacity": 1.0,
-            "metadata": {METADATA: {"kind": "preview", "slice": frame.slice_name}},
+            "metadata": {METADATA: {"kind": _KIND, "slice": frame.slice_name}},
         }
         made = LayerData(frame.put_vectors(arrows), attributes, "vectors")
         if layer is not None and layer.ndim == frame.ndim:
@@ -174,3 +175,8 @@ class LandmarkPreview(Preview):
         ends = np.array([(mark.source, mark.target) for mark in marks], dtype=np.float32)
         arrows = np.stack([ends[:, 0], ends[:, 1] - ends[:, 0]], axis=1)
         self.show(frame, arrows, image, pair.where if pair.should is None else pair.should)
+
+
+def is_preview(layer: Any) -> bool:
+    """Whether a layer is a preview of a boundary, whichever dock made it."""
+    return known_of(layer).get("kind") == _KIND

@@ -21,6 +21,7 @@ from napari_hmrf.widgets.layer_choice import LayerChoice
 from napari_hmrf.widgets.material_menu import MaterialMenu
 from napari_hmrf.widgets.material_table import MaterialTable
 from napari_hmrf.widgets.painting import PaintedLabels
+from napari_hmrf.widgets.preview import is_preview
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
@@ -30,10 +31,6 @@ Table = TypeVar("Table", bound=LabelTable)
 #: Beside the box that turns the preview on.
 PREVIEW = "Preview arrows while painting"
 NO_PREVIEW = "No preview: the slice is too large"
-
-
-def _is_preview(layer: Any) -> bool:
-    return known_of(layer).get("kind") == "preview"
 
 
 def _is_tissue(layer: Any) -> bool:
@@ -159,7 +156,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Labels | Vectors) and not _is_preview(layer),
+            lambda layer: isinstance(layer, Labels | Vectors) and not is_preview(layer),
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
             label="boundary",
             tooltip="A Labels layer in which is painted what holds or moves, or observed "

@@ -114,8 +114,13 @@ def report(done: Done) -> str:
     if done.ignored:
         what = "1 boundary pixel" if done.ignored == 1 else f"{done.ignored} boundary pixels"
         parts.append(f"{what} outside tissue {'was' if done.ignored == 1 else 'were'} ignored.")
-    parts += [f"{note[0].upper()}{note[1:]}." for note in done.notes]
+    parts += map(sentence_of, done.notes)
     return " ".join(parts)
+
+
+def sentence_of(clause: str) -> str:
+    """A clause as a sentence of its own."""
+    return f"{clause[0].upper()}{clause[1:]}."
 
 
 def _less(snapshot: Snapshot) -> str:

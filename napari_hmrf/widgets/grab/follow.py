@@ -29,6 +29,7 @@ from napari_hmrf.widgets.grab.repainted import Repainted
 from napari_hmrf.widgets.grab.seen import Painted, Seen
 from napari_hmrf.widgets.grab.words import EDGE_MOVED
 from napari_hmrf.widgets.newest import Newest
+from napari_hmrf.widgets.words import sentence_of
 
 _log = logging.getLogger("napari_hmrf")
 
@@ -242,9 +243,7 @@ class _Scene:
         note = ""
         if not any(isinstance(mark, Stroke) and mark.action == "tissue" for mark in marks):
             note = left_at_rest((self.ground.m > 0) & ~seen.solution.tissue)
-        notes = [
-            f"{each[0].upper()}{each[1:]}." for each in (note, *self._air_that_is_tissue) if each
-        ]
+        notes = [sentence_of(each) for each in (note, *self._air_that_is_tissue) if each]
         if self._moves_edge():
             notes.append(EDGE_MOVED)
         if not self.live.busy:

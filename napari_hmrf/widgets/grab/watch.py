@@ -6,13 +6,14 @@ from typing import Any, Protocol
 
 from napari_hmrf.drawing import Drawing
 from napari_hmrf.layers.front import image_in_front, painted_on
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
 from napari_hmrf.layers.view import View
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.histories import drawn_on
 from napari_hmrf.widgets.listening import Listening
 from napari_hmrf.widgets.pixels import Pixels
+from napari_hmrf.widgets.preview import is_preview
 from napari_hmrf.widgets.timers import single_shot
 
 #: How long after the last change of a layer it is read again, in milliseconds.
@@ -113,8 +114,8 @@ class GrabWatch:
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""
         for layer in self._viewer.layers:
-            shown_for_it = known_of(layer).get("kind") == "preview"
-            if shown_for_it or layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY):
+            painted = layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY)
+            if painted or is_preview(layer):
                 layer.visible = False
 
     def release(self) -> None:
