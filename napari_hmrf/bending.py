@@ -8,6 +8,8 @@ answer.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -43,36 +45,48 @@ def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | Non
     held : ndarray of bool, shape (H, W, 2)
         Which components are held.
     """
+    for piece, component, ways in _free_pieces(problem, held):
+        how = "could still grow" if held[piece, component].any() else "is not held anywhere"
+        return FreeMotion(piece, f"{how} {_ALONG[component]}", ways[0])
+    return None
+
+
+def free_bends(problem: Problem, held: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.float64]]:
+    """Find all ways in which tissue could move at no cost; as `napari_hmrf.held.free_motions`."""
+    return (ways for _, _, ways in _free_pieces(problem, held))
+
+
+def _free_pieces(
+    problem: Problem, held: npt.NDArray[np.bool_]
+) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:
+    """Find each piece that could move, its component, and how: (ways, H, W, 2)."""
     cliques = in_cliques(problem)
     i, j = np.indices(problem.shape)
     ways = np.stack([np.ones(problem.shape), i / max(problem.shape), j / max(problem.shape)], -1)
-    for component, along in enumerate(_ALONG):
+    for component in range(len(_ALONG)):
         pieces, _ = scipy.ndimage.label(cliques[..., component], structure=np.ones((3, 3)))
         for number, box in enumerate(scipy.ndimage.find_objects(pieces), start=1):
             inside = pieces[box] == number
             stopped = held[box][inside, component]
             m = problem.m[box][inside]
             possible = ways[box][inside][:, : 3 if m.min() == m.max() else 1]
-            mode = _free_mode(possible, stopped)
-            if mode is None:
+            modes = _free_modes(possible, stopped)
+            if not modes.shape[1]:
                 continue
-            motion = np.zeros((*problem.shape, 2))
-            motion[pieces == number, component] = possible @ mode
-            how = "could still grow" if stopped.any() else "is not held anywhere"
-            return FreeMotion(pieces == number, f"{how} {along}", motion)
-    return None
+            piece = pieces == number
+            motions = np.zeros((modes.shape[1], *problem.shape, 2))
+            motions[:, piece, component] = (possible @ modes).T
+            yield piece, component, motions
 
 
-def _free_mode(
+def _free_modes(
     possible: npt.NDArray[np.float64], stopped: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float64] | None:
-    """Find the mix of motions (sites, motions) that vanishes where it would be stopped."""
+) -> npt.NDArray[np.float64]:
+    """Find the mixes of motions (sites, motions) that vanish where they would be stopped."""
     sizes, mixes = np.linalg.eigh(possible.T @ possible)
     real = sizes > _NOTHING * sizes[-1]
     basis = mixes[:, real] / np.sqrt(sizes[real])
     at = possible[stopped] @ basis
     stops, modes = np.linalg.eigh(at.T @ at)
-    if stops[0] > _NOTHING:
-        return None
-    mode: npt.NDArray[np.float64] = basis @ modes[:, 0]
-    return mode
+    free: npt.NDArray[np.float64] = basis @ modes[:, stops <= _NOTHING]
+    return free

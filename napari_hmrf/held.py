@@ -129,6 +129,33 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
     return None
 
 
+def free_motions(
+    problem: Problem, held: npt.NDArray[np.bool_]
+) -> Iterator[npt.NDArray[np.float64]]:
+    """Find all ways in which tissue could still move.
+
+    Parameters
+    ----------
+    problem : Problem
+    held : ndarray of bool, shape (H, W, 2)
+        Which components are held.
+
+    Yields
+    ------
+    ndarray, shape (ways, H, W, 2)
+        Independent motions of pieces that hang together, at no cost; those of different items have
+        no site in common.
+    """
+    pieces, count = _pieces(problem.m)
+    for cluster, _, modes in _free_modes(pieces, count, held):
+        piece_modes = np.zeros((count + 1, 3))
+        ways = []
+        for mode in modes:
+            piece_modes[cluster + 1] = mode
+            ways.append(_field(piece_modes[_sites(pieces)]))
+        yield np.stack(ways)
+
+
 def free_pieces(
     tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]
 ) -> tuple[Labels, npt.NDArray[np.intp]]:

@@ -16,7 +16,7 @@ from napari_hmrf.errors import ProblemError
 FloatArray = npt.NDArray[np.float32]
 
 #: The largest ratio between two stiffnesses that single precision is trusted with.
-MAX_STIFFNESS_RATIO = 1e6
+MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
 #: The longest displacement that can be meant, in diagonals of the image.
 MAX_REACH = 2.0
@@ -248,9 +248,9 @@ def _check_stiffness(m: FloatArray) -> None:
     if high > low * MAX_STIFFNESS_RATIO:
         raise ProblemError(
             "m",
-            f"is from {low:.3g} to {high:.3g}: the stiffest part may be at most a million times as "
-            "stiff as the softest. Give the softest part 0 (no tissue), or hold the stiffest part "
-            "fixed instead.",
+            f"is from {low:.3g} to {high:.3g}: the stiffest part may be at most ten million times "
+            "as stiff as the softest. Give the softest part 0 (no tissue), or hold the stiffest "
+            "part fixed instead.",
         )
 
 

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from napari_hmrf.backends.factors import Factors
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -67,9 +70,22 @@ class Quality(NamedTuple):
 
 
 class Found:
-    """The displacements that were found for one system, for as long as somebody has them."""
+    """What was found for one system: displacements, for as long as somebody has them, and more.
+
+    Attributes
+    ----------
+    doubt : float or None
+        How much less cycles report than is true, where that has been tried.
+    least : float
+        The least eigenvalue that cycles have met.
+    factors : Factors or None
+        Of the system, where cycles cannot be trusted.
+    """
 
     def __init__(self) -> None:
+        self.doubt: float | None = None
+        self.least = 1.0
+        self.factors: Factors | None = None
         self._known: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:

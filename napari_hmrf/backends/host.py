@@ -15,6 +15,7 @@ from napari_hmrf.backends.linear import HeldPlanes, Planes
 if TYPE_CHECKING:
     from napari_hmrf.problem import Problem
 
+_TINY = 1e-300
 _spare: list[tuple[Planes, HeldPlanes]] = []
 
 
@@ -49,6 +50,19 @@ def reuse(d: Planes, held: HeldPlanes) -> None:
     For the compute thread only, on which solves take turns.
     """
     _spare[:] = [(d, held)]
+
+
+def noise(shape: tuple[int, ...]) -> Planes:
+    """Return the same random displacement each time: of all lengths at once, from -1 to 1."""
+    made: Planes = np.zeros(shape)
+    random = np.random.default_rng(0)
+    field = np.zeros((shape[0], 1, 1), dtype=np.float32)
+    while field.shape[1] < shape[1] - 4 or field.shape[2] < shape[2] - 4:
+        field = field.repeat(2, axis=1).repeat(2, axis=2)
+        field += random.random(field.shape, dtype=np.float32) - np.float32(0.5)
+        field = field[:, : shape[1] - 4, : shape[2] - 4]
+    made[:, 2:-2, 2:-2] = field
+    return made / max(float(np.abs(made).max()), _TINY)
 
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:

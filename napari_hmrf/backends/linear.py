@@ -146,6 +146,26 @@ class LinearModel(Protocol):
         ...
 
     @property
+    def material(self) -> Any:
+        """What it is a model of: an `Assembled` material."""
+        ...
+
+    @property
+    def mild(self) -> bool:
+        """Whether a cycle is known to see every motion of such tissue."""
+        ...
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Which components of the finest level are unknown, with what is held now."""
+        ...
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The finest grid, (H, W)."""
+        ...
+
+    @property
     def found(self) -> Found:
         """What was found for the tissue with what is held now."""
         ...

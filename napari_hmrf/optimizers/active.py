@@ -27,6 +27,8 @@ FreeMotion = Callable[[HeldPlanes], Planes | None]
 PATIENCE = 6
 # What is this close to its mark, in pixels, has come to rest there.
 _ON_THE_MARK = 1e-7
+# What is held with this part less than its limit, or more, is held for certain.
+_AT_LIMIT = 1e-6
 # A part of a way that is none.
 _NO_WAY = 1e-6
 # Steps of all components at once, each on its own.
@@ -194,6 +196,21 @@ class ActiveSet(States):
         """Which components contradict their state, by more than so many pixels."""
         passed = self._slips * (d.ravel()[self._at] - self._y)
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
+
+    def certain(self, pull: Planes) -> HeldPlanes:
+        """Which components are held with less than their limit."""
+        made = np.zeros(self._grid, dtype=np.bool_)
+        less = np.abs(pull.ravel()[self._at]) < (1 - _AT_LIMIT) * self._limit
+        made.ravel()[self._at] = (self._slips == 0) & less
+        return made
+
+    def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
+        """How far components are from what was observed, y - d, and on which side it must stay."""
+        off, side = np.zeros((2, *self._grid))
+        off.ravel()[self._at] = np.where(self._slips == 0, 0.0, self._y - d.ravel()[self._at])
+        needed = -pull.ravel()[self._at]
+        side.ravel()[self._at] = np.where(self._slips == 0, np.sign(needed), self._slips)
+        return off, side
 
     def hold_all(self) -> None:
         """Hold all that is observed."""

@@ -61,10 +61,14 @@ class Convergence:
     residual : float
         The norm of the forces that are left over, over that of all forces of the tissue, in double
         precision.
+    way : {"cycles", "factors"}
+        Whether cycles over the levels led there or, where they cannot be trusted, the factors of
+        the whole system.
     """
 
     error: float
     residual: float
+    way: str = "cycles"
 
 
 @dataclass(frozen=True, eq=False)

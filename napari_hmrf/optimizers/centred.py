@@ -26,15 +26,17 @@ from napari_hmrf.optimizers.active import PATIENCE, States
 from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report, part_done
 from napari_hmrf.optimizers.cycle import AVERAGING, Cycle
 from napari_hmrf.optimizers.krylov import StabilisedGradients, Step
+from napari_hmrf.optimizers.refinement import factorise
 from napari_hmrf.priors import SeilerPrior
 from napari_hmrf.problem import Problem
 
 # How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
 _BARRIER = 0.5
 _BARRIER_AIM = 0.4
-# Runs of the iteration that may pass without a smaller residual than ever before: where stiff
-# tissue swims in soft, single precision gains little in each.
-_VAIN_RUNS = 20
+# Cycles after which factors are the shorter way.
+_CYCLES = 60
+# Exchanges of states after which there is no hope.
+_MOST_EXCHANGES = 2000
 _TINY = 1e-300
 
 
@@ -60,12 +62,19 @@ def converge(
             np.copyto(d, host.combined(start), where=~observed & (steep > 0))
         # A site that is the middle of no clique stays where it is: nothing pulls at it.
         states = _CentredStates(observed & (steep > 0), y, force, steep)
-        changed = True
-        while changed:
+        for _ in range(_MOST_EXCHANGES):
             states.place(d)
             model.hold(states.held)
-            refinement.run(d, states.load if states.any_slip else None)
-            changed = states.exchange(d, model.pull(d), tolerance / 2)
+            reach = refinement.run(d, states.load if states.any_slip else None)
+            pull = model.pull(d)
+            if not states.exchange(d, pull, tolerance / 2 / max(reach, 1.0)):
+                break
+        else:
+            raise ConvergenceError(
+                f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise the "
+                "penalty, or hold more of the tissue"
+            )
+        refinement.estimate = reach * max(refinement.most, states.off(d, pull))
         energy, forces = model.work(d)
     except ConvergenceError:
         model.forget()
@@ -93,6 +102,18 @@ class _CentredStates(States):
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
         limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
         super().__init__(candidates, y, limit, y)
+
+    def off(self, d: Planes, pull: Planes) -> float:
+        """How far any observed component is from where it would go next.
+
+        That is y + soft(q - y, p / 2A); `pull` is q - d.
+        """
+        if not len(self._at):
+            return 0.0
+        away = d.ravel()[self._at] - self._y
+        towards = away + pull.ravel()[self._at]
+        target = np.sign(towards) * np.maximum(np.abs(towards) - self._limit, 0.0)
+        return float(np.abs(away - target).max())
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
         """Let go of what is pulled too far, and hold what has passed its mark.
@@ -126,6 +147,8 @@ class _Refinement:
         Steps so far.
     estimate : float
         What no site is further from the solution than, in pixels.
+    most : float
+        The largest residual.
     residual : float
         The norm of the residual, in double precision.
     """
@@ -138,23 +161,25 @@ class _Refinement:
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
         self.cycles = 0
-        self.estimate, self.residual = math.inf, 0.0
+        self.estimate, self.most, self.residual = math.inf, 0.0, 0.0
         self._begun = 0
         self._first: float | None = None
 
-    def run(self, d: Planes, load: Planes | None) -> None:
-        """Move `d` in place to where each site is at q plus its load, to the tolerance."""
+    def run(self, d: Planes, load: Planes | None) -> float:
+        """Move `d` in place to where each site is at q plus its load, to the tolerance.
+
+        Returns how far a site can be from the solution per unit of the largest residual.
+        """
         self._begun = self.cycles
         reach = self._reach(d.shape)
-        tolerance = self._tolerance
 
         def enough(step: Step, scale: float) -> bool:
             self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
-            return scale * reach * step.rest <= tolerance
+            return scale * reach * step.rest <= self._tolerance
 
-        self._solve(d, load, tolerance / reach if reach > 0 else math.inf, enough)
-        balance = self._model.balance(d, load)
-        self.residual, self.estimate = balance.norm, reach * balance.most
+        most = self._tolerance / reach if reach > 0 else math.inf
+        self.most, self.residual = self._solve(d, load, most, enough)
+        return reach
 
     def _reach(self, shape: tuple[int, ...]) -> float:
         """How far a site can be from the solution per unit of the largest residual."""
@@ -166,25 +191,36 @@ class _Refinement:
             return scale * step.rest <= _BARRIER_AIM
 
         barrier, ones = self._barrier, np.ones(shape)
-        moves = self._model.balance(np.zeros(shape), ones).rest > 0
-        barrier[~moves] = 0
-        off = self._solve(barrier, ones, _BARRIER, enough)
+        barrier[~self._model.moves] = 0
+        off, _ = self._solve(barrier, ones, _BARRIER, enough)
         return float(barrier.max()) / (1 - off)
 
-    def _solve(self, d: Planes, load: Planes | None, most: float, enough: Any) -> float:
-        """Move `d` to where no residual exceeds `most`; returns the largest."""
+    def _solve(
+        self, d: Planes, load: Planes | None, most: float, enough: Any
+    ) -> tuple[float, float]:
+        """Move `d` to where no residual exceeds `most`; returns the largest, and the norm."""
         balance = self._model.balance(d, load)
-        least, in_vain = math.inf, 0
+        least = math.inf
         while balance.most > most:
-            unit = balance.unit
-            correction = self._iteration.run(balance.rest, lambda s: enough(s, unit))  # noqa: B023
-            host.add(d, correction, unit)
+            unit, cycles = balance.unit, self._model.found.factors is None
+            if cycles and balance.most < 0.9 * least and self.cycles - self._begun <= _CYCLES:
+                least = balance.most
+                try:
+                    correction = self._iteration.run(
+                        balance.rest,
+                        lambda step: enough(step, unit),  # noqa: B023
+                    )
+                    host.add(d, correction, unit)
+                except FloatingPointError:
+                    least = 0.0
+                    continue
+            else:
+                if not cycles and not balance.most < 0.9 * least:
+                    self._give_up()
+                least = math.inf if cycles else balance.most
+                d += unit * factorise(self._model, self._report).solve(balance.rest)
             balance = self._model.balance(d, load, balance.most)
-            in_vain = 0 if balance.most < 0.9 * least else in_vain + 1
-            least = min(least, balance.most)
-            if in_vain > _VAIN_RUNS:
-                self._give_up()
-        return balance.most
+        return balance.most, balance.norm
 
     def _say(self, message: str, estimate: float) -> None:
         """Report, count, and give up in time."""

@@ -12,7 +12,6 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.backends.linear import UnsymmetricLevel
-from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.cycle import Cycle
 
 # How far single precision is trusted to reduce a residual before it is computed again in double.
@@ -71,6 +70,15 @@ class ConjugateGradients:
         self._cycle = cycle
         self._spectrum = _Spectrum()
 
+    @property
+    def least(self) -> float:
+        """The least eigenvalue met, in any run."""
+        return self._spectrum.least
+
+    @least.setter
+    def least(self, value: float) -> None:
+        self._spectrum.least = value
+
     def run(
         self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
     ) -> npt.NDArray[np.float32]:
@@ -80,7 +88,7 @@ class ConjugateGradients:
 
         Raises
         ------
-        ConvergenceError
+        FloatingPointError
             If numbers overflow.
         """
         level = self._cycle.levels[0]
@@ -99,10 +107,7 @@ class ConjugateGradients:
             left = level.advance(found, rest, direction, image, length)
             values = level.read(most, slope, curvature, turn, left)
             if not all(math.isfinite(value) for value in values):
-                raise ConvergenceError(
-                    "the iteration overflowed: bring the softest and the stiffest tissue closer "
-                    "together"
-                )
+                raise FloatingPointError
             far, down, bend, turned, after = values
             if not (down > 0 and bend > 0):
                 if after > 0 and self._cycle.be_careful():
@@ -151,7 +156,7 @@ class StabilisedGradients:
 
         Raises
         ------
-        ConvergenceError
+        FloatingPointError
             If numbers overflow.
         """
         level = cast(UnsymmetricLevel, self._cycle.levels[0])
@@ -174,10 +179,7 @@ class StabilisedGradients:
             level.lean(rest, direction, image, share, stride)
             values = level.read(level.largest(rest), level.largest(found), left, share)
             if not all(math.isfinite(value) for value in values):
-                raise ConvergenceError(
-                    "the iteration overflowed: bring the softest and the stiffest tissue closer "
-                    "together"
-                )
+                raise FloatingPointError
             most, far, square, again = values
             step = Step(math.inf, most, 0.0)
             # A residual this small beside the solution is rounding: it must be computed anew.

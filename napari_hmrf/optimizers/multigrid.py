@@ -7,7 +7,6 @@ pixels can see.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,14 +16,14 @@ from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
 from napari_hmrf.backends.found import Beginning, Quality
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
-from napari_hmrf.bending import check_bent, free_bend
+from napari_hmrf.bending import check_bent, free_bend, free_bends
 from napari_hmrf.errors import ConvergenceError
-from napari_hmrf.held import FreeMotion, free_motion
-from napari_hmrf.optimizers import centred
+from napari_hmrf.held import free_motion, free_motions
+from napari_hmrf.optimizers import centred, least_motion
 from napari_hmrf.optimizers.active import ActiveSet
-from napari_hmrf.optimizers.base import Convergence, LevelRun, Monitor, Outcome, Report, part_done
-from napari_hmrf.optimizers.cycle import BENDING, STRETCHING, Cycle, Smoothing
-from napari_hmrf.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.optimizers.base import Convergence, LevelRun, Outcome, Report
+from napari_hmrf.optimizers.cycle import BENDING, STRETCHING
+from napari_hmrf.optimizers.refinement import Refinement
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
@@ -32,6 +31,12 @@ from napari_hmrf.problem import Problem
 _ROUGHLY = 10.0
 _MOST_EXCHANGES = 500
 _TINY = 1e-300
+# Of single precision, in which the field is returned.
+_ROUNDING = 2.0**-24
+# How exactly states are confirmed, in pixels where tissue moves by one; and by how many times more
+# a wrong state is contradicted.
+_EXACT = 1e-9
+_ABOVE = 10.0
 # What is this part of the tolerance, or less, is as good as nothing.
 _NOTHING = 0.01
 
@@ -95,7 +100,7 @@ class Multigrid:
         else:
             check_bent(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
-        refinement = _Refinement(self, model, smoothing, report)
+        refinement = Refinement(self.max_iterations, model, smoothing, report)
         try:
             if limit is None:
                 model.hold(observed)
@@ -108,8 +113,7 @@ class Multigrid:
                 if start is not None:
                     np.copyto(d, host.combined(start), where=moves)
                 states = ActiveSet(observed & moves, y, host.planes(limit), d)
-                find = free_motion if isinstance(prior, ElasticPrior) else free_bend
-                forces = self._slip(problem, model, states, refinement, d, find)
+                forces = self._slip(problem, prior, model, states, refinement, d)
         except ConvergenceError:
             model.forget()
             raise
@@ -124,7 +128,11 @@ class Multigrid:
             displacement=displacement,
             energy=energies,
             levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
-            convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
+            convergence=Convergence(
+                max(refinement.estimate, _ROUNDING * float(np.abs(d).max())),
+                refinement.residual / max(forces, _TINY),
+                "factors" if refinement.by_factors else "cycles",
+            ),
         )
 
     def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
@@ -136,16 +144,19 @@ class Multigrid:
     def _slip(
         self,
         problem: Problem,
+        prior: Prior,
         model: LinearModel,
         states: ActiveSet,
-        refinement: _Refinement,
+        refinement: Refinement,
         d: Planes,
-        find: Callable[..., FreeMotion | None],
     ) -> float:
         """Solve in place for ever other states of what is observed, until none contradicts itself.
 
-        Returns the norm of the forces at the end.
+        A state that is wrong by little can lead far, where many are or little holds: so in the end
+        none may be, as far as numbers tell. Returns the norm of the forces at the end.
         """
+        elastic = isinstance(prior, ElasticPrior)
+        find = free_motion if elastic else free_bend
 
         def free(held: HeldPlanes) -> Planes | None:
             found = find(problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
@@ -155,8 +166,11 @@ class Multigrid:
             states.hold_all()
         steepness, bound = model.steepness, model.bounds[1]
         forces, before = 0.0, None
-        for tolerance in (_ROUGHLY * self.tolerance, self.tolerance):
-            near = tolerance / 2
+        exact = _EXACT * max(1.0, float(np.abs(d).max()))
+        for tolerance in (_ROUGHLY * self.tolerance, self.tolerance, exact):
+            near = tolerance / 2 if tolerance > exact else _ABOVE * exact
+            if tolerance == exact:
+                refinement.doubt_again()
             for _ in range(_MOST_EXCHANGES):
                 states.place(d)
                 model.hold(states.held)
@@ -190,93 +204,12 @@ class Multigrid:
                     f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise "
                     "the penalty, or hold more of the tissue"
                 )
+        motions = free_motions if elastic else free_bends
+        certain = np.moveaxis(states.certain(model.pull(d))[:, 2:-2, 2:-2], 0, -1)
+        some = list(motions(problem, certain))
+        if some:
+            off, side = states.sides(d, model.pull(d))
+            moved, off, side = (np.moveaxis(each[:, 2:-2, 2:-2], 0, -1) for each in (d, off, side))
+            least_motion.settle(moved, off, side, some, problem.tissue)
+            _, forces = model.work(d)
         return forces
-
-
-class _Refinement:
-    """An iteration in single precision, begun anew from each residual in double.
-
-    Attributes
-    ----------
-    estimate : float
-        How far the field is from converged, in pixels, as far as is known.
-    residual : float
-        The norm of the forces that are left over, in double precision.
-    energies : list of float
-        The total energy after each cycle; at the beginning, if there is none.
-    cycles : int
-        How many there were.
-    """
-
-    def __init__(
-        self, settings: Multigrid, model: LinearModel, smoothing: Smoothing, report: Report
-    ) -> None:
-        self._settings, self._model, self._report = settings, model, report
-        self._iteration = ConjugateGradients(Cycle(model, smoothing))
-        self.estimate = math.inf
-        self.residual = 0.0
-        self.energies: list[float] = []
-        self.cycles = 0
-        self._gains: list[float] = []
-        self._first: float | None = None
-
-    def run(
-        self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
-    ) -> None:
-        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels.
-
-        If `d` is known to be that good, it stays, once its residual has been seen to be as known.
-        """
-        balance = self._model.balance(d, load)
-        self.residual = balance.norm
-        if known is not None and known.suffices(tolerance, balance.norm):
-            self.estimate = known.error
-            return
-        before = math.inf
-        while True:
-            if balance.most == 0:
-                self.estimate = 0.0
-                return
-            step: Step | None = None
-
-            def enough(latest: Step, unit: float = balance.unit) -> bool:
-                nonlocal step
-                step = latest
-                self.cycles += 1
-                self._gains.append(unit**2 * latest.gain)
-                self._say(unit * latest.error, tolerance)
-                return unit * latest.error <= tolerance
-
-            correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
-            if step is not None:
-                host.add(d, correction, balance.unit)
-                balance = self._model.balance(d, load, balance.most)
-                self.residual = balance.norm
-                self.estimate = step.reach * self.residual
-                if self.estimate <= tolerance:
-                    return
-            if step is None or not self.estimate < 0.5 * before:
-                raise ConvergenceError(
-                    f"the field stays {self.estimate:.2g} px from converged after "
-                    f"{self.cycles} cycles: single precision does not carry these "
-                    "stiffnesses. Bring the softest and the stiffest tissue closer together"
-                )
-            before = self.estimate
-
-    def settle(self, energy: float) -> None:
-        """Take the total energy that the last run ended with, and know those before."""
-        gains = self._gains or [0.0]
-        self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
-        self._gains = []
-
-    def _say(self, estimate: float, tolerance: float) -> None:
-        """Report, and give up in time."""
-        cycles = len(self._gains)
-        self._first = self._first or estimate
-        done = part_done(self._first, estimate, tolerance)
-        self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
-        if cycles >= self._settings.max_iterations and estimate > tolerance:
-            raise ConvergenceError(
-                f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
-                "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
-            )

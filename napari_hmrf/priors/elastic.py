@@ -27,7 +27,7 @@ from napari_hmrf.priors.elements import (
     Lame,
     differences,
     element_forces,
-    of_elements,
+    lame_parameters,
 )
 from napari_hmrf.problem import Problem
 
@@ -129,16 +129,8 @@ class ElasticPrior:
 
     def lame(self, problem: Problem) -> Lame:
         """Lame's parameters of each element, from the means of its sites; 0 if one is void."""
-        young = of_elements(problem.m.astype(np.float64) / float(problem.m.max()))
-        whole = of_elements(problem.tissue.astype(np.float64)) == 1
-        young = np.where(whole, young, 0.0)
-        nu: Any = self.poisson
-        if isinstance(nu, np.ndarray):
-            nu = np.where(whole, of_elements(nu.astype(np.float64)), 0.0)
-        shear = young / (2 * (1 + nu))
-        if self.plane == "stress":
-            return Lame(young * nu / (1 - nu**2), shear)
-        return Lame(young * nu / ((1 + nu) * (1 - 2 * nu)), shear)
+        m = problem.m.astype(np.float64) / float(problem.m.max())
+        return lame_parameters(m, self.poisson, self.plane == "strain")
 
     def shape(self, spacing: tuple[float, ...]) -> ElementShape:
         """The constants of an element of this size of pixel; only the pixel's shape matters."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -23,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.hierarchy import levels, nearest_pixels
+from napari_hmrf.priors.elements import MILD_CONTRAST, contrast
 from napari_hmrf.problem import Problem
 
 Float64Array = npt.NDArray[np.float64]
@@ -105,6 +107,58 @@ class SeilerMaterial:
         """
         most = 3.0 if self.blanket else 2.0
         return most, most
+
+    @property
+    def mild(self) -> bool:
+        """Whether a cycle is known to see every motion of such tissue."""
+        return contrast(self.m) <= MILD_CONTRAST and self.square
+
+    #: Sites along a side of an element: the cliques around a site.
+    patch = 3
+    #: How far elements reach beyond the image, in sites: those around sites of its border.
+    margin = 1
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the model is: it has an energy."""
+        return self.blanket
+
+    @property
+    def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
+        """Each component apart, and what gives the matrices around sites, (h, w, 9, 9)."""
+        return tuple(((k,), partial(self._matrices, k)) for k in range(2))
+
+    def _matrices(self, component: int, rows: slice, cols: slice) -> Float64Array:
+        """The matrices of the cliques whose middles lie between these rows and columns.
+
+        Blanket, the second derivatives of their energies; centred, the middle's d - q(d).
+        """
+        sites = np.pad(self.m, 1)[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
+        shape = sites.shape[0] - 2, sites.shape[1] - 2
+        total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))
+        for (i, j), weight in zip(LINES, self.lines[:, component], strict=True):
+            s, t, u = (
+                (slice(1 + k * i, 1 + k * i + shape[0]), slice(1 + k * j, 1 + k * j + shape[1]))
+                for k in (-1, 0, 1)
+            )
+            at = np.array([3 * (1 + k * i) + 1 + k * j for k in (-1, 0, 1)])
+            r_s, r_u, exists = _ratios(sites, s, t, u)
+            one = np.ones_like(r_s)
+            # How the two terms of V depend on d_s, d_t and d_u.
+            for ratio, term in (
+                (r_u, np.concatenate([-r_u, 1 + r_u, -one], axis=-1)),
+                (r_s, np.concatenate([-one, 1 + r_s, -r_s], axis=-1)),
+            ):
+                if self.blanket:
+                    square = term[..., :, None] * term[..., None, :]
+                    total[..., at[:, None], at] += 2 * weight * exists[..., None] * square
+                else:
+                    total[..., 4, at] += weight * exists * (1 + ratio) * term
+                    curvature += weight * exists * (1 + ratio) ** 2
+        if not self.blanket:
+            steep = np.where(curvature > 0, curvature, 1.0)[..., None]
+            total = np.divide(total, steep)
+        return total
 
 
 class SiteParabola(NamedTuple):

@@ -27,10 +27,27 @@ class CpuModel:
     """
 
     levels: Sequence[Any]
+    material: Any
     found: Found
     _held: HeldPlanes | None
     #: What is left of a load: 0 where held.
     _rest: Vector
+
+    @property
+    def mild(self) -> bool:
+        """Whether a cycle is known to see every motion of such tissue."""
+        return bool(self.material.mild)
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Which components of the finest level are unknown."""
+        moves: HeldPlanes = self.levels[0].inverse > 0
+        return moves
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The finest grid, (H, W)."""
+        return tuple(self.levels[0].grid)
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""

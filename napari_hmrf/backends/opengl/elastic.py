@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -12,7 +11,7 @@ from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.model import GLModel
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import Float64Array, Model, RelaxingLevel
-from napari_hmrf.priors.elements import ElasticMaterial, ElementShape, Lame, element_forces
+from napari_hmrf.priors.elements import ElasticMaterial, ElementShape, element_stiffness
 
 
 class GLElasticLevel(RelaxingLevel):
@@ -68,7 +67,7 @@ class GLElasticModel(GLModel):
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:
     """The stiffness matrix of a small level."""
-    first, shear = _element_matrices(element)
+    first, shear = element_stiffness(element)
     lame = stored_lame.reshape(stored_lame.shape[0], -1, 2)
     number = np.arange(lame.size).reshape(lame.shape)
     corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
@@ -77,13 +76,3 @@ def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float
     total = np.zeros((lame.size, lame.size))
     np.add.at(total, (values[:, :, None], values[:, None]), of_first * first + of_shear * shear)
     return total
-
-
-@lru_cache(maxsize=16)
-def _element_matrices(element: ElementShape) -> tuple[Float64Array, Float64Array]:
-    """The stiffness of one element, 8 x 8: its parts in the first of Lame's parameters and mu."""
-    impulses = np.eye(8).reshape(8, 2, 2, 2)
-    both = []
-    for lame in (Lame(np.ones((1, 1)), np.zeros((1, 1))), Lame(np.zeros((1, 1)), np.ones((1, 1)))):
-        both.append(np.array([element_forces(lame, element, d).ravel() for d in impulses]))
-    return both[0], both[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.linear import Balance, HeldPlanes, LinearModel, Planes
@@ -32,6 +33,26 @@ class GLModel:
         self._host.hold(held)
         for level in self.levels:
             level.hold()
+
+    @property
+    def material(self) -> Any:
+        """What it is a model of."""
+        return self._host.material
+
+    @property
+    def mild(self) -> bool:
+        """Whether a cycle is known to see every motion of such tissue."""
+        return self._host.mild
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Which components of the finest level are unknown."""
+        return self._host.moves
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The finest grid, (H, W)."""
+        return self._host.shape
 
     @property
     def found(self) -> Found:

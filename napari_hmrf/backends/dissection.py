@@ -1,0 +1,412 @@
+"""A direct solver on the pixel grid, in double precision: nested dissection of its elements.
+
+An *element* is a block of `patch` x `patch` sites that its matrix couples: 2 for elastic tissue, 3
+for the paper's cliques, around their middle. A *box* of elements is condensed to its *ring*, the
+sites that it shares with others:
+
+    F = [[A, B], [C, D]] of own sites and ring,   S = D - C A^-1 B,
+
+and two boxes side by side are one, once their S are added (nested dissection: George, SIAM J.
+Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have the same few shapes: they are
+condensed many at a time, with 1 on the diagonal where nothing moves. Above, a box has only the
+components that move. On n x n sites that is about n^3 work and n^2 log n memory, whatever the
+materials.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+from threadpoolctl import ThreadpoolController
+
+Float64Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+#: Gives the matrices (h, w, n, n) of elements between these rows and columns; n is patch^2 C.
+Elements = Callable[[slice, slice], Float64Array]
+#: Is told, on any thread, which part of the work is done; may raise to stop it.
+Progress = Callable[[float], None]
+
+# Elements along a side of the smallest boxes, and of a tile.
+_LEAF, _TILE = 4, 16
+# Tiles condensed at once: what a processor's cache holds.
+_AT_ONCE = 16
+_THREADS = os.cpu_count() or 1
+
+
+class Singular(ArithmeticError):
+    """Nothing holds a part of the system, as far as double precision can tell."""
+
+
+class _Step(NamedTuple):
+    """A condensation: its components, A^-1, A^-1 B, and C A^-1 if that is not (A^-1 B)^T.
+
+    All may have leading axes, for boxes of the same shape.
+    """
+
+    own: Index
+    ring: Index
+    inverse: Float64Array
+    right: Float64Array
+    left: Float64Array | None
+
+    def forward(self, load: Float64Array) -> None:
+        """Hand the load of own components on to the ring, in place."""
+        left = self.left if self.left is not None else self.right.swapaxes(-1, -2)
+        passed = (left @ load[self.own][..., None])[..., 0]
+        np.subtract.at(load, self.ring, passed)
+
+    def back(self, load: Float64Array, d: Float64Array) -> None:
+        """Find the displacement of own components from their load and the ring's, in place."""
+        found = self.inverse @ load[self.own][..., None] - self.right @ d[self.ring][..., None]
+        d[self.own] = found[..., 0]
+
+
+class _CholeskyStep(NamedTuple):
+    """A condensation of a symmetric box: U of A = U^T U, and U^-T B."""
+
+    own: Index
+    ring: Index
+    factor: Float64Array
+    right: Float64Array
+
+    def forward(self, load: Float64Array) -> None:
+        """As for `_Step`; the load of own components becomes U^-T times it."""
+        load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
+        load[self.ring] -= load[self.own] @ self.right
+
+    def back(self, load: Float64Array, d: Float64Array) -> None:
+        """As for `_Step`."""
+        d[self.own] = _triangular(self.factor, load[self.own] - self.right @ d[self.ring])
+
+
+_Steps = list[_Step | _CholeskyStep]
+#: Of tiles: first row, last row, first column, last column; the last ones are outside.
+_Range = tuple[int, int, int, int]
+
+
+class _Share(NamedTuple):
+    """A condensed box: its ring, and the matrix that it adds there."""
+
+    ring: Index
+    matrix: Float64Array
+
+
+class Dissection:
+    """The factors of a matrix.
+
+    Parameters
+    ----------
+    elements : callable
+        Gives the matrices of the elements.
+    patch : int
+        Sites along a side of an element.
+    moves : ndarray of bool, shape (H, W, C)
+        Which components are unknown: in some element each. The others are 0.
+    symmetric : bool
+        Whether the matrix is symmetric, and so positive definite.
+    progress : callable
+        Is told which part of the work is done.
+
+    Raises
+    ------
+    Singular
+    """
+
+    def __init__(
+        self,
+        elements: Elements,
+        patch: int,
+        moves: Mask,
+        symmetric: bool,
+        progress: Progress = lambda part: None,
+    ) -> None:
+        self._elements, self._patch = elements, patch
+        self._moves, self._symmetric = moves, symmetric
+        self._span = tuple(size - patch + 1 for size in moves.shape[:2])
+        self._tiles = tuple(-(-size // _TILE) for size in self._span)
+        self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
+        self._place()
+        # One thread for each call, and several calls at once: small matrices gain nothing from more
+        # threads, and lose much where others use the cores.
+        with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
+            self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
+        if len(rest.ring):
+            self._steps.append(_eliminate(rest.matrix, rest.ring, len(rest.ring), symmetric)[0])
+        del self._elements
+
+    def solve(self, load: Float64Array) -> Float64Array:
+        """Return the displacement (H, W, C) for a load (H, W, C)."""
+        rest, d = np.zeros((2, self._moves.size + 1))
+        rest[:-1] = np.where(self._moves, load, 0.0).ravel()
+        with _one_thread():
+            for step in self._steps:
+                step.forward(rest)
+            for step in reversed(self._steps):
+                step.back(rest, d)
+        return d[:-1].reshape(self._moves.shape)
+
+    @property
+    def memory(self) -> int:
+        """What the factors take, in bytes."""
+        return sum(part.nbytes for step in self._steps for part in step if part is not None)
+
+    def _place(self) -> None:
+        """Number the components, tile by tile; the last number is of those that do not move."""
+        side = _TILE + self._patch - 1
+        height, width, fields = self._moves.shape
+        size = [_TILE * count + self._patch - 1 for count in self._tiles]
+        numbers = np.full((*size, fields), self._moves.size)
+        every = np.arange(self._moves.size).reshape(self._moves.shape)
+        numbers[:height, :width] = np.where(self._moves, every, self._moves.size)
+        windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(0, 1))
+        #: (tile rows, tile columns, side, side, C)
+        self._numbers = np.moveaxis(windows[::_TILE, ::_TILE], 2, -1)
+
+    def _condense(
+        self,
+        tiles: _Range,
+        pool: ThreadPoolExecutor,
+        threads: int = _THREADS,
+        shares: dict[tuple[int, int], _Share] | None = None,
+    ) -> tuple[_Steps, _Share]:
+        """Condense a box of tiles, some of which may be condensed already."""
+        top, bottom, left, right = tiles
+        high, wide = bottom - top, right - left
+        steps: _Steps = []
+        if shares is None and high * wide <= _AT_ONCE:
+            steps, shares = self._condense_tiles(tiles)
+        if high == wide == 1:
+            assert shares is not None
+            return steps, shares.pop((top, left))
+        if high >= wide:
+            middle = (top + bottom) // 2
+            one, two = (top, middle, left, right), (middle, bottom, left, right)
+        else:
+            middle = (left + right) // 2
+            one, two = (top, bottom, left, middle), (top, bottom, middle, right)
+        if threads > 1 and shares is None:
+            other = pool.submit(self._condense, two, pool, threads // 2)
+            found = [self._condense(one, pool, threads - threads // 2), other.result()]
+        else:
+            found = [self._condense(half, pool, 1, shares) for half in (one, two)]
+        (first, share), (second, other_share) = found
+        step, merged = self._merge(tiles, share, other_share)
+        return [*steps, *first, *second, step], merged
+
+    def _merge(
+        self, tiles: _Range, one: _Share, two: _Share
+    ) -> tuple[_Step | _CholeskyStep, _Share]:
+        """Make two boxes one."""
+        every = np.union1d(one.ring, two.ring)
+        shared = self._shared(every, tiles)
+        own = len(every) - int(shared.sum())
+        place = np.where(shared, own + np.cumsum(shared), np.cumsum(~shared)) - 1
+        front = np.zeros((len(every), len(every)))
+        for share in (one, two):
+            at = place[np.searchsorted(every, share.ring)]
+            front[np.ix_(at, at)] += share.matrix
+        order = np.concatenate([every[~shared], every[shared]])
+        step, matrix = _eliminate(front, order, own, self._symmetric)
+        self._tell(float(own) * len(every) ** 2)
+        return step, _Share(order[own:], matrix)
+
+    def _shared(self, components: Index, tiles: _Range) -> Mask:
+        """Which components lie on a site that elements outside a box of tiles touch, too."""
+        top, bottom, left, right = tiles
+        row, col = np.divmod(components // self._moves.shape[2], self._moves.shape[1])
+        over = self._patch - 1
+        above, below = top > 0, bottom < self._tiles[0]
+        before, after = left > 0, right < self._tiles[1]
+        return np.asarray(
+            (above & (row < _TILE * top + over))
+            | (below & (row >= _TILE * bottom))
+            | (before & (col < _TILE * left + over))
+            | (after & (col >= _TILE * right))
+        )
+
+    def _condense_tiles(self, tiles: _Range) -> tuple[_Steps, dict[tuple[int, int], _Share]]:
+        """Condense each tile of a box of them."""
+        top, bottom, left, right = tiles
+        fields = self._moves.shape[2]
+        numbers = self._numbers[top:bottom, left:right].reshape(-1, *self._numbers.shape[2:])
+        boxes, at = self._leaves(tiles, numbers)
+        steps: _Steps = []
+        own = _components(_own(_LEAF, _LEAF, self._patch), fields).size
+        for merge in (None, *_merges(self._patch, fields)):
+            if merge is not None:
+                boxes, at, own = _front(boxes, at, merge)
+            step, boxes = _eliminate(boxes, at, own, self._symmetric)
+            steps.append(step)
+            at = at[..., own:]
+        self._tell(_TILE_WORK * fields**3 * len(numbers))
+        shares = {}
+        for number, (ring, matrix) in enumerate(zip(at[:, 0, 0], boxes[:, 0, 0], strict=True)):
+            row, col = divmod(number, right - left)
+            here = np.flatnonzero(ring < self._moves.size)
+            here = here[np.argsort(ring[here])]
+            shares[top + row, left + col] = _Share(ring[here], matrix[np.ix_(here, here)])
+        return steps, shares
+
+    def _leaves(self, tiles: _Range, numbers: Index) -> tuple[Float64Array, Index]:
+        """The matrices of the smallest boxes (tiles, 4, 4, n, n), and their components' numbers."""
+        top, bottom, left, right = tiles
+        patch, fields = self._patch, self._moves.shape[2]
+        rows = slice(_TILE * top, min(_TILE * bottom, self._span[0]))
+        cols = slice(_TILE * left, min(_TILE * right, self._span[1]))
+        some = self._elements(rows, cols)
+        size = some.shape[-1]
+        every = np.zeros((_TILE * (bottom - top), _TILE * (right - left), size, size))
+        every[: some.shape[0], : some.shape[1]] = some
+        count, side = _TILE // _LEAF, _LEAF + patch - 1
+        split = (bottom - top, count, _LEAF, right - left, count, _LEAF, size, size)
+        # (tile row, tile column, box row, box column, element row, element column, n, n)
+        elements = every.reshape(split).transpose(0, 3, 1, 4, 2, 5, 6, 7)
+        order = _components(
+            np.concatenate([part(_LEAF, _LEAF, patch) for part in (_own, _ring)]), fields
+        )
+        place = np.argsort(order)
+        grid = np.arange(len(order)).reshape(side, side, fields)
+        leaves = np.zeros((*elements.shape[:4], len(order), len(order)))
+        for i in range(_LEAF):
+            for j in range(_LEAF):
+                at = place[grid[i : i + patch, j : j + patch].ravel()]
+                leaves[..., at[:, None], at] += elements[:, :, :, :, i, j]
+        leaves = leaves.reshape(-1, *leaves.shape[2:])
+        windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(1, 2))
+        each = np.moveaxis(windows[:, ::_LEAF, ::_LEAF], 3, -1)
+        at = each.reshape(*leaves.shape[:-1])[..., order]
+        moves = at < self._moves.size
+        leaves *= moves[..., None] & moves[..., None, :]
+        diagonal = np.arange(len(order))
+        leaves[..., diagonal, diagonal] += ~moves
+        return leaves, at
+
+    def _tell(self, amount: float) -> None:
+        self._done += amount
+        self._progress(min(self._done / self._work, 1.0))
+
+
+def work(shape: tuple[int, ...]) -> float:
+    """Roughly how many multiplications a dissection of (H, W, C) takes."""
+    height, width, fields = shape
+    sites = height * width
+    boxes, tiles = 16.0 * sites * math.sqrt(sites), _TILE_WORK * sites / _TILE**2
+    return fields**3 * (boxes + tiles)
+
+
+# Multiplications of a tile of one component.
+_TILE_WORK = 3.0e5
+
+
+def _eliminate(
+    front: Float64Array, at: Index, own: int, symmetric: bool
+) -> tuple[_Step | _CholeskyStep, Float64Array]:
+    """Condense matrices (..., own + ring, own + ring), of components with these numbers."""
+    a, b = front[..., :own, :own], front[..., :own, own:]
+    c, d = front[..., own:, :own], front[..., own:, own:]
+    places = at[..., :own], at[..., own:]
+    if symmetric and front.ndim == 2:
+        factor, wrong = scipy.linalg.lapack.dpotrf(a)
+        if wrong:
+            raise Singular
+        above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
+        return _CholeskyStep(*places, factor, above), d - above.T @ above
+    try:
+        inverse = np.asarray(np.linalg.inv(a), np.float64)
+    except np.linalg.LinAlgError:
+        raise Singular from None
+    right: Float64Array = inverse @ b
+    left = None if symmetric else c @ inverse
+    return _Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
+
+
+def _triangular(factor: Float64Array, load: Float64Array, transposed: bool = False) -> Float64Array:
+    """Solve U x = load, or U^T x = load."""
+    if not len(load):
+        return load
+    return np.asarray(scipy.linalg.blas.dtrsv(factor, load, trans=int(transposed)))
+
+
+@lru_cache(maxsize=1)
+def _pools() -> ThreadpoolController:
+    """The thread pools of what NumPy and SciPy compute with, both loaded by now."""
+    return ThreadpoolController()
+
+
+def _one_thread() -> Any:
+    """Have each call computed by its own thread, within this context."""
+    return _pools().limit(limits=1, user_api="blas")
+
+
+class _Merge(NamedTuple):
+    """How two boxes of a shape become one of `size` components, the `own` ones first."""
+
+    axis: int
+    own: int
+    size: int
+    first: Index
+    second: Index
+
+
+def _front(boxes: Float64Array, at: Index, merge: _Merge) -> tuple[Float64Array, Index, int]:
+    """Make every two boxes of a grid (tiles, rows, columns, ...) one."""
+    one, two = (
+        (slice(None), *(slice(None),) * merge.axis, slice(start, None, 2)) for start in (0, 1)
+    )
+    numbers = np.empty((*at[one].shape[:-1], merge.size), dtype=at.dtype)
+    front = np.zeros((*numbers.shape, merge.size))
+    for part, place in ((one, merge.first), (two, merge.second)):
+        numbers[..., place] = at[part]
+        front[..., place[:, None], place] += boxes[part]
+    return front, numbers, merge.own
+
+
+def _ring(height: int, width: int, patch: int) -> Index:
+    """The sites of a box of elements that others may touch, in the order of rows."""
+    over = patch - 1
+    inner = np.ones((height + over, width + over), dtype=bool)
+    inner[over:height, over:width] = False
+    return np.flatnonzero(inner)
+
+
+def _own(height: int, width: int, patch: int) -> Index:
+    """The sites of a box of elements that no others touch, in the order of rows."""
+    over = patch - 1
+    return np.setdiff1d(np.arange((height + over) * (width + over)), _ring(height, width, patch))
+
+
+def _components(sites: Index, fields: int) -> Index:
+    """The components of sites."""
+    return np.asarray((sites[:, None] * fields + np.arange(fields)).ravel())
+
+
+@lru_cache(maxsize=8)
+def _merges(patch: int, fields: int) -> tuple[_Merge, ...]:
+    """How the smallest boxes become a tile."""
+    made, size, over = [], [_LEAF, _LEAF], patch - 1
+    while size != [_TILE, _TILE]:
+        axis = int(size[1] == size[0])
+        row, col = np.divmod(_ring(size[0], size[1], patch), size[1] + over)
+        shift = [0, 0]
+        shift[axis] = size[axis]
+        size[axis] *= 2
+        width = size[1] + over
+        first, second = row * width + col, (row + shift[0]) * width + col + shift[1]
+        outside = _ring(size[0], size[1], patch)
+        own = np.setdiff1d(np.union1d(first, second), outside)
+        order = np.concatenate([own, outside])
+        place = np.zeros(width * (size[0] + over), dtype=np.intp)
+        place[order] = np.arange(len(order))
+        both = (_components(place[sites], fields) for sites in (first, second))
+        made.append(_Merge(axis, fields * len(own), fields * len(order), *both))
+    return tuple(made)

@@ -1,0 +1,251 @@
+"""Solving one linear system to a tolerance: by cycles, and by factors where cycles cannot be sure.
+
+A Krylov iteration judges itself by the modes that it has met. Where parts of stiff tissue are so
+thin or so close together that coarse levels weld them, to move them costs so little that it is not
+met before all else has converged. So where tissue is not mild, the iteration first *rehearses*: it
+solves for a random field, whose answer is known. If what it reports is true of that, it is trusted
+with the problem; if not, or if it stalls, the system is factorised.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from napari_hmrf.backends import host
+from napari_hmrf.backends.dissection import Singular
+from napari_hmrf.backends.factors import Factors
+from napari_hmrf.backends.found import Quality
+from napari_hmrf.backends.linear import Balance, LinearModel, Planes
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.optimizers.base import Monitor, Report, part_done
+from napari_hmrf.optimizers.cycle import Cycle, Smoothing
+from napari_hmrf.optimizers.krylov import ConjugateGradients, Step
+
+# A rehearsal ends at this part of its field, as reported; and what it reports may be this much less
+# than what is true.
+_REHEARSED = 0.01
+_BELIEVABLE = 3.0
+# How much more doubtful a problem may be than its rehearsal was.
+_MARGIN = 2.5
+_REHEARSAL_CYCLES = 30
+# Cycles after which factors are the shorter way.
+_CYCLES = 60
+# A correction by factors must be smaller than the one before it by this factor.
+_FALL = 0.25
+
+
+class Refinement:
+    """An iteration in single precision, begun anew from each residual in double, or factors.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Cycles after which a run gives up.
+    model : LinearModel
+    smoothing : Smoothing
+    report : callable
+
+    Attributes
+    ----------
+    estimate : float
+        How far the field is from converged, in pixels, as far as is known.
+    residual : float
+        The norm of the forces that are left over, in double precision.
+    energies : list of float
+        The total energy after each cycle; at the beginning, if there is none.
+    cycles : int
+        How many there were; a solution by factors counts as one.
+    """
+
+    def __init__(
+        self, max_iterations: int, model: LinearModel, smoothing: Smoothing, report: Report
+    ) -> None:
+        self._most, self._model, self._report = max_iterations, model, report
+        self._iteration = ConjugateGradients(Cycle(model, smoothing))
+        self.estimate = math.inf
+        self.residual = 0.0
+        self.energies: list[float] = []
+        self.cycles = 0
+        self._gains: list[float] = []
+        self._first: float | None = None
+        self._doubt: float | None = None
+
+    def doubt_again(self) -> None:
+        """Rehearse once more if something else is held: what holds less may move otherwise."""
+        if self._doubt is not None and self._doubt <= _BELIEVABLE:
+            self._doubt = None
+
+    def run(
+        self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
+    ) -> None:
+        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels.
+
+        If `d` is known to be that good, it stays, once its residual has been seen to be as known.
+
+        Raises
+        ------
+        ConvergenceError
+        """
+        balance = self._model.balance(d, load)
+        self.residual = balance.norm
+        if known is not None and known.suffices(tolerance, balance.norm):
+            self.estimate = known.error
+        elif balance.most == 0:
+            self.estimate = 0.0
+        elif self._model.found.factors is not None or not self._iterate(
+            d, load, tolerance, balance
+        ):
+            self._solve(d, load, tolerance)
+
+    @property
+    def by_factors(self) -> bool:
+        """Whether the last run needed factors."""
+        return self._model.found.factors is not None
+
+    def settle(self, energy: float) -> None:
+        """Take the total energy that the last run ended with, and know those before."""
+        gains = self._gains or [0.0]
+        self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
+        self._gains = []
+
+    def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
+        """Go to the tolerance by cycles; whether it can be said that they arrived."""
+        found, before = self._model.found, math.inf
+        self._iteration.least = min(self._iteration.least, found.least)
+        if found.doubt is None:
+            if self._doubt is None:
+                self._doubt = 1.0 if self._model.mild else self._rehearse(d.shape)
+            found.doubt = self._doubt
+            found.least = self._iteration.least
+            balance = self._model.balance(d, load)
+        if found.doubt > _BELIEVABLE:
+            return False
+        doubt = 1.0 if self._model.mild else max(_MARGIN * found.doubt, 1.0)
+        while True:
+            step: Step | None = None
+
+            def enough(latest: Step, unit: float = balance.unit) -> bool:
+                nonlocal step
+                step = latest
+                self._gains.append(unit**2 * latest.gain)
+                error = doubt * unit * latest.error
+                self._say(error, tolerance)
+                return error <= tolerance or self._too_long
+
+            try:
+                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+            except FloatingPointError:
+                return False
+            if step is None:
+                return False
+            host.add(d, correction, balance.unit)
+            balance = self._model.balance(d, load, balance.most)
+            self.residual = balance.norm
+            self.estimate = doubt * step.reach * self.residual
+            if self.estimate <= tolerance:
+                return True
+            if self._too_long or not self.estimate < 0.5 * before:
+                return False
+            before = self.estimate
+
+    @property
+    def _too_long(self) -> bool:
+        """Whether factors are the shorter way from here."""
+        return len(self._gains) >= _CYCLES and Factors.fit(self._model.shape)
+
+    def _rehearse(self, shape: tuple[int, ...]) -> float:
+        """How far off a known answer is, over how far off it is said to be."""
+        error = host.noise(shape)
+        error[~self._model.moves] = 0
+        most = float(np.abs(error).max())
+        doubt, cycles = math.inf, 0
+        while most > 0 and doubt > _BELIEVABLE and cycles < _REHEARSAL_CYCLES:
+            # What is left of the error is what was not met: from there it is.
+            balance, step = self._model.balance(error, None), None
+            target = _REHEARSED * most / balance.unit
+
+            def enough(latest: Step, target: float = target) -> bool:
+                nonlocal step, cycles
+                step, cycles = latest, cycles + 1
+                self._report(Monitor(f"rehearsal, cycle {cycles}", 0.0))
+                return latest.error <= target or cycles >= _REHEARSAL_CYCLES
+
+            try:
+                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+            except FloatingPointError:
+                return math.inf
+            if step is None or step.error > target:
+                return math.inf
+            host.add(error, correction, balance.unit)
+            doubt = float(np.abs(error).max()) / (balance.unit * step.error)
+        return doubt if most > 0 else 1.0
+
+    def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
+        """Go to the tolerance by factors."""
+        model, factors = self._model, factorise(self._model, self._report)
+        balance, before = model.balance(d, load), math.inf
+        while balance.most > 0:
+            correction = balance.unit * factors.solve(balance.rest)
+            np.add(d, correction, out=d)
+            self.cycles += 1
+            self._gains.append(balance.unit / 2 * float((correction * balance.rest).sum()))
+            far = float(np.abs(correction).max())
+            self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
+            balance = model.balance(d, load, balance.most)
+            self.residual, self.estimate = balance.norm, far
+            # What is left is smaller still: by as much as this one was smaller than the last.
+            if far <= tolerance and far <= _FALL * before:
+                return
+            if not far <= _FALL * before:
+                raise ConvergenceError(
+                    f"the field stays {far:.2g} px from converged: double precision does not carry "
+                    "this tissue. Hold more of it, or bring the softest and the stiffest closer "
+                    "together"
+                )
+            before = far
+        self.estimate = 0.0
+
+    def _say(self, estimate: float, tolerance: float) -> None:
+        """Report, count, and give up in time."""
+        self.cycles += 1
+        cycles = len(self._gains)
+        self._first = self._first or estimate
+        done = part_done(self._first, estimate, tolerance)
+        self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
+        if cycles >= self._most and estimate > tolerance:
+            raise ConvergenceError(
+                f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
+                "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
+            )
+
+
+def factorise(model: LinearModel, report: Report) -> Factors:
+    """Return the factors of a model with what is held now; they are kept for the next time.
+
+    Raises
+    ------
+    ConvergenceError
+        If there is no memory for them, or if double precision cannot tell what holds the tissue.
+    """
+    if model.found.factors is None:
+        if not Factors.fit(model.shape):
+            raise ConvergenceError(
+                "cycles cannot be sure of this tissue, and its factors need "
+                f"{Factors.needed(model.shape) / 2**30:.0f} GiB of memory. Crop the image, or "
+                "bring the softest and the stiffest tissue closer together"
+            )
+
+        def tell(part: float) -> None:
+            report(Monitor(f"factorising, {part:.0%}", part))
+
+        tell(0.0)
+        try:
+            model.found.factors = Factors(model.material, model.moves, tell)
+        except Singular:
+            raise ConvergenceError(
+                "a part of the tissue is held by next to nothing, as far as double precision "
+                "tells. Hold more of it, or bring the softest and the stiffest closer together"
+            ) from None
+    return model.found.factors
