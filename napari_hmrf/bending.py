@@ -51,11 +51,6 @@ def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | Non
     return None
 
 
-def free_bends(problem: Problem, held: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.float64]]:
-    """Find all ways in which tissue could move at no cost; as `napari_hmrf.held.free_motions`."""
-    return (ways for _, _, ways in _free_pieces(problem, held))
-
-
 def _free_pieces(
     problem: Problem, held: npt.NDArray[np.bool_]
 ) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -41,6 +42,8 @@ _LEAF, _TILE = 4, 16
 # Tiles condensed at once: what a processor's cache holds.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
+# What holds a component must be more than this part of what its neighbours could.
+_HELD = 1e-13
 
 
 class Singular(ArithmeticError):
@@ -116,6 +119,8 @@ class Dissection:
         Whether the matrix is symmetric, and so positive definite.
     progress : callable
         Is told which part of the work is done.
+    springs : ndarray, shape (H, W, C), optional
+        What is added to the diagonal.
 
     Raises
     ------
@@ -129,6 +134,7 @@ class Dissection:
         moves: Mask,
         symmetric: bool,
         progress: Progress = lambda part: None,
+        springs: Float64Array | None = None,
     ) -> None:
         self._elements, self._patch = elements, patch
         self._moves, self._symmetric = moves, symmetric
@@ -136,13 +142,19 @@ class Dissection:
         self._tiles = tuple(-(-size // _TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
         self._place()
+        # The matrix's diagonal, as far as elements have been looked at.
+        self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
+        self._springs = np.zeros(moves.size + 1)
+        self._least = _HELD if springs is None else 0.0
+        if springs is not None:
+            self._springs[:-1] = springs.ravel()
         # One thread for each call, and several calls at once: small matrices gain nothing from more
         # threads, and lose much where others use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
         if len(rest.ring):
-            self._steps.append(_eliminate(rest.matrix, rest.ring, len(rest.ring), symmetric)[0])
-        del self._elements
+            self._steps.append(self._eliminate(rest.matrix, rest.ring, len(rest.ring))[0])
+        del self._elements, self._diagonal, self._springs, self._lock
 
     def solve(self, load: Float64Array) -> Float64Array:
         """Return the displacement (H, W, C) for a load (H, W, C)."""
@@ -216,7 +228,7 @@ class Dissection:
             at = place[np.searchsorted(every, share.ring)]
             front[np.ix_(at, at)] += share.matrix
         order = np.concatenate([every[~shared], every[shared]])
-        step, matrix = _eliminate(front, order, own, self._symmetric)
+        step, matrix = self._eliminate(front, order, own)
         self._tell(float(own) * len(every) ** 2)
         return step, _Share(order[own:], matrix)
 
@@ -245,7 +257,7 @@ class Dissection:
         for merge in (None, *_merges(self._patch, fields)):
             if merge is not None:
                 boxes, at, own = _front(boxes, at, merge)
-            step, boxes = _eliminate(boxes, at, own, self._symmetric)
+            step, boxes = self._eliminate(boxes, at, own)
             steps.append(step)
             at = at[..., own:]
         self._tell(_TILE_WORK * fields**3 * len(numbers))
@@ -289,7 +301,39 @@ class Dissection:
         leaves *= moves[..., None] & moves[..., None, :]
         diagonal = np.arange(len(order))
         leaves[..., diagonal, diagonal] += ~moves
+        with self._lock:
+            np.add.at(self._diagonal, at, leaves[..., diagonal, diagonal])
         return leaves, at
+
+    def _eliminate(
+        self, front: Float64Array, at: Index, own: int
+    ) -> tuple[_Step | _CholeskyStep, Float64Array]:
+        """Condense matrices (..., own + ring, own + ring), of components with these numbers."""
+        a, b = front[..., :own, :own], front[..., :own, own:]
+        c, d = front[..., own:, :own], front[..., own:, own:]
+        places = at[..., :own], at[..., own:]
+        diagonal = np.arange(own)
+        a[..., diagonal, diagonal] += self._springs[places[0]]
+        if self._symmetric and front.ndim == 2:
+            factor, wrong = scipy.linalg.lapack.dpotrf(a)
+            if wrong:
+                raise Singular
+            self._check(factor.diagonal() ** 2, places[0])
+            above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
+            return _CholeskyStep(*places, factor, above), d - above.T @ above
+        try:
+            inverse = np.asarray(np.linalg.inv(a), np.float64)
+        except np.linalg.LinAlgError:
+            raise Singular from None
+        self._check(1 / inverse.diagonal(axis1=-2, axis2=-1), places[0])
+        right = inverse @ b
+        left = None if self._symmetric else c @ inverse
+        return _Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
+
+    def _check(self, pivots: Float64Array, own: Index) -> None:
+        """See that something holds each component; springs may be as weak as they are."""
+        if not (pivots > self._least * self._diagonal[own]).all():
+            raise Singular
 
     def _tell(self, amount: float) -> None:
         self._done += amount
@@ -306,28 +350,6 @@ def work(shape: tuple[int, ...]) -> float:
 
 # Multiplications of a tile of one component.
 _TILE_WORK = 3.0e5
-
-
-def _eliminate(
-    front: Float64Array, at: Index, own: int, symmetric: bool
-) -> tuple[_Step | _CholeskyStep, Float64Array]:
-    """Condense matrices (..., own + ring, own + ring), of components with these numbers."""
-    a, b = front[..., :own, :own], front[..., :own, own:]
-    c, d = front[..., own:, :own], front[..., own:, own:]
-    places = at[..., :own], at[..., own:]
-    if symmetric and front.ndim == 2:
-        factor, wrong = scipy.linalg.lapack.dpotrf(a)
-        if wrong:
-            raise Singular
-        above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
-        return _CholeskyStep(*places, factor, above), d - above.T @ above
-    try:
-        inverse = np.asarray(np.linalg.inv(a), np.float64)
-    except np.linalg.LinAlgError:
-        raise Singular from None
-    right: Float64Array = inverse @ b
-    left = None if symmetric else c @ inverse
-    return _Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
 
 
 def _triangular(factor: Float64Array, load: Float64Array, transposed: bool = False) -> Float64Array:

@@ -58,13 +58,21 @@ class Factors:
         Which components are unknown.
     progress : callable
         Is told which part of the work is done; may raise to stop it.
+    springs : ndarray, planes, optional
+        What is added to the diagonal.
 
     Raises
     ------
     Singular
     """
 
-    def __init__(self, material: Assembled, moves: HeldPlanes, progress: Progress) -> None:
+    def __init__(
+        self,
+        material: Assembled,
+        moves: HeldPlanes,
+        progress: Progress,
+        springs: Planes | None = None,
+    ) -> None:
         ring, (height, width) = 2 - material.margin, moves.shape[1:]
         self._inside = np.s_[:, ring : height - ring, ring : width - ring]
         inside = np.moveaxis(moves[self._inside], 0, -1)
@@ -75,8 +83,10 @@ class Factors:
             def tell(part: float, number: int = number) -> None:
                 progress((number + part) / len(parts))
 
-            some = np.ascontiguousarray(inside[..., list(components)])
-            dissection = Dissection(elements, material.patch, some, material.symmetric, tell)
+            at = list(components)
+            some = np.ascontiguousarray(inside[..., at])
+            more = None if springs is None else np.moveaxis(springs[self._inside], 0, -1)[..., at]
+            dissection = Dissection(elements, material.patch, some, material.symmetric, tell, more)
             self._parts.append((components, dissection))
 
     def solve(self, load: npt.NDArray[np.floating]) -> Planes:

@@ -27,8 +27,8 @@ FreeMotion = Callable[[HeldPlanes], Planes | None]
 PATIENCE = 6
 # What is this close to its mark, in pixels, has come to rest there.
 _ON_THE_MARK = 1e-7
-# What is held with this part less than its limit, or more, is held for certain.
-_AT_LIMIT = 1e-6
+# Of a force in double precision, in units of steepness times displacement.
+_ROUNDING = 4e-16
 # A part of a way that is none.
 _NO_WAY = 1e-6
 # Steps of all components at once, each on its own.
@@ -48,22 +48,29 @@ class States:
         What pulls at those that slip, in units of the model's residuals.
     d : ndarray, planes
         Where the components are: those elsewhere than observed slip from the beginning.
+
+    Attributes
+    ----------
+    at : ndarray of int
+        Which components of flat planes are observed.
+    y, limit : ndarray
+        Of these.
     """
 
     def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
         self._grid = observed.shape
-        self._at = np.flatnonzero(observed)
-        self._y, self._limit = y.ravel()[self._at], limit.ravel()[self._at]
+        self.at = np.flatnonzero(observed)
+        self.y, self.limit = y.ravel()[self.at], limit.ravel()[self.at]
         # The sign of the force of those that slip; 0 where held.
-        self._slips: npt.NDArray[Any] = np.sign(self._y - d.ravel()[self._at])
-        self._fewest = len(self._at) + 1
+        self._slips: npt.NDArray[Any] = np.sign(self.y - d.ravel()[self.at])
+        self._fewest = len(self.at) + 1
         self._patience = PATIENCE
 
     @property
     def held(self) -> HeldPlanes:
         """Which components are held."""
         made = np.zeros(self._grid, dtype=np.bool_)
-        made.ravel()[self._at[self._slips == 0]] = True
+        made.ravel()[self.at[self._slips == 0]] = True
         return made
 
     @property
@@ -75,13 +82,21 @@ class States:
     def load(self) -> Planes:
         """The forces on those that slip."""
         made = np.zeros(self._grid)
-        made.ravel()[self._at] = self._slips * self._limit
+        made.ravel()[self.at] = self._slips * self.limit
         return made
+
+    def hold_all(self) -> None:
+        """Hold all that is observed."""
+        self._slips = np.zeros_like(self._slips)
+
+    def slip_as(self, sides: npt.NDArray[Any]) -> None:
+        """Let components slip that are on one side (1) or the other (-1) of y; 0 is held."""
+        self._slips = sides
 
     def place(self, d: Planes) -> None:
         """Move the held components to what was observed, in place."""
         here = self._slips == 0
-        d.ravel()[self._at[here]] = self._y[here]
+        d.ravel()[self.at[here]] = self.y[here]
 
 
 class ActiveSet(States):
@@ -89,7 +104,7 @@ class ActiveSet(States):
 
     def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
         super().__init__(observed, y, limit, d)
-        self._barred = np.zeros(len(self._at), dtype=np.bool_)
+        self._barred = np.zeros(len(self.at), dtype=np.bool_)
 
     @property
     def lost(self) -> bool:
@@ -98,7 +113,7 @@ class ActiveSet(States):
 
     def cost(self, d: Planes) -> float:
         """The energy of the observations: sum of p |y - d|."""
-        return float((self._limit * np.abs(self._y - d.ravel()[self._at])).sum())
+        return float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
 
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
@@ -124,7 +139,7 @@ class ActiveSet(States):
         bool
             Whether any state has changed.
         """
-        needed = -pull.ravel()[self._at]
+        needed = -pull.ravel()[self.at]
         excess = self._excess(pull, steepness)
         held = self._slips == 0
         wrong = self._wrong(d, excess, tolerance) & ~self._barred
@@ -146,9 +161,28 @@ class ActiveSet(States):
             wrong[let_go[np.argsort(excess[let_go])[: len(let_go) // 2]]] = False
         return count > 0
 
-    def contradicted(self, d: Planes, pull: Planes, steepness: Planes, tolerance: float) -> bool:
-        """Whether any component contradicts its state; parameters as for `exchange`."""
-        return bool(self._wrong(d, self._excess(pull, steepness), tolerance).any())
+    def contradicted(
+        self,
+        d: Planes,
+        pull: Planes,
+        steepness: Planes,
+        tolerance: float,
+        share: float = math.inf,
+    ) -> bool:
+        """Whether any component contradicts its state; parameters as for `exchange`.
+
+        So does one that needs more than its limit by this `share` of it, however stiff it is.
+        """
+        more = np.abs(pull.ravel()[self.at]) - self.limit
+        over = (self._slips == 0) & (more > share * self.limit)
+        return bool(over.any() or self._wrong(d, self._excess(pull, steepness), tolerance).any())
+
+    @property
+    def every(self) -> HeldPlanes:
+        """Which components are observed."""
+        made = np.zeros(self._grid, dtype=np.bool_)
+        made.ravel()[self.at] = True
+        return made
 
     def relax(
         self, d: Planes, pull_at: Callable[[Planes], Planes], steepness: Planes, free: FreeMotion
@@ -171,13 +205,13 @@ class ActiveSet(States):
         bool
             Whether that was done: not if tissue would be let go of altogether.
         """
-        steep = steepness.ravel()[self._at]
+        steep = steepness.ravel()[self.at]
         moved, before = d.copy(), self._slips
         there = moved.ravel()
         for _ in range(_SWEEPS):
-            off = there[self._at] - self._y + pull_at(moved).ravel()[self._at] / steep
-            less = np.maximum(np.abs(off) - self._limit / steep, 0)
-            there[self._at] = self._y + np.sign(off) * less
+            off = there[self.at] - self.y + pull_at(moved).ravel()[self.at] / steep
+            less = np.maximum(np.abs(off) - self.limit / steep, 0)
+            there[self.at] = self.y + np.sign(off) * less
         self.follow(moved)
         if free(self.held) is not None:
             self._slips = before
@@ -187,34 +221,34 @@ class ActiveSet(States):
 
     def _excess(self, pull: Planes, steepness: Planes) -> npt.NDArray[Any]:
         """By how much more each component would have to be held, as the motion that causes."""
-        more = np.abs(pull.ravel()[self._at]) - self._limit
-        return np.asarray(more / steepness.ravel()[self._at])
+        more = np.abs(pull.ravel()[self.at]) - self.limit
+        return np.asarray(more / steepness.ravel()[self.at])
 
     def _wrong(
         self, d: Planes, excess: npt.NDArray[Any], tolerance: float
     ) -> npt.NDArray[np.bool_]:
         """Which components contradict their state, by more than so many pixels."""
-        passed = self._slips * (d.ravel()[self._at] - self._y)
+        passed = self._slips * (d.ravel()[self.at] - self.y)
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
-    def certain(self, pull: Planes) -> HeldPlanes:
-        """Which components are held with less than their limit."""
+    def certain(self, pull: Planes, steepness: Planes, margin: float) -> HeldPlanes:
+        """Which components are held with less than their limit.
+
+        By this part of it, and by what rounding adds to a force where tissue is stiff.
+        """
         made = np.zeros(self._grid, dtype=np.bool_)
-        less = np.abs(pull.ravel()[self._at]) < (1 - _AT_LIMIT) * self._limit
-        made.ravel()[self._at] = (self._slips == 0) & less
+        rounding = _ROUNDING * steepness.ravel()[self.at] * max(1.0, float(np.abs(self.y).max()))
+        less = np.abs(pull.ravel()[self.at]) < (1 - margin) * self.limit - rounding
+        made.ravel()[self.at] = (self._slips == 0) & less
         return made
 
     def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
         """How far components are from what was observed, y - d, and on which side it must stay."""
         off, side = np.zeros((2, *self._grid))
-        off.ravel()[self._at] = np.where(self._slips == 0, 0.0, self._y - d.ravel()[self._at])
-        needed = -pull.ravel()[self._at]
-        side.ravel()[self._at] = np.where(self._slips == 0, np.sign(needed), self._slips)
+        off.ravel()[self.at] = np.where(self._slips == 0, 0.0, self.y - d.ravel()[self.at])
+        needed = -pull.ravel()[self.at]
+        side.ravel()[self.at] = np.where(self._slips == 0, np.sign(needed), self._slips)
         return off, side
-
-    def hold_all(self) -> None:
-        """Hold all that is observed."""
-        self._slips = np.zeros_like(self._slips)
 
     def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
         """Go only as far from `before` along `way` as the energy falls: changes d, in place.
@@ -241,7 +275,7 @@ class ActiveSet(States):
 
     def follow(self, d: Planes) -> None:
         """Hold what is at its mark, and let the rest slip."""
-        off = self._y - d.ravel()[self._at]
+        off = self.y - d.ravel()[self.at]
         self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, np.sign(off))
         self.place(d)
 
@@ -256,7 +290,7 @@ class ActiveSet(States):
                 np.copyto(d, d + part * way)
                 self.follow(d)
                 return True
-        off = self._y - d.ravel()[self._at]
+        off = self.y - d.ravel()[self.at]
         self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, self._slips)
         return False
 
@@ -265,11 +299,11 @@ class ActiveSet(States):
 
         That of the tissue has this slope and bend; that of the observations is added here.
         """
-        off, moves = d.ravel()[self._at] - self._y, way.ravel()[self._at]
+        off, moves = d.ravel()[self.at] - self.y, way.ravel()[self.at]
         off[self._slips == 0] = 0
         at = np.divide(-off, moves, out=np.full_like(off, -1.0), where=moves != 0)
         signs = np.where(off != 0, np.sign(off), np.sign(moves))
-        slope += float((self._limit * signs * moves).sum())
+        slope += float((self.limit * signs * moves).sum())
         if slope >= 0:
             return 0.0
         # Where an observation passes its mark, the slope grows at once.
@@ -278,7 +312,7 @@ class ActiveSet(States):
                 continue
             if slope + bend * at[k] >= 0:
                 break
-            slope += 2 * float(self._limit[k] * abs(moves[k]))
+            slope += 2 * float(self.limit[k] * abs(moves[k]))
             if slope + bend * at[k] >= 0:
                 return float(at[k])
         return -slope / bend if bend > 0 else math.inf

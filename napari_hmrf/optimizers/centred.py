@@ -16,6 +16,7 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
@@ -33,11 +34,15 @@ from napari_hmrf.problem import Problem
 # How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
 _BARRIER = 0.5
 _BARRIER_AIM = 0.4
+# What may contradict a state, as a part of the tolerance.
+_CONTRADICTION = 0.1
 # Cycles after which factors are the shorter way.
 _CYCLES = 60
 # Exchanges of states after which there is no hope.
 _MOST_EXCHANGES = 2000
 _TINY = 1e-300
+# The residual of a field that is exact; and by how much one of two values is surely the larger.
+_EXACT, _SURE = 1e-12, 1e-11
 
 
 def converge(
@@ -65,16 +70,16 @@ def converge(
         for _ in range(_MOST_EXCHANGES):
             states.place(d)
             model.hold(states.held)
-            reach = refinement.run(d, states.load if states.any_slip else None)
+            reach = refinement.run(d, states.load if states.any_slip else None, states.lost)
             pull = model.pull(d)
-            if not states.exchange(d, pull, tolerance / 2 / max(reach, 1.0)):
+            if not states.exchange(d, pull, _CONTRADICTION * tolerance / max(reach, 1.0)):
                 break
         else:
             raise ConvergenceError(
                 f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise the "
                 "penalty, or hold more of the tissue"
             )
-        refinement.estimate = reach * max(refinement.most, states.off(d, pull))
+        refinement.estimate = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
         energy, forces = model.work(d)
     except ConvergenceError:
         model.forget()
@@ -94,9 +99,15 @@ def converge(
 class _CentredStates(States):
     """Which observed components are held, and which slip: eq. 19 for the centred update.
 
-    A component is held where q is within p / 2 A of what was observed. Which ones are is found by
-    exchanging all that contradict their state; where that leads nowhere, only the last of them,
-    which ends for certain in a system with this sign structure (Murty's rule).
+    A component is held where q is within l = p / 2 A of what was observed, so that everywhere
+
+        d = max(q - l, min(y, q + l)).
+
+    Which ones are is found by exchanging all that contradict their state. Where that leads nowhere,
+    by the improvement of two policies in turn: which components the maximum takes to q - l and, for
+    each such set, which of the others the minimum takes to q + l. Both go one way only, in a system
+    whose weights are positive and sum to one, and so they end (Hoffman and Karp, Management Science
+    12, 1966).
     """
 
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
@@ -108,11 +119,11 @@ class _CentredStates(States):
 
         That is y + soft(q - y, p / 2A); `pull` is q - d.
         """
-        if not len(self._at):
+        if not len(self.at):
             return 0.0
-        away = d.ravel()[self._at] - self._y
-        towards = away + pull.ravel()[self._at]
-        target = np.sign(towards) * np.maximum(np.abs(towards) - self._limit, 0.0)
+        away = d.ravel()[self.at] - self.y
+        towards = away + pull.ravel()[self.at]
+        target = np.sign(towards) * np.maximum(np.abs(towards) - self.limit, 0.0)
         return float(np.abs(away - target).max())
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
@@ -120,22 +131,42 @@ class _CentredStates(States):
 
         `pull` is q - d. Returns whether any state has changed.
         """
-        towards = pull.ravel()[self._at]
+        off = d.ravel()[self.at] - self.y
+        q = off + pull.ravel()[self.at]
+        if self._patience == 0:
+            return self._improve(q)
         held = self._slips == 0
-        excess = np.abs(towards) - self._limit
-        passed = self._slips * (d.ravel()[self._at] - self._y)
+        excess, passed = np.abs(q) - self.limit, self._slips * off
         wrong = np.where(held, excess, passed) > tolerance
         count = int(wrong.sum())
         if count < self._fewest:
             self._fewest, self._patience = count, PATIENCE
-        elif self._patience > 0:
-            self._patience -= 1
         else:
-            last = np.flatnonzero(wrong)[-1]
-            wrong[:] = False
-            wrong[last] = True
-        self._slips = np.where(wrong, np.where(held, -np.sign(towards), 0.0), self._slips)
+            self._patience -= 1
+        if count and self._patience == 0:
+            self.hold_all()
+            return True
+        self._slips = np.where(wrong, np.where(held, -np.sign(q), 0.0), self._slips)
         return count > 0
+
+    @property
+    def lost(self) -> bool:
+        """Whether exchanges have led nowhere: from then on solutions must be exact."""
+        return self._patience == 0
+
+    def _improve(self, q: npt.NDArray[Any]) -> bool:
+        """Improve the policy of the minimum or, if it is the best, that of the maximum."""
+        high = self._slips < 0
+        least = _SURE * (1 + np.abs(q))
+        low = ~high & np.where(self._slips > 0, q + self.limit < 0, q + self.limit < -least)
+        if not np.array_equal(low, self._slips > 0):
+            self._slips = np.where(high, -1.0, np.where(low, 1.0, 0.0))
+            return True
+        better = np.where(high, q - self.limit > 0, q - self.limit > least)
+        if np.array_equal(better, high):
+            return False
+        self._slips = np.where(better, -1.0, np.where(low & ~better, 1.0, 0.0))
+        return True
 
 
 class _Refinement:
@@ -165,8 +196,8 @@ class _Refinement:
         self._begun = 0
         self._first: float | None = None
 
-    def run(self, d: Planes, load: Planes | None) -> float:
-        """Move `d` in place to where each site is at q plus its load, to the tolerance.
+    def run(self, d: Planes, load: Planes | None, exactly: bool) -> float:
+        """Move `d` in place to where each site is at q plus its load: to the tolerance, or exactly.
 
         Returns how far a site can be from the solution per unit of the largest residual.
         """
@@ -178,6 +209,9 @@ class _Refinement:
             return scale * reach * step.rest <= self._tolerance
 
         most = self._tolerance / reach if reach > 0 else math.inf
+        if exactly:
+            factorise(self._model, self._report)
+            most = min(most, _EXACT)
         self.most, self.residual = self._solve(d, load, most, enough)
         return reach
 
@@ -200,17 +234,17 @@ class _Refinement:
     ) -> tuple[float, float]:
         """Move `d` to where no residual exceeds `most`; returns the largest, and the norm."""
         balance = self._model.balance(d, load)
-        least = math.inf
+        least, last = math.inf, self.cycles + _CYCLES
         while balance.most > most:
             unit, cycles = balance.unit, self._model.found.factors is None
-            if cycles and balance.most < 0.9 * least and self.cycles - self._begun <= _CYCLES:
+            if cycles and balance.most < 0.9 * least and self.cycles < last:
                 least = balance.most
+
+                def ends(step: Step, unit: float = unit) -> bool:
+                    return enough(step, unit) or self.cycles >= last
+
                 try:
-                    correction = self._iteration.run(
-                        balance.rest,
-                        lambda step: enough(step, unit),  # noqa: B023
-                    )
-                    host.add(d, correction, unit)
+                    host.add(d, self._iteration.run(balance.rest, ends), unit)
                 except FloatingPointError:
                     least = 0.0
                     continue

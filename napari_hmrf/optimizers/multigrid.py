@@ -15,28 +15,21 @@ import numpy as np
 from napari_hmrf.backends import host
 from napari_hmrf.backends.base import Backend
 from napari_hmrf.backends.found import Beginning, Quality
-from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
-from napari_hmrf.bending import check_bent, free_bend, free_bends
+from napari_hmrf.backends.linear import LinearModel
+from napari_hmrf.bending import check_bent
 from napari_hmrf.errors import ConvergenceError
-from napari_hmrf.held import free_motion, free_motions
-from napari_hmrf.optimizers import centred, least_motion
+from napari_hmrf.optimizers import centred
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.optimizers.cycle import BENDING, STRETCHING
 from napari_hmrf.optimizers.refinement import Refinement
+from napari_hmrf.optimizers.slip import Slip
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
-# The states of what is observed are found at so many times the tolerance, and then confirmed.
-_ROUGHLY = 10.0
-_MOST_EXCHANGES = 500
 _TINY = 1e-300
 # Of single precision, in which the field is returned.
 _ROUNDING = 2.0**-24
-# How exactly states are confirmed, in pixels where tissue moves by one; and by how many times more
-# a wrong state is contradicted.
-_EXACT = 1e-9
-_ABOVE = 10.0
 # What is this part of the tolerance, or less, is as good as nothing.
 _NOTHING = 0.01
 
@@ -113,7 +106,8 @@ class Multigrid:
                 if start is not None:
                     np.copyto(d, host.combined(start), where=moves)
                 states = ActiveSet(observed & moves, y, host.planes(limit), d)
-                forces = self._slip(problem, prior, model, states, refinement, d)
+                slip = Slip(problem, prior, model, states, refinement, report)
+                forces = slip.run(d, self.tolerance)
         except ConvergenceError:
             model.forget()
             raise
@@ -140,76 +134,3 @@ class Multigrid:
         if start is None or start.missing > _NOTHING * self.tolerance:
             return None
         return model.found.quality(start)
-
-    def _slip(
-        self,
-        problem: Problem,
-        prior: Prior,
-        model: LinearModel,
-        states: ActiveSet,
-        refinement: Refinement,
-        d: Planes,
-    ) -> float:
-        """Solve in place for ever other states of what is observed, until none contradicts itself.
-
-        A state that is wrong by little can lead far, where many are or little holds: so in the end
-        none may be, as far as numbers tell. Returns the norm of the forces at the end.
-        """
-        elastic = isinstance(prior, ElasticPrior)
-        find = free_motion if elastic else free_bend
-
-        def free(held: HeldPlanes) -> Planes | None:
-            found = find(problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
-            return None if found is None else host.planes(found.motion)
-
-        if free(states.held) is not None:
-            states.hold_all()
-        steepness, bound = model.steepness, model.bounds[1]
-        forces, before = 0.0, None
-        exact = _EXACT * max(1.0, float(np.abs(d).max()))
-        for tolerance in (_ROUGHLY * self.tolerance, self.tolerance, exact):
-            near = tolerance / 2 if tolerance > exact else _ABOVE * exact
-            if tolerance == exact:
-                refinement.doubt_again()
-            for _ in range(_MOST_EXCHANGES):
-                states.place(d)
-                model.hold(states.held)
-                refinement.run(d, states.load, tolerance)
-                arrived = True
-                if before is not None:
-                    way = d - before
-                    far, pulls = float(np.abs(way).max()), model.pull(before).copy()
-                    # How a way within the tolerance goes on is left to chance.
-                    arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
-                elif states.lost:
-                    states.follow(d)
-                    if free(states.held) is not None:
-                        states.hold_all()
-                        states.place(d)
-                    arrived = False
-                if states.lost:
-                    before = d.copy()
-                energy, forces = model.work(d)
-                refinement.settle(energy + states.cost(d))
-                if states.lost:
-                    if arrived and not states.contradicted(d, model.pull(d), steepness, near):
-                        break
-                    if states.relax(d, model.pull, bound * steepness, free):
-                        before = d.copy()
-                        continue
-                if not states.exchange(d, model.pull(d), steepness, near, free) and arrived:
-                    break
-            else:
-                raise ConvergenceError(
-                    f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise "
-                    "the penalty, or hold more of the tissue"
-                )
-        motions = free_motions if elastic else free_bends
-        certain = np.moveaxis(states.certain(model.pull(d))[:, 2:-2, 2:-2], 0, -1)
-        some = list(motions(problem, certain))
-        if some:
-            off, side = states.sides(d, model.pull(d))
-            moved, off, side = (np.moveaxis(each[:, 2:-2, 2:-2], 0, -1) for each in (d, off, side))
-            least_motion.settle(moved, off, side, some, problem.tissue)
-            _, forces = model.work(d)
-        return forces

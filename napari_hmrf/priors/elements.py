@@ -26,6 +26,8 @@ Float64Array = npt.NDArray[np.float64]
 MILD_CONTRAST = 5.0
 MILD_ASPECT = 2.0
 MILD_POISSON = 0.45
+#: Elements for each site, at least: thin strips bend in ways that coarse levels do not.
+MILD_COMPACTNESS = 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +65,18 @@ class ElasticMaterial:
         aspect = max(self.shape.rows, self.shape.cols) / self.shape.mixed
         return (
             contrast(self.m) <= MILD_CONTRAST
+            and self._compactness >= MILD_COMPACTNESS
             and aspect <= MILD_ASPECT
             and not (self.strain and self.largest_poisson > MILD_POISSON)
         )
+
+    @property
+    def _compactness(self) -> float:
+        """Elements for each site of tissue: 1 but for borders, 1/2 for strips of two sites."""
+        tissue = self.m > 0
+        rows = tissue[:-1] & tissue[1:]
+        whole = rows[:, :-1] & rows[:, 1:]
+        return float(np.count_nonzero(whole)) / float(np.count_nonzero(tissue))
 
     #: Sites along a side of an element.
     patch = 2

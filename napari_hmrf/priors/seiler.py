@@ -110,8 +110,11 @@ class SeilerMaterial:
 
     @property
     def mild(self) -> bool:
-        """Whether a cycle is known to see every motion of such tissue."""
-        return contrast(self.m) <= MILD_CONTRAST and self.square
+        """Whether a cycle is known to see every motion of such tissue.
+
+        Blanket it is not: parts three sites wide can bend at no cost.
+        """
+        return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
     #: Sites along a side of an element: the cliques around a site.
     patch = 3

@@ -215,7 +215,7 @@ class CpuElasticModel(CpuModel):
         self.material = material
         self.bounds = smoother_bounds(material)
         self._shape[:] = material.shape
-        self._exact_shape = self._shape.astype(np.float64)
+        self._exact_shape = np.array(material.shape, dtype=np.float64)
         self._held = None
         each = None if isinstance(material.poisson, float) else material.poisson
         assembly.elements(
