@@ -86,14 +86,14 @@ def _pushed(stiff: Array, void: Array | None = None) -> Layout:
     )
 
 
-def _noise(n: int, sigma: float) -> Array:
-    smooth = ndimage.gaussian_filter(np.random.default_rng(2008).normal(size=(n, n)), sigma)
+def _noise(n: int, sigma: float, seed: int) -> Array:
+    smooth = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(n, n)), sigma)
     return smooth > np.median(smooth)
 
 
-def noise(n: int, sigma: float) -> Layout:
+def noise(n: int, sigma: float, seed: int = 2008) -> Layout:
     """Two phases of equal volume, by a threshold of smoothed noise."""
-    return _pushed(_noise(n, sigma))
+    return _pushed(_noise(n, sigma, seed))
 
 
 def ribs(n: int) -> Layout:
@@ -122,12 +122,12 @@ def fibres(n: int) -> Layout:
     return _pushed((place == 0) & ((row + 11 * number) % 27 >= 4))
 
 
-def holes(n: int) -> Layout:
+def holes(n: int, seed: int = 2008) -> Layout:
     """A grid of round holes, nine pixels wide with four between them, in two phases."""
     row, col = np.indices((n, n)) - (n % 13) // 2
     void = (row % 13 - 6) ** 2 + (col % 13 - 6) ** 2 <= 20
     void[:2] = void[-2:] = False
-    return _pushed(_noise(n, 5.0), void)
+    return _pushed(_noise(n, 5.0, seed), void)
 
 
 def inclusion(n: int) -> Layout:
@@ -144,12 +144,13 @@ def brain(n: int, name: str) -> Layout:
     return Layout(np.log(m) / math.log(PHANTOM_CONTRAST), void, problem.y, problem.c)
 
 
-#: The cases, by name: from a size to a layout.
-TISSUES: dict[str, Callable[[int], Layout]] = {
+#: The cases, by name: from a size to a layout. With the seeds of the smoothest noise an iteration
+#: that estimates its error by what it has seen misses how a stiff part moves (n = 97, 257).
+TISSUES: dict[str, Callable[..., Layout]] = {
     "noise-2": partial(noise, sigma=2),
     "noise-5": partial(noise, sigma=5),
-    "noise-10": partial(noise, sigma=10),
-    "noise-20": partial(noise, sigma=20),
+    "noise-10": partial(noise, sigma=10, seed=1),
+    "noise-20": partial(noise, sigma=20, seed=7),
     "ribs": ribs,
     "checkerboard": checkerboard,
     "fibres": fibres,
@@ -158,6 +159,8 @@ TISSUES: dict[str, Callable[[int], Layout]] = {
     "expansion": partial(brain, name="expansion"),
     "mass-effect": partial(brain, name="mass-effect"),
 }
+#: Those that take a seed.
+SEEDED = ("noise-2", "noise-5", "noise-10", "noise-20", "holes")
 
 
 def disc(n: int) -> Array:
