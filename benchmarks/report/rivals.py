@@ -27,7 +27,7 @@ from napari_hmrf import (
 )
 from report.assembly import assemble, factorise
 from report.contenders import rigid_body_modes
-from report.memory import peak_megabytes, trim_memory
+from report.memory import one_heap, peak_megabytes, trim_memory
 from report.reference import exact_field, refined
 from report.tissues import TISSUES, Images
 
@@ -222,7 +222,8 @@ def run_pyamg(images: Images, exact: Field) -> Run:
 
 
 def warm_up() -> None:
-    """Let every solver import and compile what it needs."""
+    """Let every solver import and compile what it needs; first of all in a process."""
+    one_heap()
     for contrast in (4.0, 1e6):
         images = TISSUES["noise-2"](33).images(contrast)
         run_ours(images)
