@@ -83,8 +83,9 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Our seconds over the better peer's; NaN where we have no field."""
-        return math.nan if self.ours.fault else self.ours.seconds / self.rival
+        """Our seconds over the better peer's; NaN where we have no field, or a wrong one."""
+        right = not self.ours.fault and self.ours.error <= WITHIN
+        return self.ours.seconds / self.rival if right else math.nan
 
     @property
     def name(self) -> str:
@@ -259,8 +260,8 @@ def write_page(path: Path, found: Sequence[Row], begun: float) -> None:
         they are below one; MB is the peak of memory over what the process had before. An error is
         the distance in pixels of the site that is furthest from the exact field: that of SuperLU
         refined with a residual from displacement differences in extended precision until it does
-        not change by a millionth of a pixel. *Ratio*: our seconds over those of the better peer
-        that gets there."""
+        not change by a millionth of a pixel. *Ratio*: our seconds, where we get there,
+        over those of the better peer that does."""
     )
     page.blocks.append("\n".join(f"- {line}" for line in summary(found)))
     page.say("What there is to beat, over all cases: the least, the median and the most.")
