@@ -6,7 +6,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 HEADLESS := sh scripts/headless.sh
 
-.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks live report screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks live report hard screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -18,6 +18,7 @@ help:
 	@echo "make benchmarks   print the tables of the paper, measured here"
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
+	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: two hours"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
@@ -58,6 +59,9 @@ live: setup-for-windows
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation.py
+
+hard: setup-for-report
+	@$(RUN) benchmarks/hard.py --page docs/validation/hard.md
 
 screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from napari_hmrf import ElasticPrior, Problem
 
@@ -150,13 +150,17 @@ def _free_part(
     return matrix, load[free].ravel()
 
 
-def solve_directly(problem: Problem, prior: ElasticPrior) -> Float64Array:
-    """The field of least energy in float64 by SuperLU, (H, W, 2), in pixels."""
-    system = assemble(problem, prior)
-    factor = splu(
-        system.matrix.tocsc(),
+def factorise(matrix: sp.sparray) -> SuperLU:
+    """Factorise a symmetric, positive definite matrix, in symmetric mode by minimum degree."""
+    return splu(
+        matrix.tocsc(),
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-    return system.field(factor.solve(system.load))
+
+
+def solve_directly(problem: Problem, prior: ElasticPrior) -> Float64Array:
+    """The field of least energy in float64 by SuperLU, (H, W, 2), in pixels."""
+    system = assemble(problem, prior)
+    return system.field(factorise(system.matrix).solve(system.load))

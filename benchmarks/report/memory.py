@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import gc
 import math
 import sys
 from pathlib import Path
@@ -13,6 +16,8 @@ except ImportError:  # Windows
 
 # Linux counts in KiB, macOS in bytes.
 _PER_MEGABYTE = 1024**2 if sys.platform == "darwin" else 1024
+# M_ARENA_MAX of glibc's malloc.h.
+_ARENAS = -8
 
 
 def peak_megabytes(begin: bool = False) -> float:
@@ -36,3 +41,16 @@ def peak_of_programs() -> float:
     if resource is None:
         return math.nan
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / _PER_MEGABYTE
+
+
+def one_heap() -> None:
+    """Let threads that begin from now on share a heap: what it keeps can be given back."""
+    with contextlib.suppress(OSError, TypeError, AttributeError):  # not of glibc
+        ctypes.CDLL(None).mallopt(_ARENAS, 1)
+
+
+def trim_memory() -> None:
+    """Give back what was freed: a peak counts from what the process still has."""
+    gc.collect()
+    with contextlib.suppress(OSError, TypeError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

@@ -1,0 +1,153 @@
+"""Fields that others are measured against: direct solves in float64, refined until they are exact.
+
+The residual is that of displacement differences within each element, in extended precision where
+the machine has it: at a contrast of 1e7 an assembled matrix forgets what the soft part pulls with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy import ndimage
+
+from napari_hmrf import ElasticPrior
+from report.assembly import (
+    CORNERS,
+    Float64Array,
+    System,
+    assemble,
+    element_modulus,
+    element_stiffness,
+    factorise,
+)
+from report.tissues import Images
+
+#: How well a reference is known, in pixels: more than its last correction.
+KNOWN = 1e-6
+_MOST_CORRECTIONS = 30
+
+
+def pull(images: Images, prior: ElasticPrior, d: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """What all elements together pull at each site, (H, W, 2), in the precision of `d`."""
+    k = element_stiffness(prior, images.spacing).astype(d.dtype)
+    modulus = element_modulus(images).astype(d.dtype)[..., None]
+    height, width = images.shape
+    places = [np.s_[i : height - 1 + i, j : width - 1 + j] for i, j in CORNERS]
+    ways = [modulus * (d[place] - d[places[0]]) for place in places]
+    total = np.zeros_like(d)
+    for here, place in enumerate(places):
+        # Moved as a whole an element pulls with nothing: its first corner counts as at rest.
+        total[place] += sum(ways[there] @ k[here, :, there].T for there in (1, 2, 3))
+    return total
+
+
+def refined(
+    images: Images,
+    prior: ElasticPrior,
+    system: System,
+    factor: Callable[[Float64Array], Float64Array],
+    solution: Float64Array,
+) -> Float64Array:
+    """The exact field (H, W, 2) in pixels, from a solution that a direct solver found.
+
+    Parameters
+    ----------
+    images : Images or Problem
+    prior : ElasticPrior
+    system : System
+        Of the two.
+    factor : callable
+        Solves the system for another load.
+    solution : ndarray
+        What it found for the system's own load.
+
+    Raises
+    ------
+    RuntimeError
+        If the corrections do not come below `KNOWN`.
+    """
+    field = system.field(solution).astype(np.longdouble)
+    held = images.observed[system.free].ravel()
+    sizes: list[float] = []
+    for _ in range(_MOST_CORRECTIONS):
+        rest = -pull(images, prior, field)[system.free].ravel()
+        rest[held] = 0
+        correction = factor(rest.astype(np.float64))
+        field[system.free] += correction.reshape(-1, 2)
+        sizes.append(float(np.abs(correction).max()))
+        if sizes[-1] <= KNOWN:
+            return field.astype(np.float64)
+    raise RuntimeError(f"the reference stays {sizes[-1]:.2g} px from exact")
+
+
+def exact_field(images: Images, prior: ElasticPrior) -> Float64Array:
+    """The field of least energy, (H, W, 2), in pixels."""
+    system = assemble(images, prior)
+    factor = factorise(system.matrix)
+    return refined(images, prior, system, factor.solve, factor.solve(system.load))
+
+
+def bodies(bone: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Number the rigid bodies, from 1: all sites of all elements with a corner in a bone, (H, W).
+
+    Raises
+    ------
+    ValueError
+        If two bodies meet in a site.
+    """
+    element = bone[:-1, :-1] | bone[:-1, 1:] | bone[1:, :-1] | bone[1:, 1:]
+    numbers, _ = ndimage.label(element)
+    around = np.pad(numbers, 1)
+    corners = np.stack([around[i : i - 1 or None, j : j - 1 or None] for i, j in CORNERS])
+    most = corners.max(axis=0)
+    if ((corners > 0) & (corners != most)).any():
+        raise ValueError("two bodies meet in a site")
+    return most
+
+
+def rigid_field(images: Images, prior: ElasticPrior) -> Float64Array:
+    """The field (H, W, 2), in pixels, of tissue in which m = inf is rigid.
+
+    The soft elements alone are assembled; the sites of a body move by its three degrees of freedom.
+    """
+    bone = np.isinf(images.m)
+    system = assemble(Images(images.y, images.c, np.where(bone, 0, images.m)), prior)
+    body = bodies(bone)
+    place = np.argwhere(system.free)
+    of = body[system.free]
+    alone = np.flatnonzero(of == 0)
+    count = 2 * len(alone)
+    number = np.empty(2 * len(alone), dtype=np.int64)
+    number[0::2], number[1::2] = 2 * alone, 2 * alone + 1
+    rows, cols, values = [number], [np.arange(count)], [np.ones(count)]
+    for each in range(1, body.max() + 1):
+        at = np.flatnonzero(of == each)
+        for component, mode in zip((0, 1), _rigid_modes(place[at], body, each), strict=True):
+            rows.append(np.repeat(2 * at + component, 3))
+            cols.append(np.tile(count + 3 * (each - 1) + np.arange(3), len(at)))
+            values.append(mode.ravel())
+    shape = (2 * len(place), count + 3 * int(body.max()))
+    motions = sp.csr_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), shape=shape
+    )
+    found = factorise(motions.T @ system.matrix.tocsr() @ motions).solve(motions.T @ system.load)
+    field = system.field(motions @ found)
+    for each in range(1, body.max() + 1):
+        at = np.argwhere(body == each)
+        motion = found[count + 3 * (each - 1) :][:3]
+        for component, mode in zip((0, 1), _rigid_modes(at, body, each), strict=True):
+            field[at[:, 0], at[:, 1], component] = mode @ motion
+    return field
+
+
+def _rigid_modes(
+    at: npt.NDArray[np.int64], body: npt.NDArray[np.int32], number: int
+) -> tuple[Float64Array, Float64Array]:
+    """How sites move along rows and columns in a body's three motions, (sites, 3) each."""
+    row, col = (at - np.argwhere(body == number).mean(axis=0)).T
+    one, none = np.ones(len(at)), np.zeros(len(at))
+    return np.stack([one, none, -col], axis=-1), np.stack([none, one, row], axis=-1)

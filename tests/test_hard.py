@@ -1,0 +1,107 @@
+"""The table of hard tissue: its cases are well-formed, and what it measures with is right."""
+
+import hard
+import numpy as np
+import pytest
+from fem import plane_stress_displacement
+from report import rivals, tissues
+from report.reference import bodies, exact_field, rigid_field
+from report.rivals import PRIOR, Run, distance
+
+from napari_hmrf import ElasticPrior, Problem, phantom
+
+N = 17
+
+
+@pytest.mark.parametrize("size", [N, 97])
+@pytest.mark.parametrize("case", tissues.TISSUES)
+def test_a_case_is_a_problem_with_soft_stiff_and_moving_tissue(case, size):
+    layout = tissues.TISSUES[case](size)
+    images = layout.images(1e4)
+    problem = Problem(images.y, images.c, images.m)
+    PRIOR.resolved(problem)  # which refuses tissue that could move freely
+    inside = images.m[images.tissue]
+    assert inside.min() == 1
+    assert inside.max() == 1e4
+    assert np.isin(np.unique(layout.pattern[~layout.void]), [0, 0.5, 1]).all()
+    assert np.ptp(images.y[images.observed[..., 0]], axis=0).max() > 0.5
+    again = tissues.TISSUES[case](size).images(1e4)
+    assert rivals.digest(again) == rivals.digest(images), "drawn the same each time"
+
+
+@pytest.mark.parametrize("name", ["expansion", "mass-effect"])
+def test_a_phantom_s_own_contrast_leaves_it_as_it_is(name):
+    images = tissues.TISSUES[name](48).images(tissues.PHANTOM_CONTRAST)
+    np.testing.assert_allclose(images.m, phantom(name, 48).problem.m / 10, rtol=1e-6)
+
+
+@pytest.mark.parametrize("case", tissues.TISSUES)
+def test_the_exact_field_is_that_of_other_finite_elements(case):
+    images = tissues.TISSUES[case](N).images(1e2)
+    other = plane_stress_displacement(Problem(images.y, images.c, images.m), 0.3)
+    assert distance(exact_field(images, PRIOR), other) < 1e-6
+
+
+@pytest.mark.parametrize("prior", [PRIOR, ElasticPrior(0.499, "strain")], ids=["stress", "strain"])
+@pytest.mark.parametrize("case", ["noise-2", "fibres", "mass-effect"])
+def test_nothing_pulls_at_the_exact_field_not_even_at_a_contrast_of_1e7(case, prior):
+    images = tissues.TISSUES[case](N).images(1e7)
+    field = exact_field(images, prior)
+    free = ~images.observed & images.tissue[..., None]
+    # Rounding of the stiff part, beside what the soft part pulls with: 1e-7 px and more.
+    assert np.abs(prior.forces(images, field)[free]).max() < 1e-12
+
+
+@pytest.mark.parametrize("bone", tissues.BONES)
+def test_a_rigid_bone_is_the_limit_of_a_stiff_one(bone):
+    drawn = tissues.BONES[bone](33)
+    images = tissues.bone_images(drawn)
+    body = bodies(drawn) > 0
+    field = rigid_field(images, PRIOR)
+    assert hard.largest_strain(field, body) < 1e-12
+    assert np.abs(field[body]).max() > 0.5
+    # The bone's rim is a mean with the soft sites around it: stiff all the same.
+    stiff = tissues.Images(images.y, images.c, np.where(drawn, np.float32(1e6), images.m))
+    assert distance(field, exact_field(stiff, PRIOR)) < 1e-3
+
+
+def test_two_bodies_do_not_meet():
+    bone = np.zeros((9, 9), dtype=bool)
+    bone[1:3, 1:3] = bone[4:6, 4:6] = True
+    with pytest.raises(ValueError, match="meet in a site"):
+        bodies(bone)
+
+
+def test_a_row_has_our_solver_and_the_others_and_their_errors(tmp_path, monkeypatch):
+    monkeypatch.setattr(hard, "KEPT", tmp_path)
+    images = tissues.TISSUES["inclusion"](N).images(4.0)
+    alone = hard.measure("inclusion", N, 4.0, images, alone=True)
+    assert alone.ours.error <= rivals.WITHIN
+    assert alone.superlu is None
+    (kept,) = tmp_path.iterdir()
+    row = hard.measure("inclusion", N, 4.0, images, alone=False)
+    assert [kept] == list(tmp_path.iterdir())
+    assert row.ours.iterations == alone.ours.iterations > 0
+    assert row.superlu.error < 1e-6
+    assert len(row.cells) == len(alone.cells) == len(hard.HEADER)
+    if rivals.has_pyamg():
+        assert row.pyamg.error <= rivals.WITHIN
+    page = tmp_path / "page.md"
+    hard.write_page(page, [row, alone], 0.0)
+    assert "| inclusion | 17 | 4e0 |" in page.read_text(encoding="utf-8")
+
+
+def test_the_summary_names_what_is_wrong_slow_or_refused():
+    peer = Run(None, seconds=1.0, error=0.0)
+    found = [
+        hard.Row("ribs", 257, 1e2, Run(None, seconds=0.4, error=1e-4), None, peer),
+        hard.Row("ribs", 257, 1e4, Run(None, seconds=1.5, error=2e-3), None, peer),
+        hard.Row("ribs", 257, 1e5, Run(None, seconds=0.1, reported=1e-3, error=0.1), None, peer),
+        hard.Row("ribs", 257, 1e7, Run(None, fault="refused"), None, peer),
+    ]
+    lines = "\n".join(hard.summary(found))
+    assert "4 rows, of which 3 were solved" in lines
+    assert "refused: 1 rows (ribs 257 1e7)" in lines
+    assert "true error above 0.003 px: 1 rows (ribs 257 1e5)" in lines
+    assert "ratio above 1.3: 1 rows (ribs 257 1e4)" in lines
+    assert "at most half of the better peer's time: 1 of 4 (25%)" in lines
