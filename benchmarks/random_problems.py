@@ -300,7 +300,7 @@ def _confidence(dice: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 
 def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | SeilerPrior, str]:
-    kind = dice.choice(["stress", "strain", "centred", "blanket"], p=[0.3, 0.3, 0.2, 0.2])
+    kind = str(dice.choice(["stress", "strain", "centred", "blanket"], p=[0.3, 0.3, 0.2, 0.2]))
     penalty = None if dice.random() < 0.45 else float(10 ** dice.uniform(-3, 4))
     how = "held" if penalty is None else "slips"
     if kind in ("centred", "blanket"):

@@ -3,11 +3,11 @@
     python benchmarks/trust.py [--loops 5000] [--shaders 500] [--seed 0] [--page FILE]
     python benchmarks/trust.py --only 123 [--backend opengl]
 
-Every problem is drawn at random (`random_problems.py`), solved by the package on the compiled loops
-or the shaders, and by `exact`, which shares nothing with it but the equations. Violations are errors
-beyond three times what was asked for or reported, refusals of problems that have one answer, answers
-to problems that have none but the least motion, and exceptions that are not the package's own. Exits
-with 1 if there is any.
+Every problem is drawn at random (`random_problems.py`), solved by the package on compiled loops or
+shaders, and by `exact`, which shares nothing with it but the equations. Violations are errors of
+more than three times what was asked for or reported, refusals of problems that have one answer,
+answers to problems that have none but the least motion, and exceptions that are not the package's
+own. Exits with 1 if there is any.
 """
 
 from __future__ import annotations
