@@ -16,9 +16,9 @@ _loop = numba.njit(cache=True, nogil=True, error_model="numpy")
 _SPLIT = 134217729.0  # 2^27 + 1
 #: A pivot below this part of its diagonal is looked at: its motion may cost nothing.
 _SUSPECT = 1e-9
-#: What costs less than this part of what it could is free. Rounding is 1e-30, the weakest tissue
-#: that is held at all 1e-17.
-FREE = 1e-22
+#: What costs less than this part of what it could is free. Rounding is 1e-31, the weakest tissue
+#: that hangs together 1e-24.
+FREE = 1e-28
 
 
 @_scalar
