@@ -1,6 +1,6 @@
 """Random problems of every kind that people paint, and of some that nobody would: for `trust.py`.
 
-Problem k of a seed depends on nothing else, and can be made alone.
+Problem k of a seed depends on nothing else but NumPy's generator, and can be made alone.
 """
 
 from __future__ import annotations

@@ -18,9 +18,10 @@ import re
 import sys
 import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -130,8 +131,10 @@ def judge(drawn: RandomProblem, backend: str) -> Verdict:
     begun = time.perf_counter()
     solution, refusal, crash = None, None, ""
     try:
-        optimizer = Multigrid(drawn.tolerance)
-        solution = solve(problem, drawn.prior, optimizer, backend, cancel=patience)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            optimizer = Multigrid(drawn.tolerance)
+            solution = solve(problem, drawn.prior, optimizer, backend, cancel=patience)
     except HmrfError as error:
         refusal = error
     except Exception as error:  # noqa: BLE001 - that is what is looked for
@@ -193,14 +196,14 @@ class Campaign:
     verdicts : list of Verdict
     seconds : float
         What all of it took.
-    growth : float
-        By how much memory grew after the first tenth of it, in MiB.
+    growth : dict of str to float
+        By how much memory grew after the first tenth of the problems of each device, in MiB.
     """
 
     seed: int
     verdicts: list[Verdict]
     seconds: float = 0.0
-    growth: float = 0.0
+    growth: dict[str, float] = field(default_factory=dict)
 
     @property
     def violations(self) -> list[Verdict]:
@@ -222,18 +225,19 @@ def campaign(
     plan = list(numbers)
     run = Campaign(seed, [])
     process, begun = psutil.Process(), time.perf_counter()
-    early = last = 0.0
+    planned = Counter(backend for _, backend in plan)
+    memory: dict[str, list[float]] = {backend: [] for backend in planned}
+    last = 0.0
     for done, (number, backend) in enumerate(plan, start=1):
         run.verdicts.append(judge(random_problem(seed, number), backend))
+        memory[backend].append(process.memory_info().rss / 2**20)
         now = time.perf_counter()
-        if done == max(1, len(plan) // 10):
-            early = process.memory_info().rss
         if tell is not None and (now - last > 10 or done == len(plan)):
             last = now
             worse = sum(verdict.violation for verdict in run.verdicts)
             tell(f"{done} of {len(plan)}, {worse} violations, {now - begun:.0f} s")
     run.seconds = time.perf_counter() - begun
-    run.growth = (process.memory_info().rss - early) / 2**20
+    run.growth = {name: taken[-1] - taken[len(taken) // 10] for name, taken in memory.items()}
     return run
 
 
@@ -243,12 +247,13 @@ def report(run: Campaign, most: int = 10) -> str:
     counts = Counter(verdict.outcome for verdict in verdicts)
     per_backend = Counter(verdict.backend for verdict in verdicts)
     ran = " and ".join(f"{count} on {name}" for name, count in per_backend.items())
+    grown = " and ".join(f"{size:.0f} ({name})" for name, size in run.growth.items())
     solver = sum(verdict.seconds for verdict in verdicts)
     lines = [
         f"{len(verdicts)} problems of seed {run.seed} ({ran}) in {run.seconds:.0f} s, of which",
-        f"the solver took {solver:.0f} s. Memory grew by {run.growth:.0f} MiB after the first",
-        f"tenth. **{len(run.violations)} violations.** {counts['answered']} problems were answered",
-        f"within bounds, {counts['refused, free']} refused because tissue was free to move; of",
+        f"the solver took {solver:.0f} s. Memory grew by {grown} MiB after the first tenth.",
+        f"**{len(run.violations)} violations.** {counts['answered']} problems were answered within",
+        f"bounds, {counts['refused, free']} refused because tissue was free to move; of",
         f"{counts['unsure']} the exact field is not sure.",
         "",
     ]
@@ -350,6 +355,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         plan = [(k, options.backend or "cpu") for k in options.only]
     run = campaign(plan, options.seed, lambda said: print(said, file=sys.stderr, flush=True))
+    if options.page is not None:
+        options.page.write_text(_page(run), encoding="utf-8")
     if options.only is not None:
         for verdict in run.verdicts:
             print(f"{verdict.outcome}: {_line(verdict, options.seed)}")
@@ -357,8 +364,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(f"    “{verdict.saying}”")
     else:
         print(report(run, options.worst))
-    if options.page is not None:
-        options.page.write_text(_page(run), encoding="utf-8")
     return 0 if run.sound else 1
 
 

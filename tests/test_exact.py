@@ -215,6 +215,34 @@ def test_what_nothing_pulls_at_stays_or_is_where_it_was_seen():
     np.testing.assert_array_equal(found.displacement[0, 5], [0, 0])
 
 
+@pytest.mark.parametrize("prior", [PRIORS[0], PRIORS[1], PRIORS[3]], ids=repr)
+def test_the_least_eigenvalue_is_that_of_a_dense_matrix(prior):
+    problem = patterned((7, 6), 300.0)
+    matrix = matrix_of(problem, prior)
+    unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.observed.ravel())
+    dense = np.zeros((matrix.size, matrix.size))
+    dense[matrix.rows, matrix.columns] = matrix.high
+    root = np.sqrt(matrix.diagonal[unknowns])
+    expected = np.linalg.eigvalsh(dense[np.ix_(unknowns, unknowns)] / np.outer(root, root))[0]
+    assert exact_field(problem, prior).least == pytest.approx(expected, rel=0.01)
+
+
+def test_a_zigzag_of_three_rows_costs_no_clique_anything():
+    zigzag = np.zeros((3, 6, 2))
+    zigzag[0, :, 0] = [1, -1, 1, -1, 1, -1]
+    zigzag[2] = -zigzag[0]
+    c = np.zeros((3, 6, 2))
+    c[1] = 1
+    problem = Problem(np.zeros_like(c), c, np.ones((3, 6)))
+    assert oracle.total_energy(problem, zigzag, 0.0) == 0
+    found = exact_field(problem, SeilerPrior(conditional="blanket"))
+    assert found.free
+    c[0] = 1
+    firm = Problem(np.zeros_like(c), c, np.ones((3, 6)))
+    assert not exact_field(firm, SeilerPrior(conditional="blanket")).free
+    np.testing.assert_allclose(found.displacement, 0, atol=1e-15)
+
+
 def test_a_stiff_lump_that_swims_in_soft_tissue_is_held():
     m = np.ones((32, 32))
     m[4:28, 4:28] = 1e6
