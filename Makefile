@@ -5,8 +5,12 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 HEADLESS := sh scripts/headless.sh
+# How many random problems `make trust` solves on each, and which.
+LOOPS ?= 5000
+SHADERS ?= 500
+SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks live report hard screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks live trust hard report screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -17,6 +21,7 @@ help:
 	@echo "make types        check the types"
 	@echo "make benchmarks   print the tables of the paper, measured here"
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
+	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: two hours"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
@@ -56,6 +61,9 @@ benchmarks: setup
 live: setup-for-windows
 	@$(RUN) benchmarks/live.py
 	@$(HEADLESS) $(RUN) benchmarks/live.py --napari
+
+trust: setup
+	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation.py

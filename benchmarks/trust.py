@@ -1,0 +1,371 @@
+"""Thousands of random problems, each solved and compared with an exact solution of its equations.
+
+    python benchmarks/trust.py [--loops 5000] [--shaders 500] [--seed 0] [--page FILE]
+    python benchmarks/trust.py --only 123 [--backend opengl]
+
+Every problem is drawn at random (`random_problems.py`), solved by the package on compiled loops or
+shaders, and by `exact`, which shares nothing with it but the equations. Violations are errors of
+more than three times what was asked for or reported, refusals of problems that have one answer,
+answers to problems that have none but the least motion, and exceptions that are not the package's
+own. Exits with 1 if there is any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import re
+import sys
+import threading
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import psutil
+from exact import Exact, exact_field
+from random_problems import RandomProblem, random_problem
+
+from napari_hmrf import Multigrid, solve
+from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
+
+#: What counts as a violation, and why.
+KINDS = {
+    "wrong": "further from the exact field than three times the tolerance",
+    "reported": "further from it than three times the reported error, and 1e-4 px",
+    "refused": "refused, though it has one answer",
+    "free": "answered otherwise than by the least motion, though tissue is free to move",
+    "crashed": "ended with an exception that is not the package's own, or with no numbers",
+    "late": "not answered in time",
+}
+_TIMES = 3.0
+_GRACE = 1e-4
+_SECONDS = 300.0
+# An exact field that is not sure to this, in pixels, judges nothing.
+_SURE = 1e-6
+_PAGE = """# Random problems against exact solutions
+
+Problems of 1 to 64 pixels a side are drawn at random: tissue, void, observations, pixels, penalties
+and contrasts up to 1e7 of every kind. The package solves them, and so does a direct solution of the
+same equations in 32 digits (`benchmarks/exact`), which shares no code with it. This page is what
+`make trust PAGE=docs/validation/trust.md` found on {machine}.
+
+{report}
+"""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a problem.
+
+    Attributes
+    ----------
+    number : int
+    backend : str
+    outcome : str
+        ``"answered"``, ``"refused, free"``, ``"unsure"``, or one of `KINDS`.
+    reading, tissue, words : str
+        What the problem is, from a class to a line.
+    contrast : float
+    error, reported, tolerance : float
+        How far the field is from the exact one at worst, how far the package says it is, and how
+        far it was asked to be, in pixels; NaN if there is none.
+    seconds : float
+        How long the solver took.
+    saying : str
+        What the package said, if it refused.
+    ways : int
+        The number of independent motions by which fields of the same energy differ.
+    swing : float
+        Of a violation: how far the exact field moves, in pixels, if the force of each observation
+        changes by a millionth at random.
+    """
+
+    number: int
+    backend: str
+    outcome: str
+    reading: str
+    tissue: str
+    words: str
+    contrast: float
+    tolerance: float
+    error: float = float("nan")
+    reported: float = float("nan")
+    seconds: float = 0.0
+    saying: str = ""
+    ways: int = 0
+    swing: float = 0.0
+
+    @property
+    def violation(self) -> bool:
+        """Whether it is one."""
+        return self.outcome in KINDS
+
+    @property
+    def decade(self) -> str:
+        """The decade of its contrast."""
+        return "uniform" if self.contrast == 1 else f"1e{int(np.floor(np.log10(self.contrast)))}"
+
+
+def judge(drawn: RandomProblem, backend: str) -> Verdict:
+    """Solve a problem, and say what the answer is worth."""
+    about = {
+        "number": drawn.number,
+        "backend": backend,
+        "reading": drawn.reading,
+        "tissue": drawn.tissue,
+        "words": drawn.words,
+        "contrast": drawn.contrast,
+        "tolerance": drawn.tolerance,
+    }
+    try:
+        problem = drawn.problem
+    except HmrfError as error:
+        return Verdict(outcome="refused", saying=str(error), **about)
+    patience = threading.Event()
+    alarm = threading.Timer(_SECONDS, patience.set)
+    alarm.start()
+    begun = time.perf_counter()
+    solution, refusal, crash = None, None, ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            optimizer = Multigrid(drawn.tolerance)
+            solution = solve(problem, drawn.prior, optimizer, backend, cancel=patience)
+    except HmrfError as error:
+        refusal = error
+    except Exception as error:  # noqa: BLE001 - that is what is looked for
+        crash = f"{type(error).__name__}: {error}"
+    finally:
+        alarm.cancel()
+    about["seconds"] = time.perf_counter() - begun
+    if crash:
+        return Verdict(outcome="crashed", saying=crash, **about)
+    if isinstance(refusal, Cancelled):
+        return Verdict(outcome="late", **about)
+    truth = exact_field(problem, drawn.prior)
+    if refusal is not None:
+        nothing_moves = isinstance(refusal, ProblemError) and not truth.moving.any()
+        allowed = isinstance(refusal, ProblemError | ConvergenceError)
+        rightly = allowed and (nothing_moves or truth.free)
+        return Verdict(
+            outcome="refused, free" if rightly else "refused", saying=str(refusal), **about
+        )
+    assert solution is not None
+    assert solution.convergence is not None
+    if not truth.sure or not truth.accuracy < _SURE:
+        return Verdict(outcome="unsure", **about)
+    about["ways"], about["reported"] = truth.motions, solution.convergence.error
+    about["error"] = error = _distance(solution.displacement / problem.unit, truth)
+    if not np.isfinite(error):
+        return Verdict(outcome="crashed", saying="not a number", **about)
+    if error > _TIMES * drawn.tolerance:
+        outcome = "wrong"
+    elif error > _TIMES * solution.convergence.error + _GRACE:
+        outcome = "reported"
+    else:
+        return Verdict(outcome="answered", **about)
+    if truth.free:
+        outcome = "free"
+    return Verdict(outcome=outcome, swing=_swing(drawn, truth), **about)
+
+
+def _distance(displacement: np.ndarray, truth: Exact) -> float:
+    """How far the worst site is from where it should be, in pixels."""
+    off = displacement.astype(np.float64) - truth.displacement
+    off[~np.isfinite(off)] = np.inf
+    return float(np.hypot(off[..., 0], off[..., 1]).max())
+
+
+def _swing(drawn: RandomProblem, truth: Exact) -> float:
+    """How far the field moves if the force of each observation changes by a millionth."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.c.shape)
+    other = exact_field(drawn.problem, drawn.prior, 1 + 1e-6 * signs)
+    return _distance(other.displacement, truth) if other.sure else float("inf")
+
+
+@dataclass
+class Campaign:
+    """A run over many problems.
+
+    Attributes
+    ----------
+    verdicts : list of Verdict
+    seconds : float
+        What all of it took.
+    growth : dict of str to float
+        By how much memory grew after the first tenth of the problems of each device, in MiB.
+    """
+
+    seed: int
+    verdicts: list[Verdict]
+    seconds: float = 0.0
+    growth: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def violations(self) -> list[Verdict]:
+        """The worst first."""
+        found = [verdict for verdict in self.verdicts if verdict.violation]
+        order = list(KINDS)
+        return sorted(found, key=lambda v: (order.index(v.outcome), -np.nan_to_num(v.error)))
+
+    @property
+    def sound(self) -> bool:
+        """Whether there is none."""
+        return not self.violations
+
+
+def campaign(
+    numbers: Iterable[tuple[int, str]], seed: int = 0, tell: Callable[[str], None] | None = None
+) -> Campaign:
+    """Judge problems, given as (number, backend)."""
+    plan = list(numbers)
+    run = Campaign(seed, [])
+    process, begun = psutil.Process(), time.perf_counter()
+    planned = Counter(backend for _, backend in plan)
+    memory: dict[str, list[float]] = {backend: [] for backend in planned}
+    last = 0.0
+    for done, (number, backend) in enumerate(plan, start=1):
+        run.verdicts.append(judge(random_problem(seed, number), backend))
+        memory[backend].append(process.memory_info().rss / 2**20)
+        now = time.perf_counter()
+        if tell is not None and (now - last > 10 or done == len(plan)):
+            last = now
+            worse = sum(verdict.violation for verdict in run.verdicts)
+            tell(f"{done} of {len(plan)}, {worse} violations, {now - begun:.0f} s")
+    run.seconds = time.perf_counter() - begun
+    run.growth = {name: taken[-1] - taken[len(taken) // 10] for name, taken in memory.items()}
+    return run
+
+
+def report(run: Campaign, most: int = 10) -> str:
+    """What was found, in Markdown; of each kind of violation so many of the worst."""
+    verdicts = run.verdicts
+    counts = Counter(verdict.outcome for verdict in verdicts)
+    per_backend = Counter(verdict.backend for verdict in verdicts)
+    ran = " and ".join(f"{count} on {name}" for name, count in per_backend.items())
+    grown = " and ".join(f"{size:.0f} ({name})" for name, size in run.growth.items())
+    solver = sum(verdict.seconds for verdict in verdicts)
+    lines = [
+        f"{len(verdicts)} problems of seed {run.seed} ({ran}) in {run.seconds:.0f} s, of which",
+        f"the solver took {solver:.0f} s. Memory grew by {grown} MiB after the first tenth.",
+        f"**{len(run.violations)} violations.** {counts['answered']} problems were answered within",
+        f"bounds, {counts['refused, free']} refused because tissue was free to move; of",
+        f"{counts['unsure']} the exact field is not sure.",
+        "",
+    ]
+    lines += [f"- *{kind}*: {meaning}." for kind, meaning in KINDS.items()]
+    for name, key in (
+        ("energy", lambda v: v.reading),
+        ("contrast", lambda v: v.decade),
+        ("tissue", lambda v: v.tissue),
+        ("device", lambda v: v.backend),
+    ):
+        lines += ["", *_table(name, verdicts, key)]
+    lines += ["", *_ratios(verdicts)]
+    for kind in KINDS:
+        found = [verdict for verdict in run.violations if verdict.outcome == kind]
+        groups: dict[str, list[Verdict]] = {}
+        for verdict in found:
+            groups.setdefault(_gist(verdict.saying), []).append(verdict)
+        for gist, group in sorted(groups.items(), key=lambda item: -len(item[1])):
+            said = f", saying “{gist}”" if gist else ""
+            worst = ", the worst of which are" if len(group) > most else ""
+            lines += ["", f"**{kind}**: {len(group)}{said}{worst}", ""]
+            lines += [f"- {_line(verdict, run.seed)}" for verdict in group[:most]]
+    return "\n".join(lines)
+
+
+def _gist(saying: str) -> str:
+    """What was said, without the numbers."""
+    return re.sub(r"\(?-?\d[\d.,e+\-x ]*\)?", "# ", saying)[:90]
+
+
+def _table(name: str, verdicts: list[Verdict], key: Callable[[Verdict], str]) -> list[str]:
+    """Counts of outcomes by class."""
+    columns = ["answered", "refused, free", "unsure", *KINDS]
+    lines = [
+        f"| {name} | problems | " + " | ".join(columns) + " |",
+        "| --- |" + " ---: |" * (1 + len(columns)),
+    ]
+    for value in sorted({key(verdict) for verdict in verdicts}):
+        counts = Counter(verdict.outcome for verdict in verdicts if key(verdict) == value)
+        cells = [counts.total(), *(counts[column] for column in columns)]
+        lines.append(f"| {value} | " + " | ".join(str(cell or "") for cell in cells) + " |")
+    return lines
+
+
+def _ratios(verdicts: list[Verdict]) -> list[str]:
+    """How true errors compare with those reported, and with those asked for."""
+    answered = [v for v in verdicts if np.isfinite(v.error) and v.outcome != "free"]
+    if not answered:
+        return []
+    parts = (50, 90, 99, 99.9, 100)
+    lines = [
+        "| true error over | " + " | ".join(f"{part} %" for part in parts) + " |",
+        "| --- |" + " ---: |" * len(parts),
+    ]
+    for name, ratio in (
+        ("reported", [v.error / max(v.reported, _GRACE) for v in answered]),
+        ("tolerance", [v.error / v.tolerance for v in answered]),
+    ):
+        values = np.percentile(ratio, parts)
+        lines.append(f"| {name} | " + " | ".join(f"{value:.2g}" for value in values) + " |")
+    lines += ["", "(Errors reported below 1e-4 px count as 1e-4 px here.)"]
+    return lines
+
+
+def _line(verdict: Verdict, seed: int) -> str:
+    """One violation, and how to see it alone."""
+    found = f"`--seed {seed} --only {verdict.number} --backend {verdict.backend}`: "
+    found += f"{verdict.reading}, {verdict.words}"
+    if np.isfinite(verdict.error):
+        found += f": true {verdict.error:.2g} px, reported {verdict.reported:.2g} px"
+    if verdict.ways:
+        found += f"; {verdict.ways} motions cost nothing"
+    if verdict.swing > 1e-4:
+        found += f"; a millionth more or less of each force moves {verdict.swing:.2g} px"
+    return found
+
+
+def _page(run: Campaign) -> str:
+    machine = f"{platform.system()}, {psutil.cpu_count()} cores, Python {platform.python_version()}"
+    return _PAGE.format(machine=machine, report=report(run))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign and print what it found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--loops", type=int, default=5000, help="problems for the compiled loops")
+    parser.add_argument("--shaders", type=int, default=500, help="problems for the shaders")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, nargs="+", help="these problems alone")
+    parser.add_argument("--backend", help="for --only: cpu, which is the default, or opengl")
+    parser.add_argument("--page", type=Path, help="write what was found to this file, too")
+    parser.add_argument("--worst", type=int, default=10, help="how many of each kind to list")
+    options = parser.parse_args(arguments)
+    if options.only is None:
+        if options.backend:
+            parser.error("--backend goes with --only; else say how many --loops and --shaders")
+        plan = [(k, "cpu") for k in range(options.loops)]
+        plan += [(k, "opengl") for k in range(options.shaders)]
+    else:
+        plan = [(k, options.backend or "cpu") for k in options.only]
+    run = campaign(plan, options.seed, lambda said: print(said, file=sys.stderr, flush=True))
+    if options.page is not None:
+        options.page.write_text(_page(run), encoding="utf-8")
+    if options.only is not None:
+        for verdict in run.verdicts:
+            print(f"{verdict.outcome}: {_line(verdict, options.seed)}")
+            if verdict.saying:
+                print(f"    “{verdict.saying}”")
+    else:
+        print(report(run, options.worst))
+    return 0 if run.sound else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
