@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -25,6 +25,10 @@ Action = Literal["fixed", "move", "expand"]
 
 #: The common choice for soft tissue, where nothing better is known.
 USUAL_POISSON = 0.45
+#: The stiffness of a body that moves as one, such as bone or an implant.
+RIGID = math.inf
+_RIGID = "rigid"
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -39,15 +43,37 @@ class Material:
         For people.
     stiffness : float
         Young's modulus in any unit, the same for all materials: only ratios matter. 0 is void (no
-        tissue: air, or whatever does not hold on to its surroundings).
+        tissue: air, or whatever does not hold on to its surroundings); `RIGID`, which is infinite,
+        moves as one, and only an `ElasticPrior` takes it.
     poisson : float
-        Poisson's ratio, 0 to 0.499; only elastic tissue knows it.
+        Poisson's ratio, 0 to 0.499; only elastic tissue knows it, and neither void nor what is
+        rigid has one.
     """
 
     label: int
     name: str
     stiffness: float
     poisson: float = USUAL_POISSON
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether it moves as one."""
+        return self.stiffness == RIGID
+
+    @property
+    def is_deformable(self) -> bool:
+        """Whether it is tissue that changes its shape: neither void nor rigid."""
+        return 0 < self.stiffness < RIGID
+
+    def as_row(self) -> dict[str, Any]:
+        """The material in JSON types, which have no infinite number: the stiffness is "rigid"."""
+        row = asdict(self)
+        return {**row, "stiffness": _RIGID} if self.is_rigid else row
+
+    @classmethod
+    def of_row(cls, **row: Any) -> Material:
+        """The material that `as_row` said."""
+        return cls(**{**row, "stiffness": read_stiffness(row["stiffness"])})
 
 
 @dataclass(frozen=True)
@@ -79,6 +105,17 @@ class BoundaryRule:
     name: str = ""
 
 
+def read_stiffness(value: Any) -> Any:
+    """Take the word "rigid", however it is spelt, as `RIGID`; anything else is left as it is."""
+    is_word = isinstance(value, str) and value.strip().casefold() == _RIGID
+    return RIGID if is_word else value
+
+
+def stiffness_in_words(stiffness: float, unit: str = "") -> str:
+    """Say a stiffness for people: "20 kPa", or "rigid"."""
+    return _RIGID if stiffness == RIGID else f"{stiffness:g} {unit}".rstrip()
+
+
 def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> FloatArray:
     """Give every pixel the stiffness of its material.
 
@@ -91,21 +128,23 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     Returns
     -------
     ndarray, shape (H, W), float32
-        `m` of a `Problem`.
+        `m` of a `Problem`; infinite where tissue is rigid.
 
     Raises
     ------
     ProblemError
-        If a label has no material or two, or a stiffness is not a number of 0 or more.
+        If a label has no material or two, or a stiffness is neither `RIGID` nor a number of 0 or
+        more that single precision holds.
     """
     image = _as_labels("m", labels)
     table = _by_label("m", "materials", materials)
     for material in table.values():
-        if not (math.isfinite(material.stiffness) and material.stiffness >= 0):
+        if not (0 <= material.stiffness <= _LARGEST or material.is_rigid):
             raise ProblemError(
                 "m",
                 f"gives {_quoted(material)} a stiffness of {material.stiffness}. Give a number "
-                "above 0, or 0 where there is no tissue.",
+                f"above 0 (up to {_LARGEST:.2g}), 0 where there is no tissue, or 'rigid' for what "
+                "moves as one.",
             )
     present = labels_present(image)
     _require("m", "stiffness", present, table)
@@ -124,7 +163,8 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     Returns
     -------
     float or ndarray, shape (H, W), float32
-        `poisson` of an `ElasticPrior`: one number if all tissue has the same. 0 in void.
+        `poisson` of an `ElasticPrior`: one number if all tissue has the same. 0 in void and in
+        what is rigid, which have none.
 
     Raises
     ------
@@ -137,7 +177,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     _require("m", "Poisson's ratio", present, table)
     there = [table[int(label)] for label in present]
     low, high = POISSON_RANGE
-    tissues = [material for material in there if material.stiffness > 0]
+    tissues = [material for material in there if material.is_deformable]
     for material in tissues:
         if not low <= material.poisson <= high:
             raise ProblemError(
@@ -147,7 +187,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
             )
     if len({material.poisson for material in tissues}) <= 1:
         return float(tissues[0].poisson) if tissues else USUAL_POISSON
-    values = [material.poisson if material.stiffness > 0 else 0.0 for material in there]
+    values = [material.poisson if material.is_deformable else 0.0 for material in there]
     return values_at(image, present, np.array(values, dtype=np.float32))
 
 

@@ -13,6 +13,9 @@ A file is JSON::
       ]
     }
 
+The stiffness of bone or an implant, which moves as one, is the word ``"rigid"``. A file with such a
+material is of version 2; all others are of version 1, which earlier versions of this package read.
+
 Nothing here needs napari.
 """
 
@@ -21,19 +24,21 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.annotation import USUAL_POISSON, Material
+from napari_hmrf.annotation import RIGID, USUAL_POISSON, Material, read_stiffness
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.presets import Preset
 from napari_hmrf.priors.elastic import POISSON_RANGE
 
 FORMAT = "napari-hmrf materials"
-VERSION = 1
+VERSION = 2
+#: Of files that have no rigid material.
+_FIRST = 1
 ENDING = ".json"
 #: Larger files are none of ours, and are not read.
 _LARGEST = 2**20
@@ -64,11 +69,11 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
     target = target if target.suffix else target.with_suffix(ENDING)
     values = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if any(row.is_rigid for row in preset.materials) else _FIRST,
         "name": preset.name,
         "unit": preset.unit,
         "source": preset.source,
-        "materials": [asdict(material) for material in preset.materials],
+        "materials": [material.as_row() for material in preset.materials],
     }
     _preset(values, target)
     target.write_text(json.dumps(values, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -236,10 +241,14 @@ def _material(row: Any, number: int, path: Path) -> Material:
         raise _bad(path, f"gives {which} the label {label!r}. Write a whole number, 0 or more")
     if not isinstance(name, str):
         raise _bad(path, f'gives {which} the name {name!r}. Write it in "quotes"')
-    stiffness = _number(row["stiffness"])
-    if not (math.isfinite(stiffness) and stiffness >= 0):
+    given = row["stiffness"]
+    # Only the word says rigid: JSON has no infinite number, and one like 1e999 is a slip.
+    rigid = isinstance(given, str) and read_stiffness(given) == RIGID
+    stiffness = RIGID if rigid else _number(given)
+    if not (rigid or (math.isfinite(stiffness) and stiffness >= 0)):
         raise _bad(
-            path, f"gives {which} the stiffness {row['stiffness']!r}. Write a number, 0 or more"
+            path,
+            f'gives {which} the stiffness {given!r}. Write a number, 0 or more, or "rigid"',
         )
     poisson, (low, high) = _number(row.get("poisson", USUAL_POISSON)), POISSON_RANGE
     if not low <= poisson <= high:

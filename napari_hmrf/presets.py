@@ -118,7 +118,7 @@ def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material,
 
     Those of one name are one material, whatever its number in the preset; the others go by their
     number. What the preset does not have stays void, or becomes its first tissue, since an old
-    stiffness may be in another unit.
+    stiffness may be in another unit. What is rigid is so in any unit, and stays.
 
     Parameters
     ----------
@@ -143,12 +143,9 @@ def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material,
         if label in given:
             label = max([*mine, *given, *(each.label for each in preset.materials)]) + 1
         given[label] = material
-    first = next(each for each in preset.materials if each.stiffness > 0)
+    first = next((each for each in preset.materials if each.is_deformable), None)
     left = [row for row in rows if row.label not in given]
-    others = (
-        replace(row, stiffness=first.stiffness if row.stiffness > 0 else 0.0, poisson=first.poisson)
-        for row in left
-    )
+    others = left if first is None else [_as(first, row) for row in left]
     renamed = [
         f"'{mine[label].name}' is {material.name} now"
         for label, material in sorted(given.items())
@@ -158,12 +155,18 @@ def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material,
     if renamed:
         number = "its number" if len(renamed) == 1 else "their numbers"
         sentences.append(f"By {number} {_and(renamed)}.")
-    stiff = [f"'{row.name}'" for row in left if row.stiffness > 0]
-    if stiff:
+    stiff = [f"'{row.name}'" for row in left if row.is_deformable]
+    if stiff and first is not None:
         isare = "is" if len(stiff) == 1 else "are"
         sentences.append(f"{_and(stiff)} {isare} not among them: as stiff as {first.name} now.")
     materials = (*others, *(replace(each, label=label) for label, each in given.items()))
     return tuple(sorted(materials, key=lambda each: each.label)), " ".join(sentences)
+
+
+def _as(first: Material, row: Material) -> Material:
+    """What a preset does not have, as its first tissue; void and rigid stay so."""
+    stiffness = first.stiffness if row.is_deformable else row.stiffness
+    return replace(row, stiffness=stiffness, poisson=first.poisson)
 
 
 def _by_name(rows: Iterable[Material]) -> dict[str, Material]:

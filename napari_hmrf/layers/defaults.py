@@ -12,9 +12,9 @@ _STIFFNESS = 20.0
 
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
-    """A new tissue behaves as the first known one, until told otherwise."""
+    """A new tissue behaves as the first known one that is not rigid, until told otherwise."""
     name = UNPAINTED if label == 0 else f"tissue {label}"
-    first = next((material for material in known if material.stiffness > 0), None)
+    first = next((material for material in known if material.is_deformable), None)
     if first is None:
         return Material(label, name, _STIFFNESS)
     return replace(first, label=label, name=name)

@@ -57,7 +57,7 @@ class Ground:
     base : Canvas
         What is held without a drawing.
     m : ndarray, shape (H, W), float32
-        Stiffness; 0 is no tissue.
+        Stiffness; 0 is no tissue, infinity is rigid.
     prior : Prior
         The energy, with the tissues' own Poisson's ratios.
     pictures : Pictures
@@ -274,10 +274,15 @@ def _stiffness(
                 raise LayerError(
                     tissue, "is a colour image. Choose a Labels layer or a grey image."
                 )
-            values = labels.astype(np.float32)
-            if not np.isfinite(values).all() or (values < 0).any():
+            with np.errstate(over="ignore"):
+                values = labels.astype(np.float32)
+            # What single precision does not hold must not come out as rigid.
+            known = (values >= 0) & (np.isfinite(values) | (labels == np.inf))
+            if not known.all():
                 raise LayerError(
-                    tissue, "holds values that are no stiffness. Give numbers of 0 or more."
+                    tissue,
+                    "holds values that are no stiffness. Give numbers of 0 or more, or infinity "
+                    "where tissue is rigid.",
                 )
             return values, prior, Palette.of_preset(preset, relative=False)
         materials = _completed(rows_of(tissue, TISSUE) or (), labels)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, Literal
 
-from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.annotation import BoundaryRule, Material, read_stiffness
 
 #: Where a layer's metadata hold what this package knows of it.
 METADATA = "napari-hmrf"
@@ -16,7 +16,7 @@ IMAGE: Role = "image"
 TISSUE: Role = "tissue"
 BOUNDARY: Role = "boundary"
 _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
-    TISSUE: ("materials", Material),
+    TISSUE: ("materials", Material.of_row),
     BOUNDARY: ("rules", BoundaryRule),
 }
 
@@ -39,7 +39,7 @@ def described(role: Role, rows: Iterable[Any] = (), unit: str = "") -> dict[str,
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
-        known[_TABLES[role][0]] = [asdict(row) for row in rows]
+        known[_TABLES[role][0]] = [_as_row(row) for row in rows]
     if unit:
         known["unit"] = unit
     return {METADATA: known}
@@ -62,7 +62,7 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
     known = known_of(layer)
     record = {"layer": str(layer.name)}
     record.update({key: known[key] for key in ("unit", "curve", "source") if key in known})
-    rows = [asdict(material) for material in materials]
+    rows = [material.as_row() for material in materials]
     return record if "curve" in known or not rows else {**record, "materials": rows}
 
 
@@ -72,7 +72,10 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
         record = known_of(layer)["solution"].provenance.parameters["tissue"]
         rows = tuple(
             Material(
-                int(row["label"]), str(row["name"]), float(row["stiffness"]), float(row["poisson"])
+                int(row["label"]),
+                str(row["name"]),
+                float(read_stiffness(row["stiffness"])),
+                float(row["poisson"]),
             )
             for row in record["materials"]
         )
@@ -97,3 +100,7 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...] | None:
         )
     except (KeyError, TypeError, AttributeError):
         return None
+
+
+def _as_row(row: Material | BoundaryRule) -> dict[str, Any]:
+    return row.as_row() if isinstance(row, Material) else asdict(row)
