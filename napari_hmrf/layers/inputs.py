@@ -25,7 +25,15 @@ from napari_hmrf.optimizers import ICM, Optimizer
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
-__all__ = ["Inputs", "Request", "Snapshot", "copy_layers", "prepare", "read_layers"]
+__all__ = [
+    "Inputs",
+    "Request",
+    "Snapshot",
+    "copy_layers",
+    "prepare",
+    "read_layers",
+    "refuse_rigid",
+]
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -112,6 +120,8 @@ def prepare(
     ProblemError
         As `read_layers`.
     """
+    prior = prior or SeilerPrior()
+    refuse_rigid(snapshot, prior)
     notes = snapshot.notes + _check_picture(snapshot)
     if complete:
         snapshot, added = _completed(snapshot)
@@ -119,7 +129,6 @@ def prepare(
     checkpoint()
     tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
     with naming(m=tissue):
-        prior = prior or SeilerPrior()
         if snapshot.tissue_labelled:
             m = stiffness_image(snapshot.tissue, snapshot.materials)
             if isinstance(prior, ElasticPrior):
@@ -163,6 +172,30 @@ def prepare(
         ignored=ignored,
         notes=(*notes, *caveats(problem, prior, optimizer or ICM())),
     )
+
+
+def refuse_rigid(snapshot: Snapshot, prior: Prior) -> None:
+    """Refuse rigid tissue of the paper's prior, in words and before any work.
+
+    Raises
+    ------
+    ProblemError
+        Naming the layer, what in it is rigid and what to do.
+    """
+    if isinstance(prior, ElasticPrior):
+        return
+    if snapshot.tissue_labelled:
+        rigid = [row for row in snapshot.materials if row.is_rigid]
+        names = [row.name or f"label {row.label}" for row in rigid if row.label in snapshot.tissue]
+        there, which = bool(names), " and ".join(f"'{name}'" for name in names)
+    else:
+        there, which = bool((snapshot.tissue == np.inf).any()), "an infinite stiffness"
+    if there:
+        raise LayerError(
+            snapshot.tissue_name,
+            f"has rigid tissue ({which}), which the paper's model cannot have: it compares "
+            "stiffness by ratios. Take the elastic model, or give it a number.",
+        )
 
 
 def _completed(snapshot: Snapshot) -> tuple[Snapshot, tuple[str, ...]]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.annotation import Material, poisson_image, stiffness_image
+from napari_hmrf.annotation import RIGID, Material, poisson_image, stiffness_image
 from napari_hmrf.presets import PRESETS, Preset
 from napari_hmrf.priors import ElasticPrior, Prior
 
@@ -42,7 +42,7 @@ class Palette:
 
     @classmethod
     def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
-        """The tissues of a preset, and the void.
+        """The tissues of a preset, the void, and what is rigid.
 
         Parameters
         ----------
@@ -54,13 +54,14 @@ class Palette:
         preset = preset or PRESETS[0]
         listed = {row.label for row in preset.materials}
         rows = (*([] if 0 in listed else [_VOID]), *preset.materials)
-        first = next(row.stiffness for row in rows if row.stiffness > 0)
-        return cls(rows, preset.unit, first if relative else 1.0)
+        first = next(row.stiffness for row in rows if row.is_deformable)
+        rigid = Material(max(row.label for row in rows) + 1, "bone or implant", RIGID)
+        return cls((*rows, rigid), preset.unit, first if relative else 1.0)
 
     @property
     def usual(self) -> int:
         """The label of what is not painted, where there is no table."""
-        return next(row.label for row in self.materials if row.stiffness > 0)
+        return next(row.label for row in self.materials if row.is_deformable)
 
     def painted(
         self, labels: npt.NDArray[Any], before: npt.NDArray[Any], m: FloatArray, prior: Prior
@@ -85,6 +86,6 @@ class Palette:
         if isinstance(prior, ElasticPrior):
             ratios = np.broadcast_to(np.asarray(prior.poisson, dtype=np.float32), m.shape).copy()
             ratios[changed] = np.broadcast_to(poisson_image(now, self.materials), now.shape)[0]
-            same = np.unique(ratios[m > 0])
+            same = np.unique(ratios[(m > 0) & np.isfinite(m)])
             prior = replace(prior, poisson=float(same[0]) if len(same) == 1 else ratios)
         return m, prior

@@ -10,7 +10,7 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import Cancelled, HmrfError
-from napari_hmrf.layers.inputs import Request, copy_layers
+from napari_hmrf.layers.inputs import Request, copy_layers, refuse_rigid
 from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.steps import steps_of
 from napari_hmrf.widgets.dock_steps import DockSteps
@@ -65,6 +65,7 @@ class DeformTissue(ResultDock):
         self._request: Request | None = None
         self._solving_with: tuple[Any, ...] = ()
         self._stage = ("", 0.0)
+        self._objection = ""
         face = self._face
         self._live = LiveMode(self, face.footer.live)
         self._watch = Watch(
@@ -143,6 +144,7 @@ class DeformTissue(ResultDock):
             request = self.request()
             solver = self._solver
             snapshot = copy_layers(request)
+            refuse_rigid(snapshot, solver[0])
             work = deforming(snapshot, *solver, self.settings.backend, self.outputs)
         except (HmrfError, ValueError) as error:
             self._refuse(error)
@@ -191,15 +193,20 @@ class DeformTissue(ResultDock):
             self._latest.forget()
             self._face.energy.show_solution(None)
             self._say(WELCOME)
+        before, self._objection = self._objection, self.model.objection
         if self._latest.done is None:
-            if self._status in (WELCOME, CHOOSE, MAKE, READY):
+            if self._status in (WELCOME, CHOOSE, MAKE, READY) or before != self._objection:
                 self._say(self.invitation)
             return
         news = self._latest.compare(self.request, self._solver)
         if self._latest.fresh and self._latest.lacks(self.outputs):
             self._face.footer.start("Drawing the result ...")
             self._start(self.request(), drawing(self._latest.done, self.outputs))
-        elif news and (self._latest.fresh or not self._live.begun):
+        elif self._objection != before and self._objection:
+            self._say(self._objection)
+        elif (
+            news and (self._latest.fresh or not self._live.begun)
+        ) or self._status == before != "":
             self._say(*self._latest.words)
 
     def _start(self, request: Request, work: Work) -> None:

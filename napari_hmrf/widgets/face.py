@@ -6,6 +6,7 @@ from typing import Any
 
 from magicgui.widgets import CheckBox, Container, Label, PushButton
 from magicgui.widgets.bases import ValueWidget
+from napari.layers import Labels
 from qtpy.QtWidgets import QSizePolicy
 from superqt import QCollapsible
 
@@ -78,7 +79,7 @@ class Face:
         self.settings = SolverSettings(self.model)
         self.footer = Footer()
         self.energy = EnergyPlot()
-        self.tissue.choice.changed.connect(self.model.tissue_is)
+        self.tissue.edited.connect(self._on_tissue)
         self.model.energy.changed.connect(self._on_energy)
         self.keys = Prose()
         remember("deform", {"preview": self.boundary.preview, "device": self.settings.device})
@@ -174,6 +175,10 @@ class Face:
         ways.margins = (0, 0, 0, 0)
         for container in (outer, body, first, self.tissue, self.boundary, self.model, *rows):
             container.margins = (2, 2, 2, 2)
+
+    def _on_tissue(self) -> None:
+        layer = self.tissue.choice.value
+        self.model.tissue_is(layer, self.tissue.materials if isinstance(layer, Labels) else ())
 
     def _on_energy(self, _: str) -> None:
         self.tissue.table.poisson_shown = self.model.is_elastic

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from qtpy.QtCore import Qt, Signal
@@ -98,10 +98,10 @@ class LabelTable(QTableWidget):
             self.rows = [*self._rows, *(self._default(label) for label in new)]
         return bool(new)
 
-    def add(self) -> int:
-        """Add a row for the next free label."""
+    def add(self, row: Callable[[int], Any] | None = None) -> int:
+        """Add what `row` makes of the next free label; by default what a new label gets."""
         label = max([0, *self.labels]) + 1
-        self.ensure([label])
+        self.rows = [*self._rows, (row or self._default)(label)]
         self.highlight(label)
         self.picked.emit(label)
         return label

@@ -10,6 +10,7 @@ from psygnal import Signal
 from qtpy.QtCore import QStandardPaths
 from qtpy.QtWidgets import QFileDialog, QInputDialog, QMenu, QPushButton
 
+from napari_hmrf.annotation import stiffness_in_words
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.material_files import ENDING, MaterialLibrary, load_materials, save_materials
@@ -78,6 +79,12 @@ class MaterialMenu(QPushButton):
         _head(menu, "Published, each with its source")
         for preset in PRESETS:
             self._offer(menu, preset)
+        _head(menu, "In addition")
+        about = (
+            "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
+            "model has that, the paper's has not"
+        )
+        _act(menu, "Bone or implant (rigid)", about, lambda: self._table.add_rigid())
         own = library.presets
         if own:
             _head(menu, "Your own")
@@ -110,8 +117,8 @@ class MaterialMenu(QPushButton):
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
         rows = "\n".join(
-            f"{row.label}  {row.name}: {row.stiffness:g} {preset.unit}".rstrip()
-            + (f", Poisson's ratio {row.poisson:g}" if row.stiffness > 0 else "")
+            f"{row.label}  {row.name}: {stiffness_in_words(row.stiffness, preset.unit)}"
+            + (f", Poisson's ratio {row.poisson:g}" if row.is_deformable else "")
             for row in preset.materials
         )
         source = f"\nSource: {preset.source}" if preset.source else ""

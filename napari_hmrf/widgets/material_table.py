@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from psygnal import Signal
 from qtpy.QtCore import Qt
 
-from napari_hmrf.annotation import Material
+from napari_hmrf.annotation import RIGID, Material, read_stiffness, stiffness_in_words
 from napari_hmrf.layers.defaults import default_material
 from napari_hmrf.presets import Preset, take_over
 from napari_hmrf.priors.elastic import POISSON_RANGE
@@ -17,6 +17,7 @@ from napari_hmrf.widgets.label_table import LabelTable, number, shown
 from napari_hmrf.widgets.words import ABOUT_POISSON
 
 _NAME, _STIFFNESS, _POISSON = range(1, 4)
+_RIGID_TIP = "Moves and turns as one, such as bone or an implant, without changing its shape"
 
 
 class MaterialTable(LabelTable):
@@ -57,7 +58,8 @@ class MaterialTable(LabelTable):
         header.setText(f"Stiffness ({unit})" if unit else "Stiffness")
         header.setToolTip(
             "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
-            "matter.\n0 is no tissue, such as air."
+            "matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone or an "
+            "implant; the elastic model has that, the paper's has not."
         )
 
     @property
@@ -86,6 +88,10 @@ class MaterialTable(LabelTable):
         self.contents = Preset("", preset.unit, "", materials)
         return words
 
+    def add_rigid(self) -> int:
+        """Add a row for bone or an implant, which moves as one, to paint with; its label."""
+        return self.add(lambda label: Material(label, "bone or implant", RIGID))
+
     def _on_edited(self) -> None:
         if self.contents != self._said:
             self._said = self.contents
@@ -96,7 +102,9 @@ class MaterialTable(LabelTable):
 
     def words(self, label: int) -> str:
         """What a label's row says, in words."""
-        return f"stiffness {shown(self._rows[self.labels.index(label)].stiffness)}"
+        material: Material = self._rows[self.labels.index(label)]
+        amount = stiffness_in_words(material.stiffness)
+        return amount if material.is_rigid else f"stiffness {amount}"
 
     def _show(self, row: int, value: Any) -> None:
         about = (
@@ -105,12 +113,14 @@ class MaterialTable(LabelTable):
             else ""
         )
         self._text(row, _NAME, value.name, about or value.name, number=False)
-        void = value.stiffness == 0
-        tip = "No tissue, such as air" if void else about
-        self._text(row, _STIFFNESS, shown(value.stiffness), tip)
-        item = self._text(row, _POISSON, "" if void else shown(value.poisson), tip)
+        tip = about
+        if not value.is_deformable:
+            tip = _RIGID_TIP if value.is_rigid else "No tissue, such as air"
+        self._text(row, _STIFFNESS, stiffness_in_words(value.stiffness), tip)
+        bulges = value.is_deformable
+        item = self._text(row, _POISSON, shown(value.poisson) if bulges else "", tip)
         editable = Qt.ItemFlag.ItemIsEditable
-        item.setFlags(item.flags() & ~editable if void else item.flags() | editable)
+        item.setFlags(item.flags() | editable if bulges else item.flags() & ~editable)
 
     def _parse(self, row: int, column: int, text: str, value: Any) -> Material:
         material: Material = value
@@ -121,7 +131,10 @@ class MaterialTable(LabelTable):
             if not low <= poisson <= high:
                 raise ValueError(f"Poisson's ratio must be a number from {low:g} to {high:g}")
             return replace(material, poisson=poisson)
+        if text.casefold() == "inf" or read_stiffness(text) == RIGID:
+            return replace(material, stiffness=RIGID)
         stiffness = number(text)
-        if not (math.isfinite(stiffness) and stiffness >= 0):
-            raise ValueError("Stiffness must be a number, 0 or more")
+        # One that single precision does not hold would come out as rigid.
+        if not 0 <= stiffness <= np.finfo(np.float32).max:
+            raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
         return replace(material, stiffness=stiffness)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
 from napari.layers import Image
 from qtpy.QtWidgets import QSizePolicy
 
-from napari_hmrf.annotation import USUAL_POISSON
+from napari_hmrf.annotation import USUAL_POISSON, Material
 from napari_hmrf.priors.elastic import POISSON_RANGE
 from napari_hmrf.widgets.forms import Prose, align_labels
 from napari_hmrf.widgets.words import (
     ABOUT_POISSON,
+    ELASTIC,
     MODELS,
     PAPERS,
     PLANES,
     SCHEDULES,
+    cannot_be_rigid,
     when_to_take,
 )
 
@@ -34,6 +37,8 @@ class TissueModel(Container):
         Of the elastic energy: "stress" or "strain".
     poisson : FloatSpinBox
         Of the elastic energy, where the tissue is an image of stiffness; labels have a table.
+    elastic : PushButton
+        To the elastic energy, where there is rigid tissue, which the paper's cannot have.
     back : PushButton
         Back to the paper's energy and schedule, which are what the widget starts with.
     """
@@ -65,16 +70,23 @@ class TissueModel(Container):
             tooltip=ABOUT_POISSON,
         )
         self._when = Prose()
+        self._against = Prose()
+        self.elastic = PushButton(text=ELASTIC, tooltip="In which bone and implants move as one")
         self.back = PushButton(
             text=PAPERS, tooltip="The paper's model and schedule, and its settings under Advanced"
         )
         form = Container(widgets=[self.energy, self.schedule, self.plane, self.poisson])
-        super().__init__(widgets=[form, self._when, self.back], labels=False)
+        super().__init__(
+            widgets=[form, self._when, self._against, self.elastic, self.back], labels=False
+        )
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         self.poisson.native.setDecimals(3)
-        self.back.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
+        for button in (self.elastic, self.back):
+            button.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
+        self.elastic.changed.connect(self._take_elastic)
         self._tissue: Any = None
+        self._rigid: tuple[str, ...] = ()
         for choice in (self.energy, self.schedule, self.plane):
             choice.changed.connect(self._show)
         self._show()
@@ -84,18 +96,39 @@ class TissueModel(Container):
         """Whether Poisson's ratios count."""
         return bool(self.energy.value == "elastic")
 
-    def tissue_is(self, layer: Any) -> None:
-        """Tell what the tissue is read from: an image of stiffness has one ratio for all of it."""
-        self._tissue = layer
-        self._show()
+    @property
+    def objection(self) -> str:
+        """Why this model does not go with what the table of tissues says; "" if it does."""
+        return "" if self.is_elastic else cannot_be_rigid(self._rigid)
+
+    def tissue_is(self, layer: Any, materials: Iterable[Material] = ()) -> None:
+        """Tell what the tissue is read from.
+
+        Parameters
+        ----------
+        layer : napari.layers.Layer or None
+            An image of stiffness has one Poisson's ratio for all of it.
+        materials : iterable of Material
+            The table of labels, some of which may be rigid.
+        """
+        rigid = tuple(row.name or f"label {row.label}" for row in materials if row.is_rigid)
+        if layer is not self._tissue or rigid != self._rigid:
+            self._tissue, self._rigid = layer, rigid
+            self._show()
+
+    def _take_elastic(self, *_: Any) -> None:
+        self.energy.value = "elastic"
 
     def _show(self, *_: Any) -> None:
         """Show what applies."""
         elastic, one_for_all = self.is_elastic, isinstance(self._tissue, Image)
         self._when.say(when_to_take(self.energy.value, self.schedule.value, self.plane.value))
+        self._against.say(self.objection)
         for widget, applies in (
             (self.schedule, not elastic),
             (self.plane, elastic),
             (self.poisson, elastic and one_for_all),
+            (self._against, bool(self.objection)),
+            (self.elastic, bool(self.objection)),
         ):
             widget.visible = applies

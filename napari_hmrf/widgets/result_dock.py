@@ -132,7 +132,7 @@ class ResultDock(Chooser):
     def invitation(self) -> str:
         """What can be done first."""
         if self.can_deform:
-            return READY
+            return self.model.objection or READY
         if self.image is None:
             return CHOOSE if self._viewer.layers else WELCOME
         return MAKE

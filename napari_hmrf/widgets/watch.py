@@ -133,7 +133,7 @@ class Watch:
         if role_of(event.value) and len(self._viewer.layers) == 1:
             self._fitting.start()
         if role_of(event.value) and widget.can_deform:
-            widget.say(READY)
+            widget.say(widget.invitation)
 
     def _fit_view(self) -> None:
         """Show the whole of a sample; napari fitted its first layer before it knew the canvas."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,7 @@ ABOUT_POISSON = (
     "hardly any volume.\n0.45 is common for soft tissue."
 )
 PAPERS = "Back to the paper's"
+ELASTIC = "Take the elastic model"
 
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
@@ -86,6 +88,17 @@ def when_to_take(model: Model, schedule: Schedule, plane: Plane) -> str:
     if model == "elastic":
         return _WHEN_ELASTIC + _WHEN_PLANE[plane]
     return _WHEN_PAPERS[schedule]
+
+
+def cannot_be_rigid(names: Sequence[str]) -> str:
+    """Why the paper's model does not go with rigid tissues of these names; "" if there are none."""
+    if not names:
+        return ""
+    which, isare = " and ".join(f"'{name}'" for name in names), "is" if len(names) == 1 else "are"
+    return (
+        f"{which} {isare} rigid, which the paper's model cannot have: it compares stiffness by "
+        "ratios. Take the elastic model, or give a number in the table."
+    )
 
 
 def report(done: Done) -> str:

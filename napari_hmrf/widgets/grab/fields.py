@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox
 
-from napari_hmrf.annotation import Material
+from napari_hmrf.annotation import Material, stiffness_in_words
 from napari_hmrf.drawing.brush import Paint
 from napari_hmrf.drawing.marks import Action
 from napari_hmrf.drawing.pull import Grip
@@ -200,7 +200,7 @@ class ToolFields(Container):
         with self.material.changed.blocked():
             self.material.choices = choices
             # What is painted first is a tissue, the last of them: it is what is special.
-            solid = [row.label for row in palette.materials if row.stiffness > 0]
+            solid = [row.label for row in palette.materials if row.is_deformable]
             usual = (solid or labels)[-1]
             self.material.value = before if before in labels else usual
         self._own_table = palette.own
@@ -214,7 +214,7 @@ _NAMES = (
 
 
 def _stiffness(row: Material, unit: str) -> str:
-    return f"{row.stiffness:g} {unit}".strip() if row.stiffness > 0 else "no tissue"
+    return stiffness_in_words(row.stiffness, unit) if row.stiffness > 0 else "no tissue"
 
 
 def _components(ways: Directions) -> list[tuple[str, str]]:

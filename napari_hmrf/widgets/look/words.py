@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from napari_hmrf.annotation import RIGID, stiffness_in_words
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult
 from napari_hmrf.layers.point import Probe
@@ -116,7 +117,8 @@ def _rounded(length: float) -> float:
 
 def stiffness_of(name: str, stiffness: float, unit: str) -> str:
     """The tissue and how stiff it is."""
-    amount = f"stiffness {stiffness:g} {unit}".rstrip()
+    amount = stiffness_in_words(stiffness, unit)
+    amount = amount if stiffness == RIGID else f"stiffness {amount}"
     return f"{amount} ({name})" if name else amount
 
 
