@@ -39,7 +39,8 @@ class Problem:
         Confidence in each component of `y`, from 0 (none) to 1 (complete).
     m : array_like, shape (H, W)
         Stiffness (Young's modulus) in any unit: only ratios matter. ``0`` means no tissue (void):
-        no clique touches such a site and it has no displacement.
+        no clique touches such a site and it has no displacement. ``inf`` means rigid tissue, for
+        `ElasticPrior`: what touches of it moves as one body.
     spacing : sequence of float, shape (2,)
         Size of a pixel in (row, col) direction, in any unit of length.
 
@@ -99,6 +100,13 @@ class Problem:
     def tissue(self) -> npt.NDArray[np.bool_]:
         """Where there is tissue: ``m > 0``, shape (H, W)."""
         mask: npt.NDArray[np.bool_] = self.m > 0
+        mask.setflags(write=False)
+        return mask
+
+    @cached_property
+    def rigid(self) -> npt.NDArray[np.bool_]:
+        """Where tissue is rigid: ``m = inf``, shape (H, W)."""
+        mask = np.isinf(self.m)
         mask.setflags(write=False)
         return mask
 
@@ -197,8 +205,10 @@ def _first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
 
 
-def _check_finite(field: str, array: FloatArray, where: str = "") -> None:
-    bad = ~np.isfinite(array)
+def _check_finite(
+    field: str, array: FloatArray, where: str = "", but: npt.NDArray[np.bool_] | bool = False
+) -> None:
+    bad = ~(np.isfinite(array) | but)
     if bad.any():
         raise ProblemError(
             field,
@@ -233,7 +243,7 @@ def _shown(length: float) -> str:
 
 
 def _check_stiffness(m: FloatArray) -> None:
-    _check_finite("m", m)
+    _check_finite("m", m, but=m == np.inf)
     negative = m < 0
     if negative.any():
         raise ProblemError(
@@ -244,7 +254,9 @@ def _check_stiffness(m: FloatArray) -> None:
     tissue = m > 0
     if not tissue.any():
         raise ProblemError("m", "is 0 everywhere: there is no tissue. Give some a stiffness.")
-    low, high = float(m[tissue].min()), float(m.max())
+    soft = tissue & np.isfinite(m)
+    low = float(m.min(where=soft, initial=np.inf))
+    high = float(m.max(where=soft, initial=0.0))
     if high > low * MAX_STIFFNESS_RATIO:
         raise ProblemError(
             "m",

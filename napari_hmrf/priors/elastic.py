@@ -28,6 +28,8 @@ from napari_hmrf.priors.elements import (
     differences,
     element_forces,
     lame_parameters,
+    of_elements,
+    stiffest,
 )
 from napari_hmrf.problem import Problem
 
@@ -108,10 +110,17 @@ class ElasticPrior:
         Raises
         ------
         ProblemError
-            Naming a piece of tissue that could still move freely.
+            Naming a piece of tissue that could still move freely, or rigid tissue if observations
+            may slip.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
+        if self.penalty < math.inf and problem.rigid.any():
+            raise ProblemError(
+                "m",
+                "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
+                "prior's penalty at inf, or give that tissue a number.",
+            )
         check_held(problem)
         return self
 
@@ -128,9 +137,14 @@ class ElasticPrior:
         return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
 
     def lame(self, problem: Problem) -> Lame:
-        """Lame's parameters of each element, from the means of its sites; 0 if one is void."""
-        m = problem.m.astype(np.float64) / float(problem.m.max())
-        return lame_parameters(m, self.poisson, self.plane == "strain")
+        """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
+        m = problem.m / np.float64(stiffest(problem.m))
+        first, shear = lame_parameters(m, self.poisson, self.plane == "strain")
+        if not problem.rigid.any():
+            return Lame(first, shear)
+        # Rigid tissue does not stretch: it has no energy.
+        stretches = np.isfinite(of_elements(m))
+        return Lame(np.where(stretches, first, 0.0), np.where(stretches, shear, 0.0))
 
     def shape(self, spacing: tuple[float, ...]) -> ElementShape:
         """The constants of an element of this size of pixel; only the pixel's shape matters."""

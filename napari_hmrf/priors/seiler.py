@@ -23,6 +23,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.priors.elements import MILD_CONTRAST, contrast
 from napari_hmrf.problem import Problem
@@ -245,7 +246,19 @@ class SeilerPrior:
         return min(_UNIFORM_PENALTY * max(1.0, steepest / uniform), _LARGEST_PENALTY)
 
     def resolved(self, problem: Problem) -> SeilerPrior:
-        """Return this prior with the penalty in force for a problem."""
+        """Return this prior with the penalty in force for a problem.
+
+        Raises
+        ------
+        ProblemError
+            If there is rigid tissue.
+        """
+        if problem.rigid.any():
+            raise ProblemError(
+                "m",
+                "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
+                "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
+            )
         return replace(self, penalty=self.penalty_for(problem))
 
     def limit(self, problem: Problem) -> Float64Array:
