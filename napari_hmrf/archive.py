@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.whole_file import write_whole
+from napari_hmrf.whole_file import is_stream, write_whole
 
 T = TypeVar("T")
 Header = Mapping[str, Any]
@@ -93,7 +93,7 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
     Parameters
     ----------
     path : str or path-like
-        Taken as it is; ".npz" is added only if the name has no suffix.
+        Taken as it is; ".npz" is added only if the name has no suffix, and is no FIFO or device.
     form : Format
     header : mapping
         Of JSON types; name and schema of the format are added.
@@ -114,11 +114,11 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
         If it could not be read back: the header holds something that is not of a JSON type, or
         the format refuses it.
     """
-    target = Path(os.path.realpath(path))
-    if not target.suffix:
-        target = target.with_name(target.name + ".npz")
-    if target.is_dir():
-        raise IsADirectoryError(f"cannot save {target.name!r}: it is a folder")
+    target = Path(path)
+    if not is_stream(target):
+        target = Path(os.path.realpath(target))
+        if not target.suffix:
+            target = target.with_name(target.name + ".npz")
     write_whole(target, _packed(form, header, arrays))
     return target
 

@@ -183,7 +183,7 @@ def disk_full(*_):
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
     monkeypatch.setattr(whole_file.os, step, disk_full)
-    with pytest.raises(OSError, match=r"cannot save the result: No space left.*result\.npz"):
+    with pytest.raises(OSError, match=r"cannot save the file: No space left.*result\.npz"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
     assert_same(Solution.load(path), solution)
@@ -220,13 +220,13 @@ def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
     other.save(path)
     assert_same(Solution.load(path), other)
     monkeypatch.setattr(whole_file.os, "replace", always_held)
-    with pytest.raises(PermissionError, match=r"cannot save the result: held.*result\.npz"):
+    with pytest.raises(PermissionError, match=r"cannot save the file: held.*result\.npz"):
         solution.save(path)
     assert_same(Solution.load(path), other)
 
 
 def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
-    with pytest.raises(FileNotFoundError, match=r"cannot save the result.*nowhere"):
+    with pytest.raises(FileNotFoundError, match=r"cannot save the file.*nowhere"):
         solution.save(tmp_path / "nowhere" / "result.npz")
     (tmp_path / "folder.npz").mkdir()
     with pytest.raises(IsADirectoryError, match=r"cannot save .*folder"):
@@ -236,7 +236,7 @@ def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr("builtins.open", closed)
-    with pytest.raises(PermissionError, match=r"cannot save the result: Permission denied"):
+    with pytest.raises(PermissionError, match=r"cannot save the file: Permission denied"):
         solution.save(tmp_path / "result.npz")
 
 
