@@ -182,7 +182,9 @@ def _parse(header: archive.Header, arrays: archive.Arrays) -> Solution:
         tissue=tissue,
         spacing=spacing,
         provenance=Provenance(**{field: given[field] for field in known & given.keys()}),
-        convergence=reached and Convergence(float(reached["error"]), float(reached["residual"])),
+        convergence=reached
+        if reached is None
+        else Convergence(float(reached["error"]), float(reached["residual"])),
         frame=frame,
     )
 
