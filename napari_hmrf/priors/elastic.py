@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -31,7 +32,7 @@ from napari_hmrf.priors.elements import (
     of_elements,
     stiffest,
 )
-from napari_hmrf.problem import Problem
+from napari_hmrf.problem import Problem, as_numbers
 
 Plane = Literal["stress", "strain"]
 
@@ -68,8 +69,10 @@ class ElasticPrior:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
         if self.plane not in get_args(Plane):
             raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
-        if not self.penalty > 0:
-            raise ValueError(f"penalty must be a positive number or inf, not {self.penalty!r}")
+        penalty: Any = self.penalty
+        if not (isinstance(penalty, Real) and float(penalty) > 0):
+            raise ValueError(f"penalty must be a positive number or inf, not {penalty!r}")
+        object.__setattr__(self, "penalty", float(penalty))
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -177,11 +180,12 @@ class ElasticPrior:
 def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
     """Poisson's ratio as one float, or as an array of its own that nobody can change."""
     low, high = POISSON_RANGE
-    if np.ndim(value) == 0:
+    given = as_numbers("poisson", value)
+    if given.ndim == 0:
         if not low <= value <= high:
             raise ValueError(f"poisson must lie between {low} and {high}, not {value!r}")
         return float(value)
-    made = np.array(value, dtype=np.float32, order="C")
+    made = np.array(given, dtype=np.float32, order="C")
     if made.ndim != 2:
         raise ValueError(
             f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"

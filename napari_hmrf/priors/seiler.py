@@ -197,7 +197,7 @@ class SeilerPrior:
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        if self.penalty is not None and not _is_penalty(self.penalty):
+        if self.penalty is not None and not _is_above_0(self.penalty, _LARGEST_PENALTY):
             raise ValueError(
                 f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
                 f"{self.penalty!r}"
@@ -206,7 +206,7 @@ class SeilerPrior:
             raise ValueError(
                 f'conditional must be "centred" or "blanket", not {self.conditional!r}'
             )
-        if self.damping is not None and not 0 < self.damping <= 1:
+        if self.damping is not None and not _is_above_0(self.damping, 1):
             raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
 
     @property
@@ -344,8 +344,8 @@ def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
     return found
 
 
-def _is_penalty(number: object) -> bool:
-    return isinstance(number, Real) and 0 < float(number) <= _LARGEST_PENALTY
+def _is_above_0(number: object, largest: float) -> bool:
+    return isinstance(number, Real) and 0 < float(number) <= largest
 
 
 def _around(m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_]) -> Float64Array:

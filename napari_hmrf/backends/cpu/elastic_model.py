@@ -15,6 +15,7 @@ from napari_hmrf.backends.cpu import assembly, elastic, elastic_exact, forces, s
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
 from napari_hmrf.priors.elements import CYCLE_STAND_IN, ElasticMaterial, stiffest
 
@@ -286,6 +287,7 @@ class CpuElasticModel(CpuModel):
 
 
 _last: list[CpuElasticModel] = []
+in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
 
 
 def the_model(material: ElasticMaterial) -> CpuElasticModel:
