@@ -10,19 +10,22 @@ from __future__ import annotations
 import errno
 import io
 import json
+import math
 import os
+import re
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Generic, TypeVar
+from typing import IO, Any, BinaryIO, Generic, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.whole_file import write_whole
+from napari_hmrf.whole_file import is_stream, write_whole
 
 T = TypeVar("T")
 Header = Mapping[str, Any]
@@ -36,11 +39,20 @@ _MAX_RATIO = 100
 
 _HEADER = "header"
 _HEADER_BYTES = 2**20
+_DEEPEST = 32
+
+# The beginning of an array in NumPy's format: https://numpy.org/neps/nep-0001-npy-format.html
+_NPY = b"\x93NUMPY"
+_NPY_HEADER = re.compile(
+    rb"\{'descr': '([<>|][biufcmMOSUV]\d{0,9})', 'fortran_order': (True|False), "
+    rb"'shape': \(([\d, ]{0,99})\), \} *\n"
+)
 
 # What zipfile, zlib, NumPy and JSON raise on bytes that are not what they claim to be.
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
+    struct.error,
     EOFError,
     ValueError,
     KeyError,
@@ -52,7 +64,6 @@ _DAMAGE = (
     RecursionError,
     RuntimeError,
     MemoryError,
-    SyntaxError,
 )
 
 
@@ -93,7 +104,7 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
     Parameters
     ----------
     path : str or path-like
-        Taken as it is; ".npz" is added only if the name has no suffix.
+        Taken as it is; ".npz" is added only if the name has no suffix, and is no FIFO or device.
     form : Format
     header : mapping
         Of JSON types; name and schema of the format are added.
@@ -114,11 +125,11 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
         If it could not be read back: the header holds something that is not of a JSON type, or
         the format refuses it.
     """
-    target = Path(os.path.realpath(path))
-    if not target.suffix:
-        target = target.with_name(target.name + ".npz")
-    if target.is_dir():
-        raise IsADirectoryError(f"cannot save {target.name!r}: it is a folder")
+    target = Path(path)
+    if not is_stream(target):
+        target = Path(os.path.realpath(target))
+        if not target.suffix:
+            target = target.with_name(target.name + ".npz")
     write_whole(target, _packed(form, header, arrays))
     return target
 
@@ -206,7 +217,14 @@ def _header(archive: zipfile.ZipFile) -> Header:
     header = json.loads(_array(archive, _HEADER, None, 0).item())
     if not isinstance(header, dict) or "format" not in header:
         raise Invalid("it is another kind of file")
+    if _is_deep(header):  # it could not be copied or saved again
+        raise Invalid(f"its header is nested more than {_DEEPEST} times")
     return header
+
+
+def _is_deep(value: Any, levels: int = _DEEPEST) -> bool:
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels < 0 or any(_is_deep(part, levels - 1) for part in parts)
 
 
 def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
@@ -235,33 +253,38 @@ def _array(
             f"its {member} claims {info.file_size} bytes from {info.compress_size}, more than "
             "such a file may hold"
         )
+    if info.header_offset + info.compress_size > archive.start_dir:
+        raise Invalid("it is damaged or incomplete")  # and memory would be taken for what it claims
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        # Others take memory in proportion to what they claim, before a byte of it is there.
+        raise Invalid(f"its {member} is packed in a way that only other programs do")
     with archive.open(info) as stream:
-        shape, found, offset = _peek(stream)
+        found, order, shape, offset = _peek(stream)
     right = found.kind == "U" if dtype is None else found == dtype
     if not right or found.hasobject or len(shape) != ndim:
         wanted = "text" if dtype is None else f"{dtype} on {ndim} axes"
         raise Invalid(f"its {member} is {found} of shape {shape}, not {wanted}"[:200])
-    size = found.itemsize
-    for length in shape:
-        size *= int(length)
-    if size + offset != info.file_size:
+    if found.itemsize * math.prod(shape) + offset != info.file_size:
         raise Invalid(f"its {member} claims a shape of {shape}, which is not what it holds")
-    # Reading the member whole compares its checksum, which reading just the array does not.
-    array: npt.NDArray[Any] = np.lib.format.read_array(
-        io.BytesIO(archive.read(info)), allow_pickle=False
-    )
-    return array
+    # Reading the member whole compares its checksum.
+    values = np.frombuffer(archive.read(info), found, offset=offset)
+    return values.reshape(shape, order=order).copy()
 
 
-def _peek(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any], int]:
-    """The shape and dtype an array claims, and where its values begin."""
-    version = np.lib.format.read_magic(stream)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-    else:
+def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:
+    """What an array claims: its dtype, order and shape, and where its values begin.
+
+    NumPy's own reader has Python parse what the file says, which can fail in more ways than it
+    tells, and warns. What NumPy writes of plain arrays is always of one form.
+    """
+    start = stream.read(len(_NPY) + 4)
+    version = tuple(start[len(_NPY) : -2])
+    if start.startswith(_NPY) and version != (1, 0):
         raise Invalid(f"its arrays are of format {version}")
-    if any(length < 0 for length in shape):
-        raise Invalid(f"it claims a shape of {shape}")
-    return shape, dtype, stream.tell()
+    length = int.from_bytes(start[-2:], "little")
+    told = _NPY_HEADER.fullmatch(stream.read(length))
+    if not start.startswith(_NPY) or told is None:
+        raise Invalid("it is damaged or incomplete")
+    kind, by_columns, sizes = (each.decode() for each in told.groups())
+    shape = tuple(int(size) for size in sizes.split(",") if size)
+    return np.dtype(kind), "F" if by_columns == "True" else "C", shape, len(start) + length

@@ -7,17 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from numbers import Real
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.problem import as_numbers
 from napari_hmrf.warp import BoolArray, Float64Array, moved_sites
 
 FloatArray = npt.NDArray[np.float32]
 
 # Rows that are looked at together.
 _STRIP = 64
+# Lines that are farther apart than any image is large.
+_FAR = 2**31
 
 
 def magnitude(displacement: npt.ArrayLike) -> FloatArray:
@@ -32,8 +37,19 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
     -------
     ndarray, shape (H, W), float32
         In the same unit.
+
+    Raises
+    ------
+    ProblemError
+        If it is of another shape, or of no numbers.
     """
-    length: FloatArray = np.linalg.norm(displacement, axis=-1).astype(np.float32)
+    d = as_numbers("displacement", displacement)
+    if d.shape[-1:] != (2,):
+        raise ProblemError(
+            "displacement",
+            f"has shape {d.shape}, but (H, W, 2) is needed: one (row, col) vector per pixel.",
+        )
+    length: FloatArray = np.linalg.norm(d, axis=-1).astype(np.float32)
     return length
 
 
@@ -151,13 +167,22 @@ def deformation_grid(
     ProblemError
         Naming the input at fault.
     """
-    if every != int(every) or every < 1:
-        raise ProblemError("every", f"is {every!r}. Give a whole number of pixels, at least 1.")
+    _check_count("every", every, "pixels")
+    _check_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
-    rows, cols = (max(1, round(every * min(spacing) / size)) for size in spacing)
+    rows, cols = (min(max(1, round(every * min(spacing) / size)), _FAR) for size in spacing)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
     along_rows = _lines(moved.swapaxes(0, 1), mask.T, cols, max(1, rows // pieces))
     return np.concatenate([along_cols, along_rows]).astype(np.float32)
+
+
+def _check_count(name: str, count: int, of: str) -> None:
+    try:
+        right = count == int(count) and count >= 1
+    except (TypeError, ValueError, OverflowError):
+        right = False
+    if not right:
+        raise ProblemError(name, f"is {count!r}. Give a whole number of {of}, at least 1.")
 
 
 def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
@@ -192,7 +217,8 @@ def arrows(
     ProblemError
         Naming the input at fault.
     """
-    if not about >= 1:
+    wanted: Any = about
+    if not (isinstance(wanted, Real) and float(wanted) >= 1):
         raise ProblemError("about", f"is {about!r}. Ask for at least one arrow.")
     moved, mask = moved_sites(displacement, spacing, tissue)
     steps = _lattice(mask.sum() / about, spacing)

@@ -34,6 +34,7 @@ from napari_hmrf.annotation import RIGID, USUAL_POISSON, Material, read_stiffnes
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.presets import Preset
 from napari_hmrf.priors.elastic import POISSON_RANGE
+from napari_hmrf.whole_file import write_whole
 
 FORMAT = "napari-hmrf materials"
 VERSION = 2
@@ -45,7 +46,7 @@ _LARGEST = 2**20
 
 
 def save_materials(path: str | Path, preset: Preset) -> Path:
-    """Write materials to a file, for other images and other people.
+    """Write materials to a file, whole or not at all, for other images and other people.
 
     Parameters
     ----------
@@ -76,7 +77,8 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
         "materials": [material.as_row() for material in preset.materials],
     }
     _preset(values, target)
-    target.write_text(json.dumps(values, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    text = json.dumps(values, indent=2, ensure_ascii=False) + "\n"
+    write_whole(target, text.encode())
     return target
 
 

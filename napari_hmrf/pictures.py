@@ -6,6 +6,8 @@ matplotlib is imported by the first picture.
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +36,7 @@ from napari_hmrf.problem import Problem
 from napari_hmrf.quantities import equivalent_strain, folds, green_lagrange_strain
 from napari_hmrf.solution import Solution
 from napari_hmrf.warp import warp
+from napari_hmrf.whole_file import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,12 +81,7 @@ def save_pictures(
         "grid": grid_picture(solution),
         "energy": energy_picture(solution),
     }
-    written = []
-    for name, figure in figures.items():
-        path = folder / f"{name}.png"
-        figure.savefig(path, dpi=150)
-        written.append(path)
-    return written
+    return _saved(folder, figures)
 
 
 def save_result_pictures(
@@ -117,11 +115,17 @@ def save_result_pictures(
     figures["jacobian"] = jacobian_picture(solution, image)
     figures["strain"] = strain_picture(solution, image)
     figures["energy"] = energy_picture(solution)
+    return _saved(folder, figures)
+
+
+def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
+    """Save figures by their names, each whole or not at all."""
     written = []
     for name, figure in figures.items():
-        path = folder / f"{name}.png"
-        figure.savefig(path, dpi=150)
-        written.append(path)
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format="png", dpi=150)
+        written.append(folder / f"{name}.png")
+        write_whole(written[-1], drawn.getvalue())
     return written
 
 

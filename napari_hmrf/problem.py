@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ FloatArray = npt.NDArray[np.float32]
 #: The largest ratio between two stiffnesses that single precision is trusted with.
 MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
+_SMALLEST_STIFFNESS = 1e-30
 #: The longest displacement that can be meant, in diagonals of the image.
 MAX_REACH = 2.0
 _LARGEST = float(np.finfo(np.float32).max)
@@ -39,7 +41,8 @@ class Problem:
         Confidence in each component of `y`, from 0 (none) to 1 (complete).
     m : array_like, shape (H, W)
         Stiffness (Young's modulus) in any unit: only ratios matter. ``0`` means no tissue (void):
-        no clique touches such a site and it has no displacement.
+        no clique touches such a site and it has no displacement. ``inf`` means rigid tissue, for
+        `ElasticPrior`: what touches of it moves as one body.
     spacing : sequence of float, shape (2,)
         Size of a pixel in (row, col) direction, in any unit of length.
 
@@ -61,7 +64,7 @@ class Problem:
         m: npt.ArrayLike,
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
-        m = _as_float32("m", m)
+        given, m = m, _as_float32("m", m)
         if m.ndim != 2:
             hint = "3-D grids are not supported yet: solve slice by slice" if m.ndim == 3 else ""
             raise ProblemError(
@@ -79,6 +82,7 @@ class Problem:
                     f"has shape {array.shape}, but m has shape {m.shape}, so {expected} is needed "
                     "(one value per axis at each pixel). Give both on the same pixel grid.",
                 )
+        _check_stiffness_unit(given, m)
         _check_stiffness(m)
         _check_confidence(c)
         np.copyto(y, np.float32(0), where=c <= 0)  # a copy already
@@ -99,6 +103,13 @@ class Problem:
     def tissue(self) -> npt.NDArray[np.bool_]:
         """Where there is tissue: ``m > 0``, shape (H, W)."""
         mask: npt.NDArray[np.bool_] = self.m > 0
+        mask.setflags(write=False)
+        return mask
+
+    @cached_property
+    def rigid(self) -> npt.NDArray[np.bool_]:
+        """Where tissue is rigid: ``m = inf``, shape (H, W)."""
+        mask = np.isinf(self.m)
         mask.setflags(write=False)
         return mask
 
@@ -145,12 +156,8 @@ class _Digests(Mapping[str, str]):
         return repr(dict(self))
 
 
-def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ProblemError(
-            field, "is a masked array, whose mask would be lost. Fill it first (m = 0 is void)."
-        )
+def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
+    """Take an array of real numbers as it is, or raise `ProblemError` naming it."""
     try:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length
@@ -159,6 +166,16 @@ def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
         raise ProblemError(
             field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
         )
+    return array
+
+
+def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
+    """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ProblemError(
+            field, "is a masked array, whose mask would be lost. Fill it first (m = 0 is void)."
+        )
+    array = as_numbers(field, value)
     if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
         with np.errstate(invalid="ignore"):
             largest = float(np.max(np.abs(array), initial=0, where=np.isfinite(array)))
@@ -197,8 +214,10 @@ def _first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
 
 
-def _check_finite(field: str, array: FloatArray, where: str = "") -> None:
-    bad = ~np.isfinite(array)
+def _check_finite(
+    field: str, array: FloatArray, where: str = "", but: npt.NDArray[np.bool_] | bool = False
+) -> None:
+    bad = ~(np.isfinite(array) | but)
     if bad.any():
         raise ProblemError(
             field,
@@ -233,7 +252,7 @@ def _shown(length: float) -> str:
 
 
 def _check_stiffness(m: FloatArray) -> None:
-    _check_finite("m", m)
+    _check_finite("m", m, but=m == np.inf)
     negative = m < 0
     if negative.any():
         raise ProblemError(
@@ -244,13 +263,30 @@ def _check_stiffness(m: FloatArray) -> None:
     tissue = m > 0
     if not tissue.any():
         raise ProblemError("m", "is 0 everywhere: there is no tissue. Give some a stiffness.")
-    low, high = float(m[tissue].min()), float(m.max())
+    soft = tissue & np.isfinite(m)
+    low = float(m.min(where=soft, initial=np.inf))
+    high = float(m.max(where=soft, initial=0.0))
     if high > low * MAX_STIFFNESS_RATIO:
         raise ProblemError(
             "m",
             f"is from {low:.3g} to {high:.3g}: the stiffest part may be at most ten million times "
             "as stiff as the softest. Give the softest part 0 (no tissue), or hold the stiffest "
             "part fixed instead.",
+        )
+
+
+def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
+    """Refuse stiffnesses of which single precision keeps few digits, or not even the inverse."""
+    array = np.asarray(given)
+    extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
+    if extreme.any():
+        _check_finite("m", m)
+        first = _first_index(extreme)
+        raise ProblemError(
+            "m",
+            f"is {array[first]:.3g} at {first}. Only ratios matter: choose a unit in which "
+            f"stiffness is from {_SMALLEST_STIFFNESS:g} to {1 / _SMALLEST_STIFFNESS:g}, and give 0 "
+            "where there is no tissue.",
         )
 
 

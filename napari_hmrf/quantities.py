@@ -31,6 +31,7 @@ from napari_hmrf.deformation import (
     smallest_determinant,
 )
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.problem import as_numbers
 from napari_hmrf.warp import BoolArray, Float64Array, moved_sites
 
 __all__ = [
@@ -216,7 +217,7 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
         If it is of another shape.
     """
     tensor = _as_strain(strain)
-    across = np.asarray(through, dtype=np.float64)
+    across = as_numbers("through", through).astype(np.float64)
     third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
     squares = (
         (tensor[..., 0, 0] - third) ** 2
@@ -249,7 +250,7 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
         Naming the input at fault.
     """
     tensor = _as_strain(strain)
-    ratio = np.asarray(poisson, dtype=np.float64)
+    ratio = as_numbers("poisson", poisson).astype(np.float64)
     if not ((ratio > -1) & (ratio < 0.5)).all():
         raise ProblemError("poisson", "must be above -1 and below 0.5 everywhere.")
     trace = tensor[..., 0, 0] + tensor[..., 1, 1]
@@ -278,7 +279,7 @@ def _symmetric(tensor: Float64Array) -> Float64Array:
 
 
 def _as_strain(strain: npt.ArrayLike) -> Float64Array:
-    tensor = np.asarray(strain, dtype=np.float64)
+    tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
     if tensor.shape[-2:] != (2, 2):
         raise ProblemError("strain", f"has shape {tensor.shape}. Give (..., 2, 2), (row, col).")
     return tensor

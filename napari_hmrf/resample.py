@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -44,8 +45,8 @@ def resample(
     ProblemError
         Naming the input at fault.
     """
-    source = np.asarray(coordinates, dtype=np.float64)
-    there = np.asarray(covered, dtype=bool)
+    source = as_numbers("coordinates", coordinates).astype(np.float64, copy=False)
+    there = as_numbers("covered", covered).astype(bool, copy=False)
     if source.shape != (*there.shape, 2) or there.ndim != 2:
         raise ProblemError(
             "coordinates",
@@ -83,15 +84,13 @@ def emptiness(picture: npt.NDArray[Any]) -> Any:
 
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
     """An image of (H, W) or (H, W, channels) that fits a grid, or say what does not."""
-    picture = np.asarray(image)
+    picture = as_numbers("image", image)
     if picture.ndim not in (2, 3) or picture.shape[:2] != tuple(grid):
         raise ProblemError(
             "image",
             f"has shape {picture.shape}, but the displacement is on a grid of {tuple(grid)}. "
             "Give an image (H, W) or (H, W, channels) on the same pixel grid.",
         )
-    if picture.dtype.kind not in "biuf":
-        raise ProblemError("image", f"has values of type {picture.dtype}. Give real numbers.")
     return picture
 
 

@@ -183,7 +183,8 @@ def _parse(header: archive.Header, arrays: archive.Arrays) -> Solution:
         spacing=spacing,
         provenance=Provenance(**{field: given[field] for field in known & given.keys()}),
         convergence=reached
-        and Convergence(
+        if reached is None
+        else Convergence(
             float(reached["error"]), float(reached["residual"]), str(reached.get("way", "cycles"))
         ),
         frame=frame,

@@ -6,9 +6,10 @@ import logging
 import math
 import platform
 import queue
+import reprlib
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -82,6 +83,8 @@ def solve(
 
     Raises
     ------
+    TypeError
+        If an argument is of another kind.
     BackendError
         If the backend is missing or cannot be trusted.
     ProblemError
@@ -98,6 +101,7 @@ def solve(
     >>> solution.displacement.shape
     (64, 64, 2)
     """
+    _check_arguments(problem, prior, optimizer, progress, cancel, start)
     stop = cancel or threading.Event()
     if compute_thread.is_current():
         return run_here(problem, prior, optimizer, backend, progress, stop, start)
@@ -119,6 +123,38 @@ def solve(
         interrupted.set()
         raise
     return job.result()
+
+
+def _check_arguments(
+    problem: object,
+    prior: object,
+    optimizer: object,
+    progress: object,
+    cancel: object,
+    start: object,
+) -> None:
+    """Say which argument is none of its kind before anything is done."""
+    _need(isinstance(problem, Problem), "problem", problem, "a Problem: Problem(y, c, m)")
+    _need(isinstance(prior, Prior | None), "prior", prior, "a prior, such as ElasticPrior()")
+    schedule = optimizer is None or _has("run", optimizer)
+    _need(schedule, "optimizer", optimizer, "an optimizer, such as Multigrid()")
+    told = progress is None or callable(progress)
+    _need(told, "progress", progress, "something to call with a Monitor, such as print")
+    flag = cancel is None or _has("is_set", cancel)
+    _need(flag, "cancel", cancel, "something that has is_set(), such as a threading.Event")
+    starts = start if isinstance(start, Sequence) else (start,)
+    found = start is None or all(isinstance(each, Solution) for each in starts)
+    _need(found, "start", start, "a Solution, or a list of them")
+
+
+def _has(method: str, value: object) -> bool:
+    return not isinstance(value, type) and callable(getattr(value, method, None))
+
+
+def _need(right: bool, name: str, value: object, what: str) -> None:
+    if not right:
+        kind = type(value).__name__
+        raise TypeError(f"{name} is {reprlib.repr(value)}, of type {kind}. Give {what}.")
 
 
 def run_here(

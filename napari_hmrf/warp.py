@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.problem import as_numbers
 from napari_hmrf.resample import as_image, resample
 
 Float64Array = npt.NDArray[np.float64]
@@ -61,7 +62,7 @@ def warp(
     --------
     inverse_map, resample : the two halves of this, to move several images by one displacement.
     """
-    picture = as_image(image, np.shape(displacement)[:2])
+    picture = as_image(image, as_numbers("displacement", displacement).shape[:2])
     coordinates, covered = inverse_map(displacement, spacing, tissue)
     return resample(picture, coordinates, covered, order, fill)
 
@@ -174,17 +175,16 @@ def checked_field(
     ProblemError
         Naming the input at fault.
     """
-    d = np.asarray(displacement)
-    if d.ndim != 3 or d.shape[-1] != 2 or d.dtype.kind not in "biuf":
+    d = as_numbers("displacement", displacement)
+    if d.ndim != 3 or d.shape[-1] != 2:
         raise ProblemError(
             "displacement",
-            f"has shape {d.shape} and type {d.dtype}, but real numbers of shape (H, W, 2) are "
-            "needed: one (row, col) vector per pixel.",
+            f"has shape {d.shape}, but (H, W, 2) is needed: one (row, col) vector per pixel.",
         )
     sizes = checked_sizes(spacing)
     mask = np.ones(d.shape[:2], dtype=bool)
     if tissue is not None:
-        mask = np.asarray(tissue).astype(bool)
+        mask = as_numbers("tissue", tissue).astype(bool)
         if mask.shape != d.shape[:2]:
             raise ProblemError(
                 "tissue",

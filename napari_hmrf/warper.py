@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.problem import as_numbers
 from napari_hmrf.resample import as_image, check_order, checked_fill, filled_in, resample
 from napari_hmrf.warp import checked_sizes
 
@@ -76,7 +77,7 @@ class Warper:
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
         given = _as_pictures(pictures)
-        grid = np.shape(given[0].image)[:2]
+        grid = as_numbers("image", given[0].image).shape[:2]
         self._looks = [_Look(picture, grid) for picture in given]
         rows, cols = checked_sizes(spacing)
         self._spacing = (float(rows), float(cols))
@@ -118,10 +119,10 @@ class Warper:
         """
         if not compute_thread.is_current():
             raise RuntimeError("a Warper is for jobs of the compute thread; call warp() instead")
-        d = np.ascontiguousarray(displacement, dtype=np.float32)
+        d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
         mask = self._everything
         if tissue is not None:
-            mask = np.ascontiguousarray(tissue, dtype=bool)
+            mask = np.ascontiguousarray(as_numbers("tissue", tissue), dtype=bool)
         for name, array, expected in (
             ("displacement", d, (*self.shape, 2)),
             ("tissue", mask, self.shape),
@@ -214,4 +215,4 @@ def _as_pictures(given: Picture | Sequence[Picture] | npt.ArrayLike) -> list[Pic
         return [given]
     if isinstance(given, Sequence) and given and all(isinstance(one, Picture) for one in given):
         return list(given)
-    return [Picture(np.asarray(given))]
+    return [Picture(as_numbers("image", given))]

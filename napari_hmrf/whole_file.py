@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
+import shutil
+import stat
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -12,15 +15,15 @@ _TEMPORARY = ".napari-hmrf-"
 _ABANDONED_AFTER = 3600.0
 
 
-def write_whole(target: Path, content: bytes) -> None:
+def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file beside its destination, read it back, and only then give it its name.
 
-    A file that was there before survives until that moment.
+    A file that was there before survives until that moment, and its permissions are the new one's.
 
     Parameters
     ----------
-    target : Path
-        The file itself, not a link or a folder.
+    path : str or path-like
+        Of a link, the file it points to is replaced. A FIFO or device is written into.
     content : bytes
 
     Raises
@@ -28,26 +31,56 @@ def write_whole(target: Path, content: bytes) -> None:
     OSError
         If the folder is missing or the file cannot be written; the message names the file.
     """
+    target = Path(path)
+    try:
+        if is_stream(target):
+            target.write_bytes(content)
+        else:
+            _replace(Path(os.path.realpath(target)), content)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise type(error)(
+            error.errno, f"cannot save the file: {error.strerror}", str(target)
+        ) from error
+
+
+def is_stream(path: str | os.PathLike[str]) -> bool:
+    """Whether a path leads to a FIFO, a device or the like, which nothing may take the place of."""
+    try:
+        mode = os.stat(path).st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def _replace(target: Path, content: bytes) -> None:
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    there = target.exists()
+    if there and not os.access(target, os.W_OK):  # its folder would let it be replaced all the same
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     temporary = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp")
     try:
         _remove_abandoned(target.parent)
-        with open(temporary, "xb") as file:
+        with open(temporary, "xb", opener=_private if there else None) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         if temporary.read_bytes() != content:
             raise OSError(f"cannot save {target.name!r}: the disk did not keep what was written")
+        if there:
+            shutil.copymode(target, temporary)
         _rename(temporary, target)
         _sync_folder(target.parent)
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise type(error)(
-            error.errno, f"cannot save the result: {error.strerror}", str(target)
-        ) from error
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _private(path: str, flags: int) -> int:
+    """Open a file that only its owner can read, as the one that it will replace may be."""
+    return os.open(path, flags, 0o600)
 
 
 def _rename(temporary: Path, target: Path) -> None:

@@ -175,8 +175,25 @@ def test_thin_tissue_between_the_arrows_still_gets_some():
         (lambda: arrows(np.zeros((4, 4, 2)), about=0), "about: is 0"),
         (lambda: deformation_grid(np.zeros((4, 4, 2)), every=0), "every: is 0"),
         (lambda: deformation_grid(np.zeros((4, 4, 2)), every=2.5), "every: is 2.5"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), every=np.inf), "every: is inf"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), every="wide"), "every: is 'wide'"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), pieces=0), "pieces: is 0.*at least 1"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), pieces=None), "pieces: is None"),
+        (lambda: arrows(np.zeros((4, 4, 2)), about="many"), "about: is 'many'"),
+        (lambda: magnitude(0), r"displacement: has shape \(\).*\(H, W, 2\)"),
+        (lambda: magnitude("far"), "displacement: has values of type .*real numbers"),
+        (lambda: magnitude(np.zeros((4, 4, 2)) * 1j), "displacement: has values of type complex"),
+        (lambda: magnitude([[1, 2], [3]]), "displacement: is not an array of numbers"),
+        (lambda: count_folds([[1, 2], [3]]), "displacement: is not an array of numbers"),
+        (lambda: arrows(np.zeros((2, 2, 2)), tissue=[[1], [1, 0]]), "tissue: is not an array"),
     ],
 )
 def test_what_does_not_fit_is_named(call, complaint):
     with pytest.raises(ProblemError, match=complaint):
         call()
+
+
+def test_lines_farther_apart_than_the_image_is_large_are_one_each_way():
+    displacement = np.zeros((5, 7, 2))
+    far = deformation_grid(displacement, every=10**30, pieces=1)
+    np.testing.assert_array_equal(far, deformation_grid(displacement, every=100, pieces=1))

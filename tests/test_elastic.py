@@ -314,8 +314,15 @@ def test_smoothers_know_how_steep_their_model_can_be():
         {"poisson": -0.1},
         {"poisson": 0.5},
         {"poisson": np.nan},
+        {"poisson": 0.3 + 0.1j},
+        {"poisson": np.complex64(0.3 + 0.1j)},
+        {"poisson": np.full((2, 2), 0.3 + 0.1j)},
+        {"poisson": "soft"},
+        {"poisson": [[0.3], [0.3, 0.4]]},
         {"plane": "shell"},
         {"penalty": 0.0},
+        {"penalty": "hard"},
+        {"penalty": 1j},
     ],
 )
 def test_a_prior_that_makes_no_sense_is_refused(wrong):

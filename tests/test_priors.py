@@ -154,6 +154,7 @@ def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
         {"conditional": "middle"},
         {"damping": 0},
         {"damping": 2},
+        {"damping": "none"},
     ],
 )
 def test_a_prior_that_makes_no_sense_is_refused(wrong):

@@ -15,6 +15,8 @@ from napari_hmrf import (
     ICM,
     BackendError,
     Cancelled,
+    ElasticPrior,
+    Multigrid,
     solve,
 )
 from napari_hmrf.backends.thread import ComputeThread, compute_thread
@@ -120,6 +122,36 @@ def test_a_solution_says_what_was_run():
 def test_an_unknown_backend_is_refused_with_the_known_ones():
     with pytest.raises(BackendError, match="auto, opengl"):
         solve(frame_problem((5, 5)), backend="cuda")
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "right"),
+    [
+        ("problem", None, "Problem"),
+        ("problem", np.zeros((4, 4)), "Problem"),
+        ("prior", "el", "ElasticPrior"),
+        ("prior", ElasticPrior, "ElasticPrior"),
+        ("optimizer", "icm", "Multigrid"),
+        ("optimizer", Multigrid, "Multigrid"),
+        ("progress", 3, "Monitor"),
+        ("cancel", 3, "threading.Event"),
+        ("start", "x", "Solution"),
+        ("start", [3], "Solution"),
+        ("start", np.zeros((5, 5, 2)), "Solution"),
+    ],
+)
+def test_an_argument_of_another_kind_is_named_before_anything_is_done(
+    name, wrong, right, monkeypatch
+):
+    monkeypatch.setattr(compute_thread, "submit", None)
+    arguments = {"problem": frame_problem((5, 5)), "backend": "cpu", name: wrong}
+    with pytest.raises(TypeError, match=rf"{name} is (.|\n)*, of type \w+\. Give .*{right}"):
+        solve(**arguments)
+
+
+def test_numbers_of_numpys_are_saved_as_any_others(tmp_path):
+    prior = ElasticPrior(np.float32(0.3), penalty=np.float32(2))
+    solve(frame_problem((8, 8)), prior, backend="cpu").save(tmp_path / "numbers.npz")
 
 
 def test_kernels_run_on_the_compute_thread_only():

@@ -709,10 +709,14 @@ def test_the_brush_is_put_away_for_a_picture_of_the_canvas(tmp_path):
     labels, bar = Labels(np.zeros((4, 4), int)), SimpleNamespace(visible=False)
     labels.mode = "paint"
     during = []
+
+    def screenshot(**_):
+        during.append((str(labels.mode), bar.visible))
+        return np.zeros((2, 2, 4), np.uint8)
+
+    selection = SimpleNamespace(active=labels)
     viewer = SimpleNamespace(
-        layers=SimpleNamespace(selection=SimpleNamespace(active=labels)),
-        scale_bar=bar,
-        screenshot=lambda *_, **__: during.append((str(labels.mode), bar.visible)),
+        layers=SimpleNamespace(selection=selection), scale_bar=bar, screenshot=screenshot
     )
     save_canvas(viewer, tmp_path / "canvas.png")
     assert during == [("pan_zoom", True)]

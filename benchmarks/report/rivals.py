@@ -147,7 +147,7 @@ def _forget(prior: ElasticPrior) -> None:
 
 def _how(found: Solution) -> str:
     """How it was solved, where a solution says so."""
-    return str(getattr(found.convergence, "method", ""))
+    return str(getattr(found.convergence, "way", ""))
 
 
 def run_superlu(images: Images) -> tuple[Run, Field]:

@@ -11,12 +11,14 @@ import numpy.typing as npt
 from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.found import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.thread import in_child_of_fork
 
 if TYPE_CHECKING:
     from napari_hmrf.problem import Problem
 
 _TINY = 1e-300
 _spare: list[tuple[Planes, HeldPlanes]] = []
+in_child_of_fork(_spare.clear)
 
 
 def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:

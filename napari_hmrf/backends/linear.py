@@ -12,12 +12,15 @@ zeros two sites wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.found import Found
+
+if TYPE_CHECKING:
+    from napari_hmrf.backends.bodies import Bodies
 
 Planes = npt.NDArray[np.float64]
 HeldPlanes = npt.NDArray[np.bool_]
@@ -116,6 +119,10 @@ class LinearLevel(Protocol):
         """Direction = steepest + share direction."""
         ...
 
+    def project(self, vector: Any) -> None:
+        """Replace a displacement or a force, in place, by that of bodies that move as one."""
+        ...
+
     def read(self, *scalars: Any) -> tuple[float, ...]:
         """Wait for scalars."""
         ...
@@ -163,6 +170,16 @@ class LinearModel(Protocol):
     @property
     def shape(self) -> tuple[int, ...]:
         """The finest grid, (H, W)."""
+        ...
+
+    @property
+    def bodies(self) -> Bodies | None:
+        """Rigid tissue, with what is held now."""
+        ...
+
+    @property
+    def iterates(self) -> bool:
+        """Whether cycles can be used with such tissue."""
         ...
 
     @property

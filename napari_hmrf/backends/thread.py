@@ -3,18 +3,22 @@
 An OpenGL context belongs to the thread that made it current; beside napari's own context no other
 thread, least of all the GUI's, may touch it. Numba's threads must not be entered from two threads
 at once either. So there is one such thread in a process, started by the first job, and jobs queue
-up for it.
+up for it. The child of a fork, in which only the thread that forked goes on, starts its own.
 """
 
 from __future__ import annotations
 
 import atexit
 import logging
+import os
 import queue
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
+
+from napari_hmrf.errors import BackendError
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
@@ -25,13 +29,30 @@ class ComputeThread:
     """A worker thread with a queue in and futures out; never two at once."""
 
     def __init__(self) -> None:
+        self._forked = self._torn = False
+        self._begin()
+
+    def _begin(self) -> None:
         self._lock = threading.Lock()
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._at_end: list[Callable[[], None]] = []
+        self._working = False
 
     def submit(self, job: Callable[[], T]) -> Future[T]:
-        """Queue a job; its future holds the result, or the error it raised."""
+        """Queue a job; its future holds the result, or the error it raised.
+
+        Raises
+        ------
+        BackendError
+            In the child of a fork that came in the middle of another thread's job.
+        """
+        if self._torn:
+            raise BackendError(
+                "this process was forked while its parent was computing, and what the compiler was "
+                'doing then cannot be trusted. Start it by "spawn" '
+                '(multiprocessing.get_context("spawn")), or between two solves.'
+            )
         future: Future[T] = Future()
         with self._lock:
             if self._thread is None:
@@ -67,7 +88,15 @@ class ComputeThread:
         thread.join(timeout)
         return not thread.is_alive()
 
+    def after_fork(self) -> None:
+        """Begin anew in the child of a fork; what is registered is the parent's to release."""
+        self._forked = True
+        self._torn |= self._working and not self.is_current()
+        self._begin()
+
     def _run(self) -> None:
+        if self._forked:
+            _launch_numbas_threads()
         while True:
             item = self._jobs.get()
             if item is None:
@@ -76,10 +105,17 @@ class ComputeThread:
                 continue
             job, future = item
             if future.set_running_or_notify_cancel():
+                self._working = True
                 try:
-                    future.set_result(job())
+                    result = job()
                 except BaseException as error:  # noqa: BLE001 - it belongs to the one who waits
+                    self._working = False
                     future.set_exception(error)
+                else:
+                    # Before the result is there: whoever gets it may fork at once.
+                    self._working = False
+                    future.set_result(result)
+                    del result
             # Nothing of a job outlives it here: its arrays would stay until the next one.
             del item, job, future
 
@@ -97,6 +133,25 @@ class ComputeThread:
             return True
 
 
+def in_child_of_fork(forget: Callable[[], object]) -> None:
+    """Have something called in every child of a fork, where only the caller's thread goes on."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=forget)
+
+
+def _launch_numbas_threads() -> None:
+    """Have numba note that it computes in this process, on whose new thread it starts others.
+
+    GNU OpenMP keeps a pool for each thread that uses it, so that a new thread can in a child of a
+    fork. As others cannot, numba ends a process whose parent is the one it was launched in.
+    """
+    numba = sys.modules.get("numba.np.ufunc.parallel")
+    if getattr(numba, "_is_initialized", False):
+        numba._is_initialized = False  # type: ignore[union-attr]
+        numba._launch_threads()  # type: ignore[union-attr]
+
+
 #: The process's compute thread.
 compute_thread = ComputeThread()
 atexit.register(compute_thread.stop)
+in_child_of_fork(compute_thread.after_fork)

@@ -99,10 +99,12 @@ class ConjugateGradients:
         self._spectrum.restart()
         while True:
             steepest = self._cycle.run(rest)
+            level.project(steepest)
             most, slope = level.weigh(steepest, rest)
             turn = slope if before is None else level.ratio(slope, before)
             level.turn(steepest, direction, turn)
             curvature = level.apply(direction, image)
+            level.project(image)
             length = level.ratio(slope, curvature)
             left = level.advance(found, rest, direction, image, length)
             values = level.read(most, slope, curvature, turn, left)

@@ -97,6 +97,8 @@ class Multigrid:
         try:
             if limit is None:
                 model.hold(observed)
+                if model.bodies is not None:
+                    model.bodies.settle(d)
                 refinement.run(d, None, self.tolerance, self._known(start, model))
                 energy, forces = model.work(d)
                 refinement.settle(energy)

@@ -114,13 +114,13 @@ class Refinement:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
         self._iteration.least = min(self._iteration.least, found.least)
-        if found.doubt is None:
+        if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0 if self._model.mild else self._rehearse(d.shape)
             found.doubt = self._doubt
             found.least = self._iteration.least
             balance = self._model.balance(d, load)
-        if found.doubt > _BELIEVABLE:
+        if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
         doubt = 1.0 if self._model.mild else max(_MARGIN * found.doubt, 1.0)
         while True:
@@ -159,6 +159,7 @@ class Refinement:
         """How far off a known answer is, over how far off it is said to be."""
         error = host.noise(shape)
         error[~self._model.moves] = 0
+        self._project(error)
         most = float(np.abs(error).max())
         doubt, cycles = math.inf, 0
         while most > 0 and doubt > _BELIEVABLE and cycles < _REHEARSAL_CYCLES:
@@ -182,12 +183,17 @@ class Refinement:
             doubt = float(np.abs(error).max()) / (balance.unit * step.error)
         return doubt if most > 0 else 1.0
 
+    def _project(self, d: Planes) -> None:
+        if self._model.bodies is not None:
+            self._model.bodies.project(d)
+
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Go to the tolerance by factors."""
         model, factors = self._model, factorise(self._model, self._report)
         balance, before = model.balance(d, load), math.inf
         while balance.most > 0:
             correction = balance.unit * factors.solve(balance.rest)
+            self._project(correction)
             np.add(d, correction, out=d)
             self.cycles += 1
             self._gains.append(balance.unit / 2 * float((correction * balance.rest).sum()))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -28,8 +29,10 @@ from napari_hmrf.priors.elements import (
     differences,
     element_forces,
     lame_parameters,
+    of_elements,
+    stiffest,
 )
-from napari_hmrf.problem import Problem
+from napari_hmrf.problem import Problem, as_numbers
 
 Plane = Literal["stress", "strain"]
 
@@ -66,8 +69,10 @@ class ElasticPrior:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
         if self.plane not in get_args(Plane):
             raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
-        if not self.penalty > 0:
-            raise ValueError(f"penalty must be a positive number or inf, not {self.penalty!r}")
+        penalty: Any = self.penalty
+        if not (isinstance(penalty, Real) and float(penalty) > 0):
+            raise ValueError(f"penalty must be a positive number or inf, not {penalty!r}")
+        object.__setattr__(self, "penalty", float(penalty))
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -108,10 +113,17 @@ class ElasticPrior:
         Raises
         ------
         ProblemError
-            Naming a piece of tissue that could still move freely.
+            Naming a piece of tissue that could still move freely, or rigid tissue if observations
+            may slip.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
+        if self.penalty < math.inf and problem.rigid.any():
+            raise ProblemError(
+                "m",
+                "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
+                "prior's penalty at inf, or give that tissue a number.",
+            )
         check_held(problem)
         return self
 
@@ -128,9 +140,14 @@ class ElasticPrior:
         return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
 
     def lame(self, problem: Problem) -> Lame:
-        """Lame's parameters of each element, from the means of its sites; 0 if one is void."""
-        m = problem.m.astype(np.float64) / float(problem.m.max())
-        return lame_parameters(m, self.poisson, self.plane == "strain")
+        """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
+        m = problem.m / np.float64(stiffest(problem.m))
+        first, shear = lame_parameters(m, self.poisson, self.plane == "strain")
+        if not problem.rigid.any():
+            return Lame(first, shear)
+        # Rigid tissue does not stretch: it has no energy.
+        stretches = np.isfinite(of_elements(m))
+        return Lame(np.where(stretches, first, 0.0), np.where(stretches, shear, 0.0))
 
     def shape(self, spacing: tuple[float, ...]) -> ElementShape:
         """The constants of an element of this size of pixel; only the pixel's shape matters."""
@@ -163,11 +180,12 @@ class ElasticPrior:
 def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
     """Poisson's ratio as one float, or as an array of its own that nobody can change."""
     low, high = POISSON_RANGE
-    if np.ndim(value) == 0:
+    given = as_numbers("poisson", value)
+    if given.ndim == 0:
         if not low <= value <= high:
             raise ValueError(f"poisson must lie between {low} and {high}, not {value!r}")
         return float(value)
-    made = np.array(value, dtype=np.float32, order="C")
+    made = np.array(given, dtype=np.float32, order="C")
     if made.ndim != 2:
         raise ValueError(
             f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"

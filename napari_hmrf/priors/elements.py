@@ -12,8 +12,9 @@ The mean strains follow from D_r and D_c; the integral of what the twist adds se
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,9 @@ import numpy.typing as npt
 
 Float64Array = npt.NDArray[np.float64]
 
+#: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles, whose levels
+#: it must not spoil, and for factors.
+CYCLE_STAND_IN, FACTOR_STAND_IN = 20.0, 1e6
 #: Up to which ratio of stiffnesses, of a pixel's sides, and up to which Poisson's ratio in plane
 #: strain a cycle of multigrid has been found to see every motion of tissue.
 MILD_CONTRAST = 5.0
@@ -59,6 +63,16 @@ class ElasticMaterial:
 
     __hash__ = None  # type: ignore[assignment]
 
+    @cached_property
+    def rigid(self) -> bool:
+        """Whether there is rigid tissue."""
+        return math.isinf(float(self.m.max()))
+
+    def relative(self, stand_in: float, sites: Any = ...) -> Float64Array:
+        """Stiffness of some sites in units of the stiffest tissue that is not rigid."""
+        m = self.m[sites].astype(np.float64) / stiffest(self.m)
+        return np.where(np.isinf(m), stand_in, m)
+
     @property
     def mild(self) -> bool:
         """Whether a cycle is known to see every motion of such tissue."""
@@ -94,7 +108,7 @@ class ElasticMaterial:
         first, shear = element_stiffness(self.shape)
         sites = slice(rows.start, rows.stop + 1), slice(cols.start, cols.stop + 1)
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
-        lame = lame_parameters(self.m[sites] / np.float64(self.m.max()), nu, self.strain)
+        lame = lame_parameters(self.relative(FACTOR_STAND_IN, sites), nu, self.strain)
         of_first, of_shear = (each[..., None, None] for each in lame)
         return np.asarray(of_first * first + of_shear * shear)
 
@@ -152,8 +166,16 @@ def of_elements(values: Float64Array) -> Float64Array:
 
 
 def contrast(m: npt.NDArray[np.float32]) -> float:
-    """The ratio of the largest stiffness to the least, of tissue."""
-    return float(m.max()) / float(m.min(where=m > 0, initial=np.inf))
+    """The ratio of the largest stiffness to the least, of tissue that is not rigid."""
+    return stiffest(m) / min(float(m.min(where=m > 0, initial=np.inf)), stiffest(m))
+
+
+def stiffest(m: npt.NDArray[np.float32]) -> float:
+    """The largest stiffness of tissue that is not rigid; 1 if all is."""
+    most = float(m.max())
+    if math.isinf(most):
+        most = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0
+    return most
 
 
 def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:

@@ -23,6 +23,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.hierarchy import levels, nearest_pixels
 from napari_hmrf.priors.elements import MILD_CONTRAST, contrast
 from napari_hmrf.problem import Problem
@@ -196,7 +197,7 @@ class SeilerPrior:
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        if self.penalty is not None and not _is_penalty(self.penalty):
+        if self.penalty is not None and not _is_above_0(self.penalty, _LARGEST_PENALTY):
             raise ValueError(
                 f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
                 f"{self.penalty!r}"
@@ -205,7 +206,7 @@ class SeilerPrior:
             raise ValueError(
                 f'conditional must be "centred" or "blanket", not {self.conditional!r}'
             )
-        if self.damping is not None and not 0 < self.damping <= 1:
+        if self.damping is not None and not _is_above_0(self.damping, 1):
             raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
 
     @property
@@ -245,7 +246,19 @@ class SeilerPrior:
         return min(_UNIFORM_PENALTY * max(1.0, steepest / uniform), _LARGEST_PENALTY)
 
     def resolved(self, problem: Problem) -> SeilerPrior:
-        """Return this prior with the penalty in force for a problem."""
+        """Return this prior with the penalty in force for a problem.
+
+        Raises
+        ------
+        ProblemError
+            If there is rigid tissue.
+        """
+        if problem.rigid.any():
+            raise ProblemError(
+                "m",
+                "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
+                "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
+            )
         return replace(self, penalty=self.penalty_for(problem))
 
     def limit(self, problem: Problem) -> Float64Array:
@@ -331,8 +344,8 @@ def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
     return found
 
 
-def _is_penalty(number: object) -> bool:
-    return isinstance(number, Real) and 0 < float(number) <= _LARGEST_PENALTY
+def _is_above_0(number: object, largest: float) -> bool:
+    return isinstance(number, Real) and 0 < float(number) <= largest
 
 
 def _around(m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_]) -> Float64Array:

@@ -7,19 +7,13 @@ col), so that site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-import numba
 from numba import float32, prange
 
+from napari_hmrf.backends.cpu.compiled import inline, parallel
 from napari_hmrf.backends.cpu.vectors import span
 
-_ARITHMETIC = {"contract", "nsz"}
-_inline = numba.njit(inline="always", error_model="numpy")
-_parallel = numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
-)
 
-
-@_parallel
+@parallel
 def elements(m, poisson, each, strain, scale, lame):
     """Lame's parameters of each element: of the means of its sites; 0 if one of them is void.
 
@@ -45,7 +39,7 @@ def elements(m, poisson, each, strain, scale, lame):
                 lame[1, i + 2, j + 2] = float32(0)
 
 
-@_parallel
+@parallel
 def coarsen(fine, coarse):
     """A coarse element's parameters: the mean of the four it covers, void counted as 0."""
     for i in prange(coarse.shape[1] - 4):
@@ -56,7 +50,7 @@ def coarsen(fine, coarse):
                 coarse[k, i + 2, j + 2] = float32(0.25) * (a + b)
 
 
-@_inline
+@inline
 def _diagonal(lame, shape, i, j):
     """The diagonal of the stiffness matrix at a site."""
     first = (lame[0, i, j] + lame[0, i, j - 1]) + (lame[0, i - 1, j] + lame[0, i - 1, j - 1])
@@ -67,7 +61,7 @@ def _diagonal(lame, shape, i, j):
     return row, col
 
 
-@_parallel
+@parallel
 def diagonal(lame, shape, out):
     """The diagonal of the stiffness matrix."""
     for i in prange(lame.shape[1] - 4):
@@ -76,7 +70,7 @@ def diagonal(lame, shape, out):
             out[0, i + 2, j], out[1, i + 2, j] = _diagonal(lame, shape, i + 2, j)
 
 
-@_parallel
+@parallel
 def hold(lame, shape, held, inverse, pins, spans):
     """The finest level's inverse diagonal, 0 where held; `pins` counts what is held: 1 or 0."""
     for i in prange(lame.shape[1] - 4):
@@ -92,7 +86,7 @@ def hold(lame, shape, held, inverse, pins, spans):
         span(inverse, spans, i)
 
 
-@_parallel
+@parallel
 def spring(lame, shape, pins, most, strength, inverse, weight, spans):
     """A coarser level's springs, and the inverse of the diagonal of stiffness and springs.
 

@@ -12,10 +12,10 @@ where something moves only (`spans`): beyond that there must be 0.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numba import float32, prange
 
+from napari_hmrf.backends.cpu.compiled import alone, parallel
 from napari_hmrf.backends.cpu.forces import (
     left_of,
     left_over,
@@ -27,16 +27,10 @@ from napari_hmrf.backends.cpu.forces import (
 )
 from napari_hmrf.backends.cpu.vectors import restrict_row, row_product
 
-_ARITHMETIC = {"contract", "nsz"}
-_alone = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_ARITHMETIC)
-_parallel = numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
-)
-
 # Loops over a row begin at max(0, ...): then the compiler knows that no index counts from the end.
 
 
-@_alone
+@alone
 def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
@@ -48,7 +42,7 @@ def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
         out_col[j] = col if inverse[1, i, j] > float32(0) else float32(0)
 
 
-@_alone
+@alone
 def _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
@@ -58,7 +52,7 @@ def _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
             row_totals[i] = row_product(d, out, i + 2)
 
 
-@_parallel
+@parallel
 def apply(d, lame, inverse, shape, spans, out, row_totals, count):
     """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
     for number in prange(count):
@@ -66,7 +60,7 @@ def apply(d, lame, inverse, shape, spans, out, row_totals, count):
         _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
 
 
-@_alone
+@alone
 def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
     load, lame, inverse, shape = tissue
     scale, ahead, back = pace
@@ -84,7 +78,7 @@ def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
         out_col[j] = d_col[j] + (col - back * out_col[j])
 
 
-@_alone
+@alone
 def _smooth_part(d, tissue, weight, spans, out, pace, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
@@ -94,7 +88,7 @@ def _smooth_part(d, tissue, weight, spans, out, pace, first, last):
         )
 
 
-@_parallel
+@parallel
 def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back, count):
     """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
@@ -106,7 +100,7 @@ def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back
         _smooth_part(d, tissue, weight, spans, out, pace, first, last)
 
 
-@_alone
+@alone
 def _start_row(load, inverse, scale, i, out):
     """The first step from zero: scale D^-1 load."""
     for component in range(2):
@@ -114,7 +108,7 @@ def _start_row(load, inverse, scale, i, out):
             out[component, j] = scale * inverse[component, i, j] * load[component, i, j]
 
 
-@_alone
+@alone
 def _begin_part(tissue, weight, spans, out, start, pace, first, last):
     load, _, inverse, _ = tissue
     carry, nobody = np.zeros_like(load[:, 0]), np.zeros_like(load[:, 0])
@@ -129,7 +123,7 @@ def _begin_part(tissue, weight, spans, out, start, pace, first, last):
         here, below = below, here
 
 
-@_parallel
+@parallel
 def begin(load, lame, inverse, weight, shape, spans, out, start, scale, ahead, back, count):
     """The first two Chebyshev steps, from zero: as `smooth`, from d = start D^-1 load."""
     for number in prange(count):
@@ -138,7 +132,7 @@ def begin(load, lame, inverse, weight, shape, spans, out, start, scale, ahead, b
         _begin_part(tissue, weight, spans, out, start, pace, first, last)
 
 
-@_alone
+@alone
 def _rest_row(d, tissue, weight, i, span, carry, out):
     load, lame, inverse, shape = tissue
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
@@ -153,7 +147,7 @@ def _rest_row(d, tissue, weight, i, span, carry, out):
         out[1, j] = col if inverse[1, i, j] > float32(0) else col - col
 
 
-@_alone
+@alone
 def _leave_part(d, tissue, weight, spans, coarse, first, last):
     """Rows of the coarse level; the row above the first is wanted, and so the one above that."""
     carry = np.zeros_like(d[:, 0])
@@ -174,7 +168,7 @@ def _leave_part(d, tissue, weight, spans, coarse, first, last):
                 )
 
 
-@_parallel
+@parallel
 def leave(d, load, lame, inverse, weight, shape, spans, coarse, count):
     """Coarse = what d leaves of the load, load - (A + W) d where sites move, restricted."""
     for number in prange(count):

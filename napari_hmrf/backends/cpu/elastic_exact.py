@@ -7,10 +7,10 @@ are divided among threads as there.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numba import float32, prange
 
+from napari_hmrf.backends.cpu.compiled import alone, contracted_reduction, parallel
 from napari_hmrf.backends.cpu.forces import (
     force,
     left_of,
@@ -22,17 +22,8 @@ from napari_hmrf.backends.cpu.forces import (
 )
 from napari_hmrf.backends.cpu.vectors import row_largest, row_product
 
-_ARITHMETIC = {"contract", "nsz"}
-_alone = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_ARITHMETIC)
-_reduction = numba.njit(
-    cache=True, nogil=True, error_model="numpy", fastmath=_ARITHMETIC | {"reassoc"}
-)
-_parallel = numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
-)
 
-
-@_alone
+@alone
 def _balance_row(d, load, tissue, i, span, carry, share, out_row, out_col):
     lame, inverse, shape = tissue
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
@@ -48,7 +39,7 @@ def _balance_row(d, load, tissue, i, span, carry, share, out_row, out_col):
         out_col[j] = col if inverse[1, i, j] > float32(0) else col - col
 
 
-@_alone
+@alone
 def _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
     for i in range(max(first - 1, 0), last):
@@ -59,7 +50,7 @@ def _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, fir
             row_squares[i] = row_product(out, out, i + 2)
 
 
-@_parallel
+@parallel
 def balance(d, load, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
     """Out = share (load - A d) in single precision, and 0 at sites that do not move.
 
@@ -71,7 +62,7 @@ def balance(d, load, lame, inverse, shape, spans, share, out, row_most, row_squa
         _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last)
 
 
-@_reduction
+@contracted_reduction
 def _work_row(d, lame, shape, i, carry):
     """A row's product of displacement and forces, and the square of these."""
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
@@ -85,7 +76,7 @@ def _work_row(d, lame, shape, i, carry):
     return product, square
 
 
-@_alone
+@alone
 def _work_part(d, lame, shape, row_products, row_squares, first, last):
     carry = np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
@@ -94,7 +85,7 @@ def _work_part(d, lame, shape, row_products, row_squares, first, last):
             row_products[i], row_squares[i] = product, square
 
 
-@_parallel
+@parallel
 def work(d, lame, shape, row_products, row_squares, count):
     """The product of a displacement and A times it, and the square of that, by rows."""
     for number in prange(count):
@@ -102,7 +93,7 @@ def work(d, lame, shape, row_products, row_squares, count):
         _work_part(d, lame, shape, row_products, row_squares, first, last)
 
 
-@_parallel
+@parallel
 def pull(d, lame, shape, out):
     """Out = - A d everywhere."""
     for i in prange(d.shape[1] - 4):

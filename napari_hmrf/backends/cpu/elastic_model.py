@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
-from napari_hmrf.priors.elements import ElasticMaterial
+from napari_hmrf.priors.elements import CYCLE_STAND_IN, ElasticMaterial, stiffest
 
 # A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
 # kernels that a large one does, so that a rehearsal compiles them.
@@ -218,16 +220,26 @@ class CpuElasticModel(CpuModel):
         self._exact_shape = np.array(material.shape, dtype=np.float64)
         self._held = None
         each = None if isinstance(material.poisson, float) else material.poisson
+        m, most = material.m, stiffest(material.m)
+        if material.rigid:
+            m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
         assembly.elements(
-            material.m,
+            m,
             np.float32(0 if each is not None else material.poisson),
             each,
             material.strain,
-            np.float32(0.25 / float(material.m.max())),
+            np.float32(0.25 / most),
             self.levels[0].lame,
         )
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             assembly.coarsen(fine.lame, coarse.lame)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        if self._held is None or not np.array_equal(held, self._held):
+            self.bodies = Bodies(self.material, held) if self.material.rigid else None
+            self.levels[0].bodies = self.bodies
+        super().hold(held)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
@@ -275,6 +287,7 @@ class CpuElasticModel(CpuModel):
 
 
 _last: list[CpuElasticModel] = []
+in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
 
 
 def the_model(material: ElasticMaterial) -> CpuElasticModel:

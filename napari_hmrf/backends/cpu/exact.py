@@ -7,14 +7,13 @@ row's share of a total is returned for each row.
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numba import prange
 
-_parallel = numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+from napari_hmrf.backends.cpu.compiled import contracted_reduction, reduction, strict_parallel
 
 
-@_parallel
+@strict_parallel
 def prescribe(y, observed, share, first, one, second, two, d, held):
     """Displace by share * y where tissue is observed, and hold it there.
 
@@ -32,7 +31,7 @@ def prescribe(y, observed, share, first, one, second, two, d, held):
                     d[k, i + 2, j + 2] = share * y[i, j, k] if here else begun
 
 
-@_parallel
+@strict_parallel
 def blend(values, weight, held, d):
     """D += weight * values, (H, W, 2), where it is not held."""
     for i in prange(values.shape[0]):
@@ -42,7 +41,7 @@ def blend(values, weight, held, d):
                     d[k, i + 2, j + 2] += weight * values[i, j, k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
+@reduction
 def _settle_row(values, tissue, unit):
     nothing = np.float32(0)
     for j in range(len(values)):
@@ -54,7 +53,7 @@ def _settle_row(values, tissue, unit):
     return nothing == 0
 
 
-@_parallel
+@strict_parallel
 def settle(values, tissue, unit, row_finite):
     """Values *= unit on tissue, 0 elsewhere; whether each row of (H, W, 2) had numbers only."""
     flat = values.reshape(values.shape[0], -1)
@@ -62,14 +61,14 @@ def settle(values, tissue, unit, row_finite):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
 
 
-@_parallel
+@strict_parallel
 def measure(rest, row_most, row_squares):
     """The largest absolute value, and the sum of squares, of each row."""
     for i in prange(rest.shape[1] - 4):
         row_most[i], row_squares[i] = _row_measure(rest, i + 2)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@contracted_reduction
 def _row_measure(rest, i):
     most, square = np.int64(0), 0.0
     for k in range(2):
@@ -81,7 +80,7 @@ def _row_measure(rest, i):
     return np.int64(most).view(np.float64), square
 
 
-@_parallel
+@strict_parallel
 def shrink(rest, scale, out):
     """Out = rest / scale in single precision."""
     for i in prange(rest.shape[1]):
@@ -90,7 +89,7 @@ def shrink(rest, scale, out):
                 out[k, i, j] = np.float32(rest[k, i, j] / scale)
 
 
-@_parallel
+@strict_parallel
 def add(d, correction, scale):
     """D += scale * correction."""
     for i in prange(d.shape[1]):
@@ -99,7 +98,7 @@ def add(d, correction, scale):
                 d[k, i, j] += scale * correction[k, i, j]
 
 
-@_parallel
+@strict_parallel
 def gather(d, out):
     """Out, (H, W, 2) in single precision, from planes."""
     for i in prange(out.shape[0]):

@@ -4,23 +4,20 @@ Arrays are padded as those of the other kernels are, by two sites of void. An el
 of its first site (least row and col), and its Lame parameters are 0 where one of its sites is void.
 Forces are built from differences of displacement within an element; `napari_hmrf.priors.elastic`
 has the equations and the names.
-
-Numba's cache does not notice when this file changes: touch those that import it then.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-import numba
-from numba import int64
+from numba import get_num_threads, int64
 
-_inline = numba.njit(inline="always", error_model="numpy")
+from napari_hmrf.backends.cpu.compiled import inline
 
 # A thread that gets fewer rows than this makes too much of what it shares with its neighbours.
 _FEW_ROWS = 16
 
 
-@_inline
+@inline
 def _pulls(row, col, first, shear, shape):
     """What the differences D_r, D_c, D_x of an element pull with, for either component.
 
@@ -46,7 +43,7 @@ def _pulls(row, col, first, shear, shape):
     )
 
 
-@_inline
+@inline
 def _element(d, lame, shape, i, j):
     """The pulls of element (i, j), in double precision throughout if the displacement is."""
     return _pulls(
@@ -58,7 +55,7 @@ def _element(d, lame, shape, i, j):
     )
 
 
-@_inline
+@inline
 def force(d, lame, shape, i, j):
     """What the four elements around site (i, j) pull at it: the stiffness matrix times d."""
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j)
@@ -71,7 +68,7 @@ def force(d, lame, shape, i, j):
     return row + (rr + cr + xr), col + (rc + cc + xc)
 
 
-@_inline
+@inline
 def left_over(row, col, d_row, d_col, load, weight, i, j):
     """What a force leaves of the load at site (i, j), which is displaced by d."""
     if weight is not None:
@@ -80,14 +77,14 @@ def left_over(row, col, d_row, d_col, load, weight, i, j):
     return load[0, i, j] - row, load[1, i, j] - col
 
 
-@_inline
+@inline
 def rest(d, load, lame, weight, shape, i, j):
     """Load - (A + W) d at site (i, j), whatever was looked at before."""
     row, col = force(d, lame, shape, i, j)
     return left_over(row, col, d[0, i, j], d[1, i, j], load, weight, i, j)
 
 
-@_inline
+@inline
 def left_of(rows, lame, shape, j):
     """Of either component of what element j of a row pulls with: D_r, and D_x less and plus D_c.
 
@@ -105,7 +102,7 @@ def left_of(rows, lame, shape, j):
     return rr, xr - cr, xr + cr, rc, xc - cc, xc + cc
 
 
-@_inline
+@inline
 def row_force(rows, lame, shape, carry, left, j):
     """`force` at a row's site j, and what is `left` of the next.
 
@@ -130,19 +127,19 @@ def row_force(rows, lame, shape, carry, left, j):
     return row, col, right
 
 
-@_inline
+@inline
 def rows_of(d, i):
     """A row's sites and those below, of either component."""
     return d[0, i], d[0, i + 1], d[1, i], d[1, i + 1]
 
 
-@_inline
+@inline
 def moduli_of(lame, i):
     """Lame's parameters of the elements between both."""
     return lame[0, i], lame[1, i]
 
 
-@_inline
+@inline
 def reach(spans, i):
     """Where the moving sites of rows i and i + 1 begin and end."""
     below = min(i + 1, len(spans) - 1)
@@ -156,10 +153,10 @@ def reach(spans, i):
 
 def parts(height: int) -> int:
     """Among how many threads a level's rows are divided."""
-    return max(1, min(numba.get_num_threads(), height // _FEW_ROWS))
+    return max(1, min(get_num_threads(), height // _FEW_ROWS))
 
 
-@_inline
+@inline
 def part(number, count, height):
     """The rows of one of them: where they begin and end."""
     return int64(number) * height // count, (int64(number) + 1) * height // count

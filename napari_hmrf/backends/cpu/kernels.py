@@ -8,8 +8,7 @@ never from an assembled stencil: float32 cancellation would cost whole pixels in
 The loops over a row vectorise because they branch nowhere, count from zero (an index that might be
 negative would be wrapped around, Python's way) and live inside the parallel loop (where the
 compiler knows that the arrays do not overlap). Check that when you change them: the generated code
-must be full of ``<16 x float>`` or ``<8 x float>``. All of them are in this file, because numba's
-cache notices when this file changes, not when one that it imports does.
+must be full of ``<16 x float>`` or ``<8 x float>``.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return"
@@ -17,26 +16,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 from numba import float32, prange
+
+from napari_hmrf.backends.cpu.compiled import inline, parallel, reduction, shared, strict
 
 # Below this a displacement is rounded to 0: arithmetic on denormal numbers is many times slower.
 _FLUSH = float32(1e-18)
 _TINY = float32(1e-30)
 
-# Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
-_ARITHMETIC = {"contract", "nsz"}
-_inline = numba.njit(inline="always", error_model="numpy")
-# Compiled once for all callers and inlined by LLVM: as fast, and ready in half the time.
-_shared = numba.njit(error_model="numpy", fastmath=_ARITHMETIC, forceinline=True)
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-_parallel = numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
-)
-_reduction = numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
 
-
-@_inline
+@inline
 def _ratios(stiffness, si, sj, ti, tj, ui, uj):
     """m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
     inverse_s = stiffness[1, si, sj]
@@ -46,7 +35,7 @@ def _ratios(stiffness, si, sj, ti, tj, ui, uj):
     return m * inverse_s, m * inverse_u, exists
 
 
-@_inline
+@inline
 def _curvature(ratio_s, ratio_u):
     """Curvature of a clique's potential along its middle site's displacement."""
     steep_s = float32(1) + ratio_s
@@ -54,7 +43,7 @@ def _curvature(ratio_s, ratio_u):
     return steep_s * steep_s + steep_u * steep_u
 
 
-@_inline
+@inline
 def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
     """Slope and energy of one component of a clique as seen from its middle site t."""
     to_s = d[component, si, sj] - d[component, ti, tj]
@@ -65,7 +54,7 @@ def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
     return slope, first * first + second * second
 
 
-@_inline
+@inline
 def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
     """Slope of one component of a clique as seen from its end s."""
     to_s = d[component, si, sj] - d[component, ti, tj]
@@ -73,7 +62,7 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
     return -(ratio_u * (ratio_u * to_s + to_u) + (ratio_s * to_u + to_s))
 
 
-@_inline
+@inline
 def square(d, stiffness, i, j):
     """Curvature, slope and energy of the four cliques around (i + 2, j + 2), for square pixels.
 
@@ -106,7 +95,7 @@ def square(d, stiffness, i, j):
     return a0, a1, b0, b1, energy
 
 
-@_shared
+@shared
 def _middle_line(d, stiffness, weights, line, si, sj, ti, tj, ui, uj):
     """Curvature, slope (per component) and energy of a weighted clique, from its middle."""
     s, u, exists = _ratios(stiffness, si, sj, ti, tj, ui, uj)
@@ -117,7 +106,7 @@ def _middle_line(d, stiffness, weights, line, si, sj, ti, tj, ui, uj):
     return w0 * a, w1 * a, w0 * b0, w1 * b1, w0 * e0 + w1 * e1
 
 
-@_inline
+@inline
 def weighted(d, stiffness, weights, i, j):
     """As `square`, for pixels of any shape."""
     a0, a1, b0, b1, e = _middle_line(
@@ -137,7 +126,7 @@ def weighted(d, stiffness, weights, i, j):
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
 
 
-@_inline
+@inline
 def _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj):
     """Curvature and slope (per component) of a weighted clique that (i, j) is the end of."""
     s, u, exists = _ratios(stiffness, i, j, ti, tj, ui, uj)
@@ -148,7 +137,7 @@ def _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj):
     return w0 * a, w1 * a, w0 * b0, w1 * b1
 
 
-@_shared
+@shared
 def _both_ends(d, stiffness, weights, line, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
     """The two cliques of one line that (i, j) is an end of: (i, j) - t - u and (i, j) - v - x."""
     a0, a1, b0, b1 = _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj)
@@ -156,7 +145,7 @@ def _both_ends(d, stiffness, weights, line, i, j, ti, tj, ui, uj, vi, vj, xi, xj
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1
 
 
-@_inline
+@inline
 def around(d, stiffness, weights, i, j):
     """As `weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
     a0, a1, b0, b1, e = weighted(d, stiffness, weights, i, j)
@@ -178,7 +167,7 @@ def around(d, stiffness, weights, i, j):
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e
 
 
-@_inline
+@inline
 def _observed(d, observation, i, j):
     """The observation energy of a site (eqs. 17 and 18)."""
     return observation[2, i, j] * abs(observation[0, i, j] - d[0, i, j]) + observation[
@@ -186,7 +175,7 @@ def _observed(d, observation, i, j):
     ] * abs(observation[1, i, j] - d[1, i, j])
 
 
-@_inline
+@inline
 def _downhill(slope, penalty, off):
     """The direction, 1 or -1, in which a component's energy falls, if it falls in any.
 
@@ -196,7 +185,7 @@ def _downhill(slope, penalty, off):
     return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
 
 
-@_inline
+@inline
 def _change(step, curvature, twice_slope, penalty, off, now):
     """How much a step downhill changes a component's energy; 0 if it would raise it.
 
@@ -206,7 +195,7 @@ def _change(step, curvature, twice_slope, penalty, off, now):
     return min(prior + (penalty * abs(off - step) - now), float32(0))
 
 
-@_inline
+@inline
 def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
     """A site's displacement after the best move of the candidate set."""
     p0, p1 = observation[2, i, j], observation[3, i, j]
@@ -231,7 +220,7 @@ def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
     return d[0, i, j] + sign0 * best0, d[1, i, j] + sign1 * best1
 
 
-@_inline
+@inline
 def _minimiser(d, curvature, slope, penalty, y, relaxation):
     """The displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
     share = relaxation / max(curvature, _TINY)
@@ -240,7 +229,7 @@ def _minimiser(d, curvature, slope, penalty, y, relaxation):
     return y + (distance - min(max(distance, -reach), reach))
 
 
-@_inline
+@inline
 def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
     """The new displacement of a site, from its parabola and its observation."""
     if steps is None:
@@ -260,7 +249,7 @@ def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
     )
 
 
-@_reduction
+@reduction
 def _row_total(values: Any, row: int, start: int, stop: int) -> float:
     total = float32(0)
     for j in range(start, stop):
@@ -268,7 +257,7 @@ def _row_total(values: Any, row: int, start: int, stop: int) -> float:
     return total
 
 
-@_parallel
+@parallel
 def icm(
     source, target, stiffness, observation, spans, weights, blanket, steps, relaxation, share,
     row_totals,
@@ -299,7 +288,7 @@ def icm(
         row_totals[i] = _row_total(share, i, start, spans[i, 1])
 
 
-@_parallel
+@parallel
 def energy(source, stiffness, observation, spans, weights, share, row_totals):
     """U_total of `source`, row by row, or of its cliques if nothing is observed (None)."""
     for i in prange(source.shape[1] - 4):
@@ -316,7 +305,7 @@ def energy(source, stiffness, observation, spans, weights, share, row_totals):
         row_totals[i] = _row_total(share, i, start, spans[i, 1])
 
 
-@_compiled
+@strict
 def sweeps(
     even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
 ):

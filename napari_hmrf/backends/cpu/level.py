@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.cpu import vectors
 from napari_hmrf.backends.cpu.transfer import PAD, padded
 from napari_hmrf.backends.linear import Steps
@@ -42,6 +43,8 @@ class CpuLevel:
     takes_rest: bool = False
     #: Whether another visit within a cycle gains more than it costs.
     worth_again: bool = True
+    #: What moves as one on the finest level.
+    bodies: Bodies | None = None
 
     def __init__(self, grid: tuple[int, ...], memory: Iterator[Vector] | None = None) -> None:
         self.grid = grid
@@ -157,6 +160,11 @@ class CpuLevel:
         """D += length direction, rest -= length image; the square of the rest."""
         vectors.advance(d, rest, direction, image, np.float32(length), self._rows)
         return float(self._rows.sum())
+
+    def project(self, vector: Vector) -> None:
+        """Move rigid bodies as one, in place."""
+        if self.bodies is not None:
+            self.bodies.project(vector)
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
         """Direction = steepest + share direction."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.cpu.level import Vector
 from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes
@@ -22,6 +23,10 @@ class CpuModel:
     ----------
     levels : sequence of CpuLevel
         Finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
+    bodies : Bodies or None
+        Of rigid tissue, with what is held now.
+    iterates : bool
+        Whether cycles can move bodies as one.
     found : Found
         For the tissue with what is held now.
     """
@@ -29,6 +34,8 @@ class CpuModel:
     levels: Sequence[Any]
     material: Any
     found: Found
+    bodies: Bodies | None = None
+    iterates: bool = True
     _held: HeldPlanes | None
     #: What is left of a load: 0 where held.
     _rest: Vector
@@ -66,6 +73,9 @@ class CpuModel:
         if most > 0 and not _SMALL < most < _GREAT:
             unit *= most
             most, norm = self._balance(d, load, unit)
+        if self.bodies is not None:
+            self.bodies.project(self._rest)
+            most, norm = float(np.abs(self._rest).max()), float(np.linalg.norm(self._rest))
         return Balance(self._rest, unit, unit * most, unit * norm)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:

@@ -9,30 +9,21 @@ its diagonal is 1. Blanket, it is half the slope of U_total's cliques (all of it
 twice what they are). Both are built from
 differences of displacement. `inverse` is the inverse of the diagonal, springs included, and 0 where
 a component does not move.
-
-Numba's cache does not notice when `napari_hmrf.backends.cpu.kernels` changes: touch this file then.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-import numba
 from numba import float32, prange
 
+from napari_hmrf.backends.cpu.compiled import inline, parallel, shared
 from napari_hmrf.backends.cpu.kernels import around, square, weighted
 from napari_hmrf.backends.cpu.vectors import row_product, span
 
 _TINY = float32(1e-30)
-_ARITHMETIC = {"contract", "nsz"}
-_inline = numba.njit(inline="always", error_model="numpy")
-# Compiled once for all kernels, and inlined by LLVM: that takes a tenth of the time.
-_shared = numba.njit(error_model="numpy", fastmath=_ARITHMETIC, forceinline=True)
-_parallel = numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
-)
 
 
-@_shared
+@shared
 def _cliques(d, stiffness, lines, blanket, i, j):
     """Curvature and slope, per component, of the cliques that pull at (i + 2, j + 2)."""
     if blanket is not None:
@@ -44,7 +35,7 @@ def _cliques(d, stiffness, lines, blanket, i, j):
     return a0, a1, b0, b1
 
 
-@_inline
+@inline
 def _pull(d, stiffness, lines, blanket, i, j):
     """What the tissue pulls with at (i + 2, j + 2): - A d."""
     a0, a1, b0, b1 = _cliques(d, stiffness, lines, blanket, i, j)
@@ -53,7 +44,7 @@ def _pull(d, stiffness, lines, blanket, i, j):
     return b0, b1
 
 
-@_inline
+@inline
 def _rest(d, load, stiffness, weight, lines, blanket, i, j):
     """Load - (A + W) d at (i + 2, j + 2); `weight` is W's diagonal or None, as `load` may be."""
     row, col = _pull(d, stiffness, lines, blanket, i, j)
@@ -66,7 +57,7 @@ def _rest(d, load, stiffness, weight, lines, blanket, i, j):
     return row, col
 
 
-@_parallel
+@parallel
 def residual(d, load, stiffness, inverse, weight, lines, blanket, spans, out):
     """Out = load - (A + W) d, and 0 at sites that do not move."""
     for i in prange(d.shape[1] - 4):
@@ -78,7 +69,7 @@ def residual(d, load, stiffness, inverse, weight, lines, blanket, spans, out):
             out[1, i + 2, j + 2] = col if inverse[1, i + 2, j + 2] > float32(0) else col - col
 
 
-@_parallel
+@parallel
 def pull(d, stiffness, lines, blanket, out):
     """Out = - A d everywhere."""
     for i in prange(d.shape[1] - 4):
@@ -88,7 +79,7 @@ def pull(d, stiffness, lines, blanket, out):
             out[1, i + 2, j + 2] = col
 
 
-@_parallel
+@parallel
 def apply(d, stiffness, inverse, lines, blanket, spans, out, row_totals):
     """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
     for i in prange(d.shape[1] - 4):
@@ -101,7 +92,7 @@ def apply(d, stiffness, inverse, lines, blanket, spans, out, row_totals):
         row_totals[i] = row_product(d, out, i + 2)
 
 
-@_parallel
+@parallel
 def smooth(d, load, stiffness, inverse, weight, lines, blanket, spans, step, out, scale, momentum):
     """A Chebyshev step: step = scale D^-1 (load - (A + W) d) + momentum step, out = d + step."""
     for i in prange(d.shape[1] - 4):
@@ -117,7 +108,7 @@ def smooth(d, load, stiffness, inverse, weight, lines, blanket, spans, step, out
             out[1, i + 2, j + 2] = d[1, i + 2, j + 2] + col
 
 
-@_parallel
+@parallel
 def curvature(stiffness, lines, blanket, out):
     """Each site's curvature: of the cliques that pull at it."""
     for i in prange(out.shape[1] - 4):
@@ -127,7 +118,7 @@ def curvature(stiffness, lines, blanket, out):
             out[1, i + 2, j + 2] = a1
 
 
-@_parallel
+@parallel
 def coarsen(fine, coarse, even):
     """A coarse site's stiffness: the mean of the tissue around it, and void where there is none.
 
@@ -147,7 +138,7 @@ def coarsen(fine, coarse, even):
             even[i + 2, j + 2] = float32(4) / max(share, float32(1))
 
 
-@_parallel
+@parallel
 def even_out(load, even):
     """Multiply each component."""
     for i in prange(load.shape[1] - 4):
@@ -156,7 +147,7 @@ def even_out(load, even):
                 load[k, i + 2, j] *= even[i + 2, j]
 
 
-@_parallel
+@parallel
 def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
     """The finest level's inverse diagonal, 0 where held; `pins` counts tissue that cannot move."""
     for i in prange(inverse.shape[1] - 4):
@@ -171,7 +162,7 @@ def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
         span(inverse, spans, i)
 
 
-@_parallel
+@parallel
 def spring(curvatures, blanket, pins, most, strength, inverse, weight, spans):
     """A coarser level's springs, and the inverse of the diagonal of model and springs.
 

@@ -14,6 +14,7 @@ from napari_hmrf.backends.cpu import exact, kernels, seiler, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
 from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids
 from napari_hmrf.priors.seiler import SeilerMaterial
 
@@ -238,6 +239,7 @@ class CpuSeilerModel(CpuModel):
 
 
 _last: list[CpuSeilerModel] = []
+in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
 
 
 def the_model(material: SeilerMaterial) -> CpuSeilerModel:

@@ -9,12 +9,10 @@ pulls and nothing moves.
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-import numba
 from numba import float32
 
 from napari_hmrf.backends.cpu import forces, vectors
-
-_alone = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})
+from napari_hmrf.backends.cpu.compiled import callee, strict
 
 # A level's arrays, in this order.
 INVERSE, LOAD, CORRECTION, OTHER, LAME, PINS, WEIGHT, REST = range(8)
@@ -23,17 +21,17 @@ ARRAYS = 8
 # Where the first site lies, and the only row there is.
 _FIRST = 2
 
-_restrict = _alone(vectors.restrict.py_func)
-_interpolate = _alone(vectors.interpolate.py_func)
+_restrict = callee(vectors.restrict.py_func)
+_interpolate = callee(vectors.interpolate.py_func)
 
 
-@_alone
+@callee
 def _length(d):
     """From the first site of a level to its last."""
     return (d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4
 
 
-@_alone
+@callee
 def _start(load, inverse, d, scale):
     """The first step from zero: d = scale D^-1 load."""
     for k in range(_length(d)):
@@ -42,7 +40,7 @@ def _start(load, inverse, d, scale):
         d[1, _FIRST, j] = scale * inverse[1, _FIRST, j] * load[1, _FIRST, j]
 
 
-@_alone
+@callee
 def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
     """As `elastic.smooth`."""
     for k in range(_length(d)):
@@ -56,7 +54,7 @@ def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
         out[1, _FIRST, j] = d[1, _FIRST, j] + col
 
 
-@_alone
+@callee
 def _residual(d, load, lame, inverse, weight, shape, out):
     """Out = load - (A + W) d, 0 at sites that do not move."""
     for k in range(_length(d)):
@@ -66,7 +64,7 @@ def _residual(d, load, lame, inverse, weight, shape, out):
         out[1, _FIRST, j] = col if inverse[1, _FIRST, j] > float32(0) else col - col
 
 
-@_alone
+@callee
 def _plane(values, table, k, number):
     """Array `number` of level k, (2, H + 4, W + 4)."""
     height, width, first = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
@@ -74,7 +72,7 @@ def _plane(values, table, k, number):
     return values[first + number * size : first + (number + 1) * size].reshape((2, height, width))
 
 
-@_alone
+@callee
 def _relax(values, table, shape, k, steps, begun, turned):
     """Steps of smoothing on level k; whether the correction is in the other array after them."""
     inverse, load, lame, weight = (
@@ -92,7 +90,7 @@ def _relax(values, table, shape, k, steps, begun, turned):
     return turned
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@strict
 def cycle(values, table, shape, down, up, coarsest):
     """A V-cycle over levels, finest first, for the load of the first.
 

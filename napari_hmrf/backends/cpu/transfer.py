@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numba import float32, prange
+
+from napari_hmrf.backends.cpu.compiled import strict_parallel
 
 #: Width of the ring of void around every array.
 PAD = 2
@@ -18,7 +19,7 @@ def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[
     return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@strict_parallel
 def prolong(coarse, coarse_stiffness, target, stiffness):
     """Displacement one level down: linear, void without weight, the border repeated."""
     height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD

@@ -9,19 +9,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numba import float32, int32, int64, prange
 
-_ARITHMETIC = {"contract", "nsz"}
-_parallel = numba.njit(
-    cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_ARITHMETIC
-)
-_alone = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_ARITHMETIC)
-_reduction = numba.njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
+from napari_hmrf.backends.cpu.compiled import alone, inline, parallel, reduction, strict
 
 
-@_reduction
+@reduction
 def row_product(a: Any, b: Any, row: int) -> float:
     """The scalar product of one row."""
     total = float32(0)
@@ -31,7 +25,7 @@ def row_product(a: Any, b: Any, row: int) -> float:
     return total
 
 
-@numba.njit(inline="always", error_model="numpy")
+@inline
 def span(inverse, spans, i):
     """Where row i's moving sites begin and end."""
     first, past = int64(0), int64(0)
@@ -44,7 +38,7 @@ def span(inverse, spans, i):
     spans[i, 1] = past
 
 
-@_parallel
+@parallel
 def smooth_first(load, inverse, step, d, scale):
     """The first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
     for i in prange(load.shape[1] - 4):
@@ -57,7 +51,7 @@ def smooth_first(load, inverse, step, d, scale):
             d[1, i + 2, j] = col
 
 
-@_alone
+@alone
 def restrict_row(above, here, below, coarse):
     """`restrict` of one component, from three rows to one."""
     half = float32(0.5)
@@ -68,7 +62,7 @@ def restrict_row(above, here, below, coarse):
         coarse[j + 2] = middle + half * (left + right)
 
 
-@_parallel
+@parallel
 def restrict(fine, coarse):
     """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
     for i in prange(coarse.shape[1] - 4):
@@ -81,7 +75,7 @@ def restrict(fine, coarse):
             )
 
 
-@_parallel
+@parallel
 def interpolate(coarse, fine, inverse):
     """Add a coarse correction, bilinear, to the sites that move."""
     for i in prange(fine.shape[1] - 4):
@@ -99,7 +93,7 @@ def interpolate(coarse, fine, inverse):
                 fine[component, i + 2, 2 * j + 3] += between if moves else float32(0)
 
 
-@_parallel
+@parallel
 def advance(d, rest, direction, image, length, row_totals):
     """D += length * direction, rest -= length * image; `row_totals` gets the square of the rest."""
     for i in prange(d.shape[1] - 4):
@@ -110,7 +104,7 @@ def advance(d, rest, direction, image, length, row_totals):
         row_totals[i] = row_product(rest, rest, i + 2)
 
 
-@_parallel
+@parallel
 def turn(steepest, direction, share):
     """Direction = steepest + share * direction."""
     for i in prange(direction.shape[1] - 4):
@@ -121,7 +115,7 @@ def turn(steepest, direction, share):
                 )
 
 
-@_parallel
+@parallel
 def lean(rest, direction, image, share, stride):
     """Direction = rest + share * (direction - stride * image)."""
     for i in prange(direction.shape[1] - 4):
@@ -132,14 +126,14 @@ def lean(rest, direction, image, share, stride):
                 )
 
 
-@_parallel
+@parallel
 def product(a, b, row_totals):
     """The scalar product, row by row."""
     for i in prange(a.shape[1] - 4):
         row_totals[i] = row_product(a, b, i + 2)
 
 
-@numba.njit(cache=True, nogil=True)
+@strict
 def row_largest(a: Any, row: int) -> Any:
     """The largest absolute value of one row, or no number if there is any.
 
@@ -154,14 +148,14 @@ def row_largest(a: Any, row: int) -> Any:
     return np.int32(most).view(np.float32)
 
 
-@_parallel
+@parallel
 def largest(a, row_most):
     """The largest absolute value of each row."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
 
 
-@_parallel
+@parallel
 def weigh(a, b, row_most, row_totals):
     """Both of these, in one go."""
     for i in prange(a.shape[1] - 4):

@@ -22,7 +22,7 @@ from napari_hmrf.backends.opengl.context import (
 from napari_hmrf.backends.opengl.programs import Program, compile_program
 from napari_hmrf.backends.opengl.regions import Window
 from napari_hmrf.backends.opengl.source import Stage
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends.thread import compute_thread, in_child_of_fork
 from napari_hmrf.errors import BackendError
 
 _log = logging.getLogger("napari_hmrf")
@@ -237,6 +237,18 @@ class Device:
 
 
 _device: Device | None = None
+# In the child of a fork: its parent's, which drivers do not share, and nobody releases here.
+_of_parent: list[Device] = []
+
+
+def _disown() -> None:
+    global _device
+    if _device is not None:
+        _of_parent.append(_device)
+        _device = None
+
+
+in_child_of_fork(_disown)
 
 
 def the_device() -> Device:
@@ -245,13 +257,18 @@ def the_device() -> Device:
     Raises
     ------
     BackendError
-        If there is no usable OpenGL.
+        If there is no usable OpenGL, or the process that forked this one has used it.
     RuntimeError
         On any other thread.
     """
     global _device
     if not compute_thread.is_current():
         raise RuntimeError("OpenGL is used on the compute thread only; call solve() instead")
+    if _of_parent:
+        raise BackendError(
+            "this process was forked from one that uses OpenGL, which does not survive that. Start "
+            'it by "spawn" (multiprocessing.get_context("spawn")), or take backend="cpu".'
+        )
     if _device is None or _device.lost:
         _device = Device()
         compute_thread.at_end(_device.release)

@@ -175,6 +175,9 @@ class GLLevel:
         rest.turn()
         return self._sum_of_shares()
 
+    def project(self, vector: Vector) -> None:
+        """Nothing to do: of rigid tissue the factors are taken, on the host."""
+
     def turn(self, steepest: Vector, direction: Vector, share: Scalar | Ratio) -> None:
         """Direction = steepest + share direction."""
         inputs = [steepest.texture, direction.texture, *self._over(share)]

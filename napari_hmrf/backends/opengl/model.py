@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.linear import Balance, HeldPlanes, LinearModel, Planes
 from napari_hmrf.backends.opengl.passes import Passes
@@ -53,6 +54,16 @@ class GLModel:
     def shape(self) -> tuple[int, ...]:
         """The finest grid, (H, W)."""
         return self._host.shape
+
+    @property
+    def bodies(self) -> Bodies | None:
+        """Rigid tissue, with what is held now."""
+        return self._host.bodies
+
+    @property
+    def iterates(self) -> bool:
+        """Whether cycles can be used: bodies are moved as one on the host only."""
+        return self.bodies is None
 
     @property
     def found(self) -> Found:

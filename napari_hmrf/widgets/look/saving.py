@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from napari_hmrf.whole_file import write_whole
 from napari_hmrf.widgets.brush_circle import no_circle
 
 
@@ -36,9 +38,14 @@ def save_canvas(viewer: Any, path: Path) -> list[Path]:
     bar.visible = True
     try:
         with _no_brush(viewer), no_circle(viewer):
-            viewer.screenshot(str(path), canvas_only=True, flash=False)
+            shown = viewer.screenshot(canvas_only=True, flash=False)
     finally:
         bar.visible = visible
+    from matplotlib.image import imsave
+
+    drawn = io.BytesIO()
+    imsave(drawn, shown, format="png")
+    write_whole(path, drawn.getvalue())
     return [path]
 
 

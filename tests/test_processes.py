@@ -1,0 +1,160 @@
+"""A solve in a child process, however started, is a solve; and killing one costs no file."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from opengl_here import require_opengl
+
+from napari_hmrf import Solution, phantom, solve
+
+needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+
+CHILDREN = """
+import multiprocessing
+import sys
+
+import numpy as np
+
+from napari_hmrf import ElasticPrior, SeilerPrior, phantom, solve
+
+
+def displacement(prior):
+    return solve(phantom("expansion", size=40).problem, prior, backend=sys.argv[2]).displacement
+
+
+if __name__ == "__main__":
+    priors = [ElasticPrior(), SeilerPrior()] * 2
+    expected = [displacement(prior) for prior in priors]
+    with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
+        found = pool.map_async(displacement, priors, 1).get(240)
+    for one, other in zip(found, expected, strict=True):
+        assert np.array_equal(one, other)
+    assert np.array_equal(displacement(priors[0]), expected[0]), "the parent goes on"
+"""
+
+
+def run_script(tmp_path, script, *arguments):
+    path = tmp_path / "script.py"
+    path.write_text(script, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore::DeprecationWarning", path, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
+def test_children_of_a_process_that_has_solved_find_the_same(tmp_path, method):
+    run_script(tmp_path, CHILDREN, method, "cpu")
+
+
+AFTER_OPENGL = """
+import os
+
+import numpy as np
+
+from napari_hmrf import BackendError, phantom, solve
+
+problem = phantom("expansion", size=40).problem
+expected = solve(problem, backend="opengl").displacement
+child = os.fork()
+if not child:
+    try:
+        solve(problem, backend="opengl")
+    except BackendError as error:
+        assert "spawn" in str(error)
+        found = solve(problem, backend="auto")
+        assert found.provenance.backend == "cpu"
+        assert "forked" in found.provenance.reason
+        os._exit(0)
+    os._exit(1)
+assert os.waitpid(child, 0)[1] == 0
+assert np.array_equal(solve(problem, backend="opengl").displacement, expected)
+"""
+
+
+@needs_fork
+def test_a_fork_leaves_opengl_to_the_parent_and_takes_the_loops(tmp_path):
+    require_opengl()
+    run_script(tmp_path, AFTER_OPENGL)
+
+
+IN_THE_MIDDLE = """
+import os
+import threading
+
+from napari_hmrf import BackendError, phantom, solve
+from napari_hmrf.backends.thread import compute_thread
+
+problem = phantom("expansion", size=24).problem
+begun, go_on = threading.Event(), threading.Event()
+job = compute_thread.submit(lambda: (begun.set(), go_on.wait()))
+begun.wait()
+child = os.fork()
+if not child:
+    try:
+        solve(problem, backend="cpu")
+    except BackendError as error:
+        assert "spawn" in str(error)
+        os._exit(0)
+    os._exit(1)
+assert os.waitpid(child, 0)[1] == 0
+
+def fork_and_solve():
+    child = os.fork()
+    if not child:
+        solve(problem, backend="cpu")
+        os._exit(0)
+    return os.waitpid(child, 0)[1]
+
+go_on.set()
+job.result()
+solve(problem, backend="cpu")
+assert compute_thread.submit(fork_and_solve).result() == 0, "no job but its own was torn"
+"""
+
+
+@needs_fork
+def test_a_fork_in_the_middle_of_a_job_is_told_what_to_do_instead(tmp_path):
+    run_script(tmp_path, IN_THE_MIDDLE)
+
+
+SAVING = """
+import sys
+
+import numpy as np
+
+from napari_hmrf import Solution
+
+path = sys.argv[1]
+one = Solution.load(path)
+other = Solution.load(sys.argv[2])
+print("begun", flush=True)
+while True:
+    one.save(path)
+    other.save(path)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kill -9 is of POSIX")
+def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
+    sizes = (48, 40)
+    paths = [tmp_path / f"{size}.npz" for size in sizes]
+    for path, size in zip(paths, sizes, strict=True):
+        solve(phantom("expansion", size=size).problem, backend="cpu").save(path)
+    path = paths[0]
+    for moment in (0.005, 0.02, 0.05):
+        command = [sys.executable, "-c", SAVING, *paths]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            assert process.stdout.readline()
+            time.sleep(moment)
+            process.kill()
+        assert Solution.load(path).displacement.shape[0] in sizes

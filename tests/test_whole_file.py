@@ -1,0 +1,171 @@
+"""Whatever is written is there as a whole or not at all, and takes nothing else's place."""
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import phantom, pictures, solve, whole_file
+from napari_hmrf.material_files import save_materials
+from napari_hmrf.presets import PRESETS
+from napari_hmrf.whole_file import write_whole
+from napari_hmrf.widgets.look.saving import save_canvas
+
+posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
+
+
+def solution(path):
+    solve(phantom("expansion", size=16).problem, backend="cpu").save(path)
+
+
+def materials(path):
+    save_materials(path, PRESETS[0])
+
+
+def figure(path):
+    pictures._saved(path.parent, {path.stem: pictures.energy_picture(_energies())})
+
+
+def _energies():
+    provenance = SimpleNamespace(parameters={})
+    return SimpleNamespace(energy=np.ones(3), levels=(), provenance=provenance)
+
+
+def canvas(path):
+    viewer = SimpleNamespace(
+        layers=SimpleNamespace(selection=SimpleNamespace(active=None)),
+        scale_bar=SimpleNamespace(visible=False),
+        screenshot=lambda **_: np.zeros((4, 4, 4), np.uint8),
+    )
+    save_canvas(viewer, path)
+
+
+@pytest.fixture(params=[solution, materials, figure, canvas], ids=lambda each: each.__name__)
+def writer(request):
+    return request.param
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A file that is there already."""
+    made = tmp_path / "kept.png"
+    made.write_bytes(b"what was there")
+    return made
+
+
+def test_a_full_disk_leaves_the_old_file_whole(writer, path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(whole_file.os, "fsync", full)
+    with pytest.raises(OSError, match=r"cannot save the file: No space left.*kept\.png"):
+        writer(path)
+    assert path.read_bytes() == b"what was there"
+    assert os.listdir(path.parent) == [path.name]
+    monkeypatch.undo()
+    writer(path)
+    assert path.read_bytes() != b"what was there"
+
+
+LIMITED = """
+import errno, resource, sys
+from pathlib import Path
+from napari_hmrf.whole_file import write_whole
+
+path = Path(sys.argv[1])
+write_whole(path, b"old" * 1000)
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+try:
+    write_whole(path, b"new" * 10_000)
+except OSError as error:
+    assert error.errno == errno.EFBIG, error
+    assert "cannot save the file" in str(error) and path.name in str(error)
+else:
+    raise SystemExit("it was written beyond the limit")
+assert path.read_bytes() == b"old" * 1000
+assert [each.name for each in path.parent.iterdir()] == [path.name]
+"""
+
+
+@posix
+def test_a_file_that_the_system_lets_grow_no_further_is_not_cut(tmp_path):
+    command = [sys.executable, "-c", LIMITED, tmp_path / "file"]
+    subprocess.run(command, check=True, timeout=60)
+
+
+@posix
+@pytest.mark.parametrize("mode", [0o640, 0o600, 0o666, 0o755])
+def test_a_file_keeps_its_permissions_when_it_is_replaced(writer, path, mode):
+    path.chmod(mode)
+    writer(path)
+    assert path.read_bytes() != b"what was there"
+    assert stat.S_IMODE(path.stat().st_mode) == mode
+
+
+@posix
+def test_a_new_file_has_the_permissions_that_new_files_have(tmp_path):
+    usual, ours = tmp_path / "usual", tmp_path / "ours"
+    before = os.umask(0o027)
+    try:
+        usual.touch()
+        write_whole(ours, b"")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(ours.stat().st_mode) == stat.S_IMODE(usual.stat().st_mode) == 0o640
+
+
+@posix
+def test_nobody_else_can_read_a_private_file_while_it_is_replaced(path, monkeypatch):
+    path.chmod(0o600)
+    seen = []
+
+    def look(_):
+        seen.extend(stat.S_IMODE(each.stat().st_mode) for each in path.parent.iterdir())
+
+    monkeypatch.setattr(whole_file.os, "fsync", look)
+    write_whole(path, b"secret")
+    assert set(seen) == {0o600}
+
+
+def test_a_file_that_may_not_be_written_is_not_replaced_either(path, monkeypatch):
+    # Root may write to all files, so that only the system's answer can be played.
+    monkeypatch.setattr(whole_file.os, "access", lambda *_: False)
+    with pytest.raises(PermissionError, match=r"cannot save the file: .*kept\.png"):
+        write_whole(path, b"new")
+    assert path.read_bytes() == b"what was there"
+
+
+@posix
+def test_a_link_leads_to_the_file_that_is_replaced(writer, path):
+    link = path.with_name("link.png")
+    link.symlink_to(path)
+    writer(link)
+    assert link.is_symlink()
+    assert path.read_bytes() != b"what was there"
+
+
+@posix
+def test_a_fifo_is_written_into_and_stays(writer, tmp_path):
+    fifo = tmp_path / "fifo.png"
+    os.mkfifo(fifo)
+    read = []
+    reader = threading.Thread(target=lambda: read.append(fifo.read_bytes()), daemon=True)
+    reader.start()
+    writer(fifo)
+    reader.join(60)
+    assert fifo.is_fifo()
+    assert len(read[0]) > 100
+
+
+@posix
+def test_a_device_is_written_into():
+    write_whole("/dev/null", b"anything")
+    assert whole_file.is_stream("/dev/null")
+    with pytest.raises(OSError, match=r"cannot save the file: No space left.*full"):
+        write_whole("/dev/full", b"anything")
