@@ -28,7 +28,8 @@ USUAL_POISSON = 0.45
 #: The stiffness of a body that moves as one, such as bone or an implant.
 RIGID = math.inf
 _RIGID = "rigid"
-_LARGEST = float(np.finfo(np.float32).max)
+#: Single precision holds no larger one: it would come out as rigid.
+LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -139,12 +140,12 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     image = _as_labels("m", labels)
     table = _by_label("m", "materials", materials)
     for material in table.values():
-        if not (0 <= material.stiffness <= _LARGEST or material.is_rigid):
+        if not (0 <= material.stiffness <= LARGEST_STIFFNESS or material.is_rigid):
             raise ProblemError(
                 "m",
                 f"gives {_quoted(material)} a stiffness of {material.stiffness}. Give a number "
-                f"above 0 (up to {_LARGEST:.2g}), 0 where there is no tissue, or 'rigid' for what "
-                "moves as one.",
+                f"above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' "
+                "for what moves as one.",
             )
     present = labels_present(image)
     _require("m", "stiffness", present, table)

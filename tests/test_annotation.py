@@ -8,7 +8,9 @@ from napari_hmrf.annotation import (
     BoundaryRule,
     Material,
     boundary_images,
+    poisson_image,
     stiffness_image,
+    stiffness_in_words,
 )
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.presets import PRESETS
@@ -56,10 +58,32 @@ def test_two_materials_for_a_label_are_refused():
         stiffness_image(np.ones((3, 3), int), [*TISSUES, Material(1, "again", 3.0)])
 
 
-@pytest.mark.parametrize("stiffness", [-1.0, np.nan, np.inf])
+@pytest.mark.parametrize("stiffness", [-1.0, np.nan, -np.inf, 1e39])
 def test_a_stiffness_that_is_no_stiffness_is_refused_by_name(stiffness):
     with pytest.raises(ProblemError, match=r"label 1 \(gel\)"):
         stiffness_image(np.ones((3, 3), int), [Material(1, "gel", stiffness)])
+
+
+def test_what_is_rigid_is_infinitely_stiff_and_has_no_poisson_s_ratio():
+    materials = [
+        Material(0, "air", 0.0, 7.0),
+        Material(1, "bone", np.inf, 7.0),
+        Material(2, "gel", 3.0, 0.3),
+        Material(3, "fat", 2.0, 0.4),
+    ]
+    labels = np.array([[0, 1], [2, 1]])
+    np.testing.assert_array_equal(stiffness_image(labels, materials), [[0, np.inf], [3, np.inf]])
+    assert poisson_image(labels, materials) == 0.3
+    labels = np.array([[0, 1], [2, 3]])
+    np.testing.assert_array_equal(
+        poisson_image(labels, materials), np.float32([[0, 0], [0.3, 0.4]])
+    )
+
+
+def test_nothing_that_is_shown_says_inf():
+    assert stiffness_in_words(np.inf, "kPa") == "rigid"
+    assert stiffness_in_words(2.5, "kPa") == "2.5 kPa"
+    assert stiffness_in_words(2.5) == "2.5"
 
 
 @pytest.mark.parametrize("labels", [np.ones((3, 3)), np.ones((3, 3, 3), int)])

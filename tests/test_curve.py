@@ -420,6 +420,21 @@ def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sampl
     assert widget.status == said
 
 
+def test_bone_is_one_entry_of_the_menu_away(widget, small_sample, own):
+    small_sample(widget._viewer)
+    before = widget.materials
+    entries(widget._face.tissue.menu)["Bone or implant (rigid)"].trigger()
+    assert widget.materials[:-1] == before
+    bone = widget.materials[-1]
+    assert bone.is_rigid
+    assert widget.tissue.selected_label == bone.label, "to be painted with next"
+    kept = Preset("mine", "kPa", "", widget.materials)
+    own.remember(kept)
+    about = entries(widget._face.tissue.menu)["mine"].toolTip()
+    assert "bone or implant: rigid</p>" in about
+    assert "inf" not in about
+
+
 def test_materials_are_taken_from_another_layer(widget, small_sample, own):
     viewer = widget._viewer
     small_sample(viewer)

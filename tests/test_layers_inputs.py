@@ -14,6 +14,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, copy_layers, prepare, read_layers
 from napari_hmrf.layers.view import View
+from napari_hmrf.priors import ElasticPrior
 
 MATERIALS = (Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(2, "soft", 10.0))
 RULES = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 3.0)))
@@ -210,7 +211,7 @@ def test_an_image_can_be_the_stiffness():
     assert inputs.pictures.labels is None
 
 
-@pytest.mark.parametrize(("value", "said"), [(-1.0, "negative"), (np.nan, "NaN"), (np.inf, "NaN")])
+@pytest.mark.parametrize(("value", "said"), [(-1.0, "negative"), (np.nan, "NaN")])
 def test_an_impossible_stiffness_names_its_layer(value, said):
     m = np.ones(SHAPE)
     m[3, 4] = value
@@ -219,6 +220,56 @@ def test_an_impossible_stiffness_names_its_layer(value, said):
     assert "(Image layer, float64, 12 x 15)" in str(error)
     assert said in str(error)
     assert "(3, 4)" in str(error)
+
+
+BONE = (*MATERIALS, Material(3, "bone", np.inf))
+
+
+def with_bone(tissue=None):
+    """A request with rigid tissue: in an image of stiffness, or painted and in the table."""
+    if tissue is None:
+        painted = tissue_labels()
+        painted[5:8, 4:7] = 3
+        tissue = Labels(painted, name="Tissue")
+    return replace(request(tissue=tissue), materials=BONE)
+
+
+def stiffness_with_bone():
+    m = np.ones(SHAPE)
+    m[5:8, 4:7] = np.inf
+    return Image(m, name="stiffness", contrast_limits=(0, 1))
+
+
+@pytest.mark.parametrize("made", [lambda: None, stiffness_with_bone], ids=["labels", "image"])
+def test_rigid_tissue_reaches_the_elastic_model(made):
+    m = read_layers(with_bone(made()), ElasticPrior()).problem.m
+    assert np.isinf(m[5:8, 4:7]).all()
+    assert np.isinf(m).sum() == 9
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: None, "'Tissue' has rigid tissue ('bone'), which"),
+        (stiffness_with_bone, "'stiffness' has rigid tissue (an infinite stiffness), which"),
+    ],
+    ids=["labels", "image"],
+)
+def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
+    error = refusal(with_bone(made()))
+    assert error.sentence == (
+        f"{said} the paper's model cannot have: it compares stiffness by ratios. Take the elastic "
+        "model, or give it a number."
+    )
+
+
+def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
+    assert read_layers(replace(request(), materials=BONE)).problem.m.max() == 20
+
+
+def test_beside_rigid_tissue_nothing_may_slip():
+    with pytest.raises(ProblemError, match="Set 'penalty K' under 'Advanced' to 'held exactly'"):
+        read_layers(with_bone(), ElasticPrior(penalty=1.0))
 
 
 def test_a_stiffness_beyond_single_precision_is_refused_with_its_largest_value():
@@ -230,7 +281,7 @@ def test_a_stiffness_beyond_single_precision_is_refused_with_its_largest_value()
 def test_an_extreme_stiffness_ratio_is_refused():
     m = np.ones(SHAPE)
     m[0, 0] = 1e9
-    assert "a million times" in str(refusal(request(tissue=Image(m, name="stiffness"))))
+    assert "million times" in str(refusal(request(tissue=Image(m, name="stiffness"))))
 
 
 def test_tissue_labels_without_a_stiffness_are_listed():

@@ -2,13 +2,27 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from napari.layers import Image, Labels
 
-from napari_hmrf.annotation import Material
+from napari_hmrf.annotation import RIGID, Material
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.layers.defaults import default_material
+from napari_hmrf.layers.metadata import (
+    METADATA,
+    TISSUE,
+    described,
+    known_of,
+    rows_of,
+    tissue_record,
+    tissue_recorded,
+)
 from napari_hmrf.material_files import MaterialLibrary, load_materials, save_materials
 from napari_hmrf.presets import PRESETS, Preset, take_over
+from napari_hmrf.solution import Provenance
 
 LIVER = Preset(
     "Liver",
@@ -53,7 +67,7 @@ def spoilt(**changes):
     [
         ([], "no file of materials"),
         ({"format": "something else"}, "no file of materials"),
-        (spoilt(version=2), "newer napari-hmrf"),
+        (spoilt(version=3), "newer napari-hmrf"),
         (spoilt(version="1"), "no version"),
         (spoilt(version=True), "no version"),
         (spoilt(unit=3), "unit that is no word"),
@@ -67,6 +81,8 @@ def spoilt(**changes):
         (spoilt(stiffness=-2), "stiffness -2"),
         (spoilt(stiffness=float("nan")), "stiffness nan"),
         (spoilt(stiffness=10**400), "stiffness 1000"),
+        (spoilt(stiffness=float("inf")), 'stiffness inf. Write a number, 0 or more, or "rigid"'),
+        (spoilt(stiffness="inf"), "stiffness 'inf'"),
         (spoilt(stiffness=0), "above 0"),
         (spoilt(poisson=0.5), "ratio 0.5. Write a number from 0 to 0.499"),
         (spoilt(poisson=None), "ratio None"),
@@ -81,6 +97,36 @@ def test_a_bad_file_is_refused_in_one_sentence_that_names_it(tmp_path, values, s
     assert said in str(error.value)
 
 
+SKULL = Preset("Head", "kPa", "", (Material(1, "brain", 3.0), Material(2, "skull", float("inf"))))
+
+
+def test_rigid_is_a_word_in_a_file_and_one_that_earlier_versions_do_not_misread(tmp_path):
+    path = save_materials(tmp_path / "head.json", SKULL)
+    assert load_materials(path) == SKULL
+    values = json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert values["materials"][1]["stiffness"] == "rigid"
+    assert values["version"] == 2, "they say that they are too old"
+
+
+def test_rigid_may_be_written_by_hand_in_a_file_of_any_version(tmp_path):
+    path = tmp_path / "by hand.json"
+    path.write_text(json.dumps(spoilt(stiffness=" Rigid ")))
+    assert load_materials(path).materials[0].is_rigid
+
+
+def test_what_a_layer_and_a_saved_result_keep_of_rigid_tissue_is_json():
+    labels = Labels(np.zeros((4, 4), np.uint8), name="Tissue")
+    labels.metadata.update(described(TISSUE, SKULL.materials, "kPa"))
+    record = tissue_record(labels, SKULL.materials)
+    json.dumps([known_of(labels), record], allow_nan=False)
+    assert rows_of(labels, TISSUE) == SKULL.materials
+    run = Provenance("cpu", "here", "1", 0.0, parameters={"tissue": record})
+    made = Image(
+        np.zeros((4, 4)), metadata={METADATA: {"solution": SimpleNamespace(provenance=run)}}
+    )
+    assert tissue_recorded(made) == (SKULL.materials, "kPa")
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 200_000, b" " * 2**21])
 def test_what_is_no_json_is_refused(tmp_path, content):
     path = tmp_path / "table.json"
@@ -90,8 +136,8 @@ def test_what_is_no_json_is_refused(tmp_path, content):
 
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path):
-    bad = replace(LIVER, materials=(Material(1, "gel", float("inf")),))
-    with pytest.raises(FileFormatError, match="stiffness inf"):
+    bad = replace(LIVER, materials=(Material(1, "gel", float("nan")),))
+    with pytest.raises(FileFormatError, match="stiffness nan"):
         save_materials(tmp_path / "table.json", bad)
     assert list(tmp_path.iterdir()) == []
 
@@ -149,6 +195,25 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
     words = take_over(liver, (Material(0, "unpainted", 20.0), *table[1:]))[1]
     assert words.startswith("By their numbers 'normal tissue' is liver now and 'soft tissue' is h")
     assert words.endswith("'unpainted' and 'tumour' are not among them: as stiff as liver now.")
+
+
+def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
+    table = (Material(0, "air", 0.0), Material(1, "gel", 20.0), Material(9, "implant", RIGID))
+    found, words = take_over(LIVER, table)
+    assert found[-1].is_rigid
+    assert "implant" not in words
+    bone_first = Preset("", "kPa", "", (Material(1, "bone", RIGID), Material(2, "brain", 3.0)))
+    found, words = take_over(bone_first, (*table, Material(4, "fat", 2.0)))
+    assert [row.stiffness for row in found] == [0, RIGID, 3, 3, RIGID]
+    assert words.endswith("'fat' is not among them: as stiff as brain now.")
+    only_bone = replace(bone_first, materials=bone_first.materials[:1])
+    assert take_over(only_bone, (*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
+
+
+def test_a_new_label_is_never_rigid_by_itself():
+    known = (Material(0, "air", 0.0), Material(1, "bone", RIGID), Material(2, "gel", 5.0))
+    assert default_material(3, known).stiffness == 5.0
+    assert default_material(3, known[:2]).is_deformable
 
 
 def test_a_material_whose_number_is_taken_by_a_name_gets_another():

@@ -8,7 +8,7 @@ from napari.layers import Image, Labels
 
 from napari_hmrf import Multigrid, ProblemError, solve
 from napari_hmrf.annotation import BoundaryRule, Material
-from napari_hmrf.drawing import Arrow, Drawing, History, Landmark, Rendering
+from napari_hmrf.drawing import Arrow, Drawing, History, Landmark, Rendering, Stroke
 from napari_hmrf.drawing.pull import Grip, Pull
 from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
@@ -207,6 +207,41 @@ def test_a_tissue_layer_says_how_stiff_what_is():
     assert read_ground(Image(picture), stiffness).m.max() == 3
     with pytest.raises(ProblemError, match="no stiffness"):
         read_ground(Image(picture), Image(np.where(inside, 3.0, -1.0)))
+
+
+def test_infinite_stiffness_of_an_image_is_rigid_and_a_number_too_large_is_not():
+    inside, picture = disc()
+    bone = np.where(inside, np.inf, 3.0)
+    ground = read_ground(Image(picture), Image(bone, contrast_limits=(0, 3)), hold_edge=False)
+    assert np.array_equal(np.isinf(ground.m), inside)
+    for wrong in (1e39, -np.inf, np.nan):
+        image = Image(np.where(inside, wrong, 3.0), contrast_limits=(0, 3))
+        with pytest.raises(ProblemError, match="infinity where tissue is rigid"):
+            read_ground(Image(picture), image)
+
+
+def test_rigid_tissue_can_be_painted_where_there_is_no_table():
+    _, picture = disc()
+    ground = read_ground(Image(picture))
+    rigid = ground.palette.materials[-1]
+    assert rigid.is_rigid
+    assert rigid.label not in {row.label for row in ground.palette.materials[:-1]}
+    rendering = Rendering(ground.base)
+    rendering.show(Drawing((Stroke("tissue", (((20.0, 20.0),),), 4.0, label=rigid.label),)))
+    problem, prior = ground.problem(rendering.canvas, tissue_painted=True)
+    assert np.array_equal(np.isinf(problem.m), rendering.canvas.labels == rigid.label)
+    assert np.isinf(problem.m).sum() > 20
+    assert isinstance(prior.poisson, float), "what is rigid has no ratio of its own"
+
+
+def test_a_drawing_that_may_slip_is_refused_beside_rigid_tissue():
+    inside, picture = disc()
+    bone = Image(np.where(inside, np.inf, 3.0), contrast_limits=(0, 3), name="E")
+    ground = read_ground(Image(picture), bone)
+    rendering = Rendering(ground.base)
+    rendering.show(Drawing((Arrow((3, 3), (1, 0), 2.0, confidence=0.5),)))
+    with pytest.raises(ProblemError, match="'E' has rigid tissue, beside which nothing may slip"):
+        ground.problem(rendering.canvas)
 
 
 def test_a_piece_of_tissue_that_nobody_holds_stays_where_it_is():

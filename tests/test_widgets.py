@@ -206,13 +206,36 @@ def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
     table = widget._face.tissue.table
     table.item(1, 2).setText("12,5")
     assert widget.materials[1].stiffness == 12.5
-    for nonsense in ("stiff", "-3", "nan", "inf", ""):
+    for nonsense in ("stiff", "-3", "nan", "-inf", "1e400", "1e39", ""):
         table.item(1, 2).setText(nonsense)
         assert widget.materials[1].stiffness == 12.5
         assert table.item(1, 2).text() == "12.5"
-        assert widget.status == "Stiffness must be a number, 0 or more; kept 12.5."
+        said = "Stiffness must be a number, 0 or more, or 'rigid'; kept 12.5."
+        assert widget.status == said
     table.item(1, 1).setText("jelly")
     assert widget.materials[1].name == "jelly"
+
+
+@pytest.mark.parametrize("typed", ["rigid", " Rigid", "inf"])
+def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_sample, typed):
+    small_sample(viewer_of(widget))
+    table = widget._face.tissue.table
+
+    def shown():
+        """Stiffness and Poisson's ratio, and whether the latter can be typed."""
+        stiffness, poisson = table.item(1, 2), table.item(1, 3)
+        can_be_typed = bool(poisson.flags() & Qt.ItemFlag.ItemIsEditable)
+        return stiffness.text(), poisson.text(), can_be_typed
+
+    table.item(1, 2).setText(typed)
+    assert widget.materials[1].is_rigid
+    assert shown() == ("rigid", "", False)
+    widget.undo()
+    assert shown() == ("20", "0.45", True)
+    widget.redo()
+    assert shown() == ("rigid", "", False)
+    table.item(1, 2).setText("12")
+    assert shown() == ("12", "0.45", True)
 
 
 def test_boundary_cells_follow_the_action(widget, small_sample):

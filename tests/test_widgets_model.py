@@ -10,7 +10,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.snapshot import Request
 from napari_hmrf.models import converges
 from napari_hmrf.presets import PRESETS
-from napari_hmrf.widgets.words import when_to_take
+from napari_hmrf.widgets.words import READY, when_to_take
 
 POISSON = 3  # the column of the table of tissues
 
@@ -91,6 +91,56 @@ def test_only_what_applies_is_asked(docked, small_sample):
     model.energy.value = "paper"
     assert model.plane.native.isHidden()
     assert model.poisson.native.isHidden()
+
+
+RIGID_AND_PAPER = (
+    "'gel' is rigid, which the paper's model cannot have: it compares stiffness by ratios. Take "
+    "the elastic model, or give a number in the table."
+)
+
+
+def be_rigid(widget):
+    widget._face.tissue.table.item(1, 2).setText("rigid")
+
+
+def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(docked, small_sample, wait_for):
+    small_sample(viewer_of(docked))
+    model = docked.model
+    assert model.elastic.native.isHidden()
+    be_rigid(docked)
+    assert model.objection == RIGID_AND_PAPER
+    assert not model.elastic.native.isHidden()
+    wait_for(lambda: docked.status == RIGID_AND_PAPER)
+    model.elastic.native.click()
+    assert model.energy.value == "elastic"
+    assert model.elastic.native.isHidden()
+    wait_for(lambda: docked.status == READY)
+    model.energy.value = "paper"
+    wait_for(lambda: docked.status == RIGID_AND_PAPER)
+    docked._face.tissue.table.item(1, 2).setText("900")
+    assert not model.objection
+    wait_for(lambda: docked.status == READY)
+
+
+def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
+    widget, small_sample, busy_thread
+):
+    small_sample(viewer_of(widget))
+    be_rigid(widget)
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+    assert said == [None], "though the thread that would work is busy"
+    assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which the paper's model")
+
+
+def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample, run, wait_for):
+    small_sample(viewer_of(widget))
+    assert run(widget) is not None
+    be_rigid(widget)
+    wait_for(lambda: widget.status == RIGID_AND_PAPER)
+    widget.undo()
+    wait_for(lambda: widget.status.startswith("Tissue moved up to"))
 
 
 @pytest.mark.parametrize("model", ["elastic", "paper"])

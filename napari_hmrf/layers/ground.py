@@ -153,6 +153,12 @@ class Ground:
         exact = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
         c = canvas.c
         if exact and ((c > 0) & (c < 1)).any():
+            if np.isinf(m).any():
+                raise LayerError(
+                    self.named,
+                    "has rigid tissue, beside which nothing may slip. Give all that is drawn or "
+                    "painted a confidence of 1, or that tissue a number.",
+                )
             prior = replace(prior, penalty=_FIRM)
             c = np.where(c < 1, np.float32(_PENALTY / _FIRM) * c, c)
         return Problem(canvas.y, c, m, self.frame.spacing), prior

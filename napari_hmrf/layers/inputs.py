@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -175,15 +176,24 @@ def prepare(
 
 
 def refuse_rigid(snapshot: Snapshot, prior: Prior) -> None:
-    """Refuse rigid tissue of the paper's prior, in words and before any work.
+    """Refuse rigid tissue of a prior that cannot have it, in words and before any work.
 
     Raises
     ------
     ProblemError
         Naming the layer, what in it is rigid and what to do.
     """
+    why = (
+        "which the paper's model cannot have: it compares stiffness by ratios. Take the elastic "
+        "model, or give it a number."
+    )
     if isinstance(prior, ElasticPrior):
-        return
+        if prior.penalty == math.inf:
+            return
+        why = (
+            "beside which nothing that is observed may slip. Set 'penalty K' under 'Advanced' to "
+            "'held exactly', or give it a number."
+        )
     if snapshot.tissue_labelled:
         rigid = [row for row in snapshot.materials if row.is_rigid]
         names = [row.name or f"label {row.label}" for row in rigid if row.label in snapshot.tissue]
@@ -191,11 +201,7 @@ def refuse_rigid(snapshot: Snapshot, prior: Prior) -> None:
     else:
         there, which = bool((snapshot.tissue == np.inf).any()), "an infinite stiffness"
     if there:
-        raise LayerError(
-            snapshot.tissue_name,
-            f"has rigid tissue ({which}), which the paper's model cannot have: it compares "
-            "stiffness by ratios. Take the elastic model, or give it a number.",
-        )
+        raise LayerError(snapshot.tissue_name, f"has rigid tissue ({which}), {why}")
 
 
 def _completed(snapshot: Snapshot) -> tuple[Snapshot, tuple[str, ...]]:

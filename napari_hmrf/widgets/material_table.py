@@ -5,11 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from psygnal import Signal
 from qtpy.QtCore import Qt
 
-from napari_hmrf.annotation import RIGID, Material, read_stiffness, stiffness_in_words
+from napari_hmrf.annotation import (
+    LARGEST_STIFFNESS,
+    RIGID,
+    Material,
+    read_stiffness,
+    stiffness_in_words,
+)
 from napari_hmrf.layers.defaults import default_material
 from napari_hmrf.presets import Preset, take_over
 from napari_hmrf.priors.elastic import POISSON_RANGE
@@ -134,7 +139,6 @@ class MaterialTable(LabelTable):
         if text.casefold() == "inf" or read_stiffness(text) == RIGID:
             return replace(material, stiffness=RIGID)
         stiffness = number(text)
-        # One that single precision does not hold would come out as rigid.
-        if not 0 <= stiffness <= np.finfo(np.float32).max:
+        if not 0 <= stiffness <= LARGEST_STIFFNESS:
             raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
         return replace(material, stiffness=stiffness)
