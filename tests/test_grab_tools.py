@@ -144,6 +144,10 @@ def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing, se
     before = displacement(widget)[44, 14, 1]
     person.key(MATERIAL)
     assert 0 in widget.form.fields.material.choices, "what is cut away is no tissue"
+    material = widget.form.fields.material.native
+    said = [material.itemText(at) for at in range(material.count())]
+    assert said[-1] == "bone or implant (rigid)"
+    assert material.currentText() == "tumour (40 MPa)", "rigid is no first guess"
     widget.form.fields.material.value = 0
     person.paint((30, 22), (36, 22), (42, 22), (48, 22), (54, 22))
     settle(widget)

@@ -27,7 +27,7 @@ from napari_hmrf.quantities import green_lagrange_strain
 from napari_hmrf.warp import warp
 from napari_hmrf.widgets.look.dock import LookAtResult
 from napari_hmrf.widgets.look.saving import save_canvas
-from napari_hmrf.widgets.look.words import at_point, how_far
+from napari_hmrf.widgets.look.words import at_point, how_far, stiffness_of
 
 
 def names(viewer):
@@ -397,6 +397,11 @@ def test_the_status_bar_tells_what_is_under_the_cursor(look):
     viewer.layers.selection.clear()
     viewer.cursor.position = (10, 6)
     assert "stiffness 20 kPa (gel)" in viewer.status
+
+
+def test_rigid_tissue_under_the_cursor_is_a_word():
+    assert stiffness_of("skull", np.inf, "kPa") == "rigid (skull)"
+    assert stiffness_of("", np.inf, "kPa") == "rigid", "of an image of stiffness"
 
 
 def test_lengths_under_the_cursor_are_rounded_to_what_matters():

@@ -134,6 +134,34 @@ def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
     assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which the paper's model")
 
 
+def paint_bone(widget, *place):
+    tissue = widget.tissue
+    painted = np.array(tissue.data)
+    painted[place] = widget._face.tissue.table.add_rigid()
+    tissue.data = painted
+
+
+def test_painted_bone_moves_as_one(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    paint_bone(widget, slice(4, 8), slice(9, 14))
+    elastic(widget)
+    d = run(widget).solution.displacement[4:8, 9:14].astype(float)
+    rows, cols = np.indices(d.shape[:2])
+    turn = np.polyfit(cols[0], d[0, :, 0], 1)[0]
+    still = d - turn * np.stack([cols, -rows], axis=-1)
+    assert np.ptp(still, axis=(0, 1)).max() < 1e-4
+    assert abs(turn) > 1e-3, "it is not held in the middle of the tissue, so it turns"
+    assert d[..., 1].min() > 0.5
+
+
+def test_a_boundary_that_would_deform_bone_is_named(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    paint_bone(widget, slice(4, 16), slice(2, -2))
+    elastic(widget)
+    assert run(widget) is None
+    assert widget.status.startswith("'Boundary' moves sites of the rigid body around")
+
+
 def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample, run, wait_for):
     small_sample(viewer_of(widget))
     assert run(widget) is not None

@@ -198,6 +198,8 @@ class ToolFields(Container):
         labels = [label for _, label in choices]
         before = self.material.value
         with self.material.changed.blocked():
+            # Else those of the same name would come first.
+            self.material.choices = []
             self.material.choices = choices
             # What is painted first is a tissue, the last of them: it is what is special.
             solid = [row.label for row in palette.materials if row.is_deformable]
