@@ -21,7 +21,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers import centred
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Convergence, LevelRun, Outcome, Report
-from napari_hmrf.optimizers.cycle import BENDING, STRETCHING
+from napari_hmrf.optimizers.cycle import BENDING, smoothing_of
 from napari_hmrf.optimizers.refinement import Refinement
 from napari_hmrf.optimizers.slip import Slip
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
@@ -89,7 +89,8 @@ class Multigrid:
         limit = prior.limit(problem)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
-            model, smoothing = backend.elastic_model(prior.material(problem)), STRETCHING
+            material = prior.material(problem)
+            model, smoothing = backend.elastic_model(material), smoothing_of(material)
         else:
             check_bent(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING

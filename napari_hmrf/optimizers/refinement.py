@@ -30,8 +30,6 @@ _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was.
 _MARGIN = 2.5
 _REHEARSAL_CYCLES = 30
-# Cycles after which factors are the shorter way.
-_CYCLES = 60
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
 
@@ -64,6 +62,7 @@ class Refinement:
     ) -> None:
         self._most, self._model, self._report = max_iterations, model, report
         self._iteration = ConjugateGradients(Cycle(model, smoothing))
+        self._patience = smoothing.patience
         self.estimate = math.inf
         self.residual = 0.0
         self.energies: list[float] = []
@@ -122,7 +121,8 @@ class Refinement:
             balance = self._model.balance(d, load)
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
-        doubt = 1.0 if self._model.mild else max(_MARGIN * found.doubt, 1.0)
+        sure = self._model.mild and self._model.material.compressible
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
         while True:
             step: Step | None = None
 
@@ -153,7 +153,7 @@ class Refinement:
     @property
     def _too_long(self) -> bool:
         """Whether factors are the shorter way from here."""
-        return len(self._gains) >= _CYCLES and Factors.fit(self._model.shape)
+        return len(self._gains) >= self._patience and Factors.fit(self._model.shape)
 
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """How far off a known answer is, over how far off it is said to be."""
