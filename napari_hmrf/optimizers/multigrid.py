@@ -48,8 +48,9 @@ class Multigrid:
     tolerance : float
         Stop when no site is estimated to be further than this from the converged field, in
         pixels. The estimate is what the last cycle corrected, times the residual it left, over
-        the least eigenvalue of the preconditioned system as the iteration has come to know it.
-        In the centred reading it is a bound, by a maximum principle.
+        the least eigenvalue of the preconditioned system as the iteration has come to know it;
+        where tissue is not mild, a rehearsal shows whether that can be believed, and if not the
+        system is factorised. In the centred reading it is a bound, by a maximum principle.
     max_iterations : int
         Give up after so many cycles, with an error. Where observations may slip, that many for
         each set of those that do.
