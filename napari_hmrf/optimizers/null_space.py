@@ -16,7 +16,9 @@ Float64Array = npt.NDArray[np.float64]
 # The springs that make the model invertible, as a part of its diagonal; and up to which part of it
 # a motion costs nothing.
 _SPRINGS, _NOTHING = 1e-13, 1e-12
-_ITERATIONS = 3
+# A cost that is rounding's.
+_EXACTLY = 1e-17
+_ITERATIONS = 5
 _FIRST, _MOST = 8, 64
 
 
@@ -32,6 +34,8 @@ def null_space(model: LinearModel, held: HeldPlanes, report: Report) -> list[Flo
     """
     steep = model.steepness
     moves = (steep > 0) & ~held
+    if not moves.any():
+        return []
     try:
         Factors(model.material, moves, lambda part: report(Monitor("looking for play", part)))
         return []
@@ -54,7 +58,12 @@ def null_space(model: LinearModel, held: HeldPlanes, report: Report) -> list[Flo
         return []
     ways = (some @ mixes[:, free]) / weights[:, None]
     fields = np.zeros((ways.shape[1], *moves.shape))
-    fields[:, moves] = ways.T / np.abs(ways).max(axis=0)[:, None]
+    fields[:, moves] = ways.T
+    # Energies are sums of squares: they tell nothing from little better than forces do.
+    fields = fields[[2 * model.work(field)[0] < _EXACTLY for field in fields]]
+    if not len(fields):
+        return []
+    fields /= np.abs(fields).max(axis=(1, 2, 3), keepdims=True)
     return [np.moveaxis(fields[:, :, 2:-2, 2:-2], 1, -1)]
 
 
