@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.dissection import Singular
 from napari_hmrf.backends.factors import Factors
-from napari_hmrf.backends.linear import LinearModel, Planes
+from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Monitor, Report
@@ -36,10 +36,11 @@ _GAP, _LEAST_GAP, _CLOSE = 1e-19, 1e-22, 1e-8
 # rounding.
 _STILL, _ROUNDED = 1e-10, 8
 _LEAST_SCALE = 1e-3
-# Springs to where tissue is, as a part of the diagonal: they change steps, not where these lead.
-_PROXIMAL = 1e-13
-# Corrections of a step.
-_CORRECTIONS = 2
+# Springs to where tissue is, as a part of the diagonal, the weakest that rounding allows: they
+# change steps, not where these lead.
+_PROXIMAL = (1e-16, 1e-15, 1e-14, 1e-13)
+# Corrections of a step, at most; and which part of it needs none.
+_CORRECTIONS, _EXACTLY = 10, 1e-9
 _SIDE = np.array([[1.0], [-1.0]])
 
 
@@ -71,11 +72,8 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> f
         if closed and (far <= _STILL * scale or closed > _ROUNDED):
             break
         weight = 1 / (past / slack).sum(axis=0)
-        springs = _PROXIMAL * steep
-        springs.ravel()[at] += weight
-        try:
-            factors = Factors(model.material, moves, lambda part: None, springs)
-        except Singular:
+        factors = _factors(model, moves, at, weight)
+        if factors is None:
             break
         rest = model.pull(d).copy()
         rest += model.pull(low)
@@ -92,7 +90,10 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> f
                 left = load + model.pull(way)
                 left.ravel()[at] -= weight * way.ravel()[at]
                 left[~moves] = 0
-                way += factors.solve(left)
+                more = factors.solve(left)
+                way += more
+                if np.abs(more).max() <= _EXACTLY * np.abs(way).max():
+                    break
             stronger = weight * (target - way.ravel()[at])
             narrower = -_SIDE * stronger
             wider = (aim - past * slack - past * narrower) / slack
@@ -117,6 +118,20 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> f
     slips = past / scale > slack / p
     states.slip_as(np.where(slips[0], 1.0, np.where(slips[1], -1.0, 0.0)))
     return far
+
+
+def _factors(
+    model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
+) -> Factors | None:
+    """The factors of the model on springs where it is observed; None if rounding forbids."""
+    for proximal in _PROXIMAL:
+        springs = proximal * model.steepness
+        springs.ravel()[at] += weight
+        try:
+            return Factors(model.material, moves, lambda part: None, springs)
+        except Singular:
+            continue
+    return None
 
 
 def _room(values: Vector, steps: Vector) -> float:

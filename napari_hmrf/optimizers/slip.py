@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
@@ -14,7 +13,7 @@ from napari_hmrf.held import free_motion, free_motions
 from napari_hmrf.optimizers import interior, least_motion
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Report
-from napari_hmrf.optimizers.null_space import null_space
+from napari_hmrf.optimizers.null_space import Play, find_play
 from napari_hmrf.optimizers.refinement import Refinement, factorise
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
@@ -143,12 +142,12 @@ class Slip:
         states, model, refinement, found = self._states, self._model, self._refinement, d.copy()
         try:
             for number in range(_MOST_EXCHANGES):
-                motions = self._motions(states.held)
+                play = self._play(states.held)
                 states.place(found)
-                model.hold(states.held | _pins(motions, states.held))
-                refinement.run(found, states.load, exact)
+                model.hold(states.held | play.pins)
+                play.balance(model, refinement, found, states.load, exact)
                 pull = refinement.pull(found)
-                self._least(found, pull, motions)
+                self._least(found, pull, play.free)
                 if not states.correct(found, pull, _PASSED * exact, _SHARE, number >= _AT_ONCE):
                     np.copyto(d, found)
                     far = refinement.estimate
@@ -166,7 +165,9 @@ class Slip:
         """
         states, pull = self._states, self._refinement.pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
+            known = self._refinement.estimate, self._refinement.residual
             self._least(d, pull, self._motions(states.certain(pull, _AT_LIMIT)))
+            self._refinement.estimate, self._refinement.residual = known
         _, forces = self._model.work(d)
         return forces
 
@@ -179,7 +180,11 @@ class Slip:
         """All ways in which tissue could move at no cost if only so much were held."""
         if self._elastic:
             return list(free_motions(self._problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1)))
-        return null_space(self._model, held, self._report)
+        return self._play(held).free
+
+    def _play(self, held: HeldPlanes) -> Play:
+        """All ways in which tissue could move at next to no cost if only so much were held."""
+        return find_play(self._model, held, self._refinement, self._report)
 
     def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
         """Of all fields that differ by motions take that of least motion, in place."""
@@ -189,13 +194,3 @@ class Slip:
                 for each in (d, *self._states.sides(d, pull))
             )
             least_motion.settle(moved, off, side, motions, self._problem.tissue)
-
-
-def _pins(motions: list[Float64Array], held: HeldPlanes) -> HeldPlanes:
-    """Components that, held, stop all motions."""
-    made = np.zeros_like(held)
-    inside = np.moveaxis(made[:, 2:-2, 2:-2], 0, -1)
-    for ways in motions:
-        *_, order = scipy.linalg.qr(ways.reshape(len(ways), -1), mode="economic", pivoting=True)
-        inside[np.unravel_index(order[: len(ways)], inside.shape)] = True
-    return made
