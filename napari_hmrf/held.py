@@ -242,7 +242,7 @@ def _sites(pieces: Labels) -> Labels:
     return both
 
 
-def _field(modes: Motions, spacing: tuple[float, float]) -> Motions:
+def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
     """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3).
 
     A turn moves sites by as much as they are apart the other way.

@@ -38,7 +38,7 @@ _STILL, _ROUNDED = 1e-10, 8
 _LEAST_SCALE = 1e-3
 # Springs to where tissue is, as a part of the diagonal, the weakest that rounding allows: they
 # change steps, not where these lead.
-_PROXIMAL = (1e-16, 1e-15, 1e-14, 1e-13, 1e-12, 1e-11)
+_PROXIMAL = tuple(10.0**power for power in range(-16, -10))
 # Corrections of a step, at most; and which part of it needs none.
 _CORRECTIONS, _EXACTLY = 10, 1e-9
 _SIDE = np.array([[1.0], [-1.0]])
