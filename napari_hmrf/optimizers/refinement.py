@@ -131,7 +131,8 @@ class Refinement:
             balance = self._model.balance(d, load)
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
-        sure = self._model.mild and self._model.material.compressible
+        model = self._model
+        sure = model.mild and model.material.compressible and model.bodies is None
         doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
         while True:
             step: Step | None = None

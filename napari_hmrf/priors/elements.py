@@ -24,7 +24,7 @@ Float64Array = npt.NDArray[np.float64]
 
 #: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles, whose levels
 #: it must not spoil, and for factors.
-CYCLE_STAND_IN, FACTOR_STAND_IN = 20.0, 1e6
+CYCLE_STAND_IN, FACTOR_STAND_IN = 40.0, 1e6
 #: Up to which ratio of stiffnesses, and of a pixel's sides, a cycle of multigrid has been found to
 #: see every motion of tissue; up to which Poisson's ratio in plane strain without any doubt.
 MILD_CONTRAST = 5.0
