@@ -28,6 +28,8 @@ from napari_hmrf import BackendError, phantom, solve
 from napari_hmrf.backends import compute_thread
 
 ENERGIES = ("paper", "elastic")
+# Seconds that are enough to compile all kernels on a busy machine.
+_PATIENCE = 240.0
 
 
 @dataclass
@@ -127,7 +129,7 @@ def soak(
     )
     _start(widget, turns[0])
     found.close_seconds = _seconds(lambda: (viewer.close(), QApplication.processEvents()))
-    compute_thread.stop()
+    compute_thread.stop(_PATIENCE)
     after = {thread.name for thread in threading.enumerate()}
     found.threads_left = sorted(name for name in after - before if "hmrf" in name)
     return found
@@ -152,11 +154,11 @@ def _start(widget: Any, turn: tuple[str, str]) -> None:
 
 def _deform(widget: Any, turn: tuple[str, str]) -> Any:
     _start(widget, turn)
-    deadline = time.perf_counter() + 120
+    deadline = time.perf_counter() + _PATIENCE
     while not widget.idle:
         _pump(0.005)
         if time.perf_counter() > deadline:
-            raise TimeoutError("a deformation did not end within two minutes")
+            raise TimeoutError("a deformation did not end within four minutes")
     return widget.solution
 
 

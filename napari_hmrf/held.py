@@ -124,7 +124,7 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
         return FreeMotion(
             _sites(np.where(pieces == cluster[worst] + 1, pieces, 0)) > 0,
             "is not held anywhere" if nothing else how,
-            _field(piece_modes[_sites(pieces)]),
+            _field(piece_modes[_sites(pieces)], problem.spacing),
         )
     return None
 
@@ -152,7 +152,7 @@ def free_motions(
         ways = []
         for mode in modes:
             piece_modes[cluster + 1] = mode
-            ways.append(_field(piece_modes[_sites(pieces)]))
+            ways.append(_field(piece_modes[_sites(pieces)], problem.spacing))
         yield np.stack(ways)
 
 
@@ -242,11 +242,15 @@ def _sites(pieces: Labels) -> Labels:
     return both
 
 
-def _field(modes: Motions) -> Motions:
-    """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3)."""
+def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
+    """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3).
+
+    A turn moves sites by as much as they are apart the other way.
+    """
     i, j = (np.asarray(index) for index in np.indices(modes.shape[:2]))
     each = [_motions(i, j, np.full_like(i, along), i.shape) for along in (0, 1)]
-    return np.stack([(way * modes).sum(axis=-1) for way in each], axis=-1)
+    field = np.stack([(way * modes).sum(axis=-1) for way in each], axis=-1)
+    return np.asarray(field * np.array(spacing[::-1]) / max(spacing))
 
 
 def _motions(

@@ -279,8 +279,9 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
     """Refuse stiffnesses of which single precision keeps few digits, or not even the inverse."""
     array = np.asarray(given)
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
+    extreme &= array != np.inf
     if extreme.any():
-        _check_finite("m", m)
+        _check_finite("m", m, but=array == np.inf)
         first = _first_index(extreme)
         raise ProblemError(
             "m",

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import sys
 import threading
-import time
 from concurrent.futures import Future
 
 import numpy as np
 import pytest
+from patience import LONG, LONG_MS
 
 from napari_hmrf.backends.thread import compute_thread
 
@@ -72,10 +72,10 @@ def quick(widget):
 def busy_thread():
     """Keep the compute thread busy until released, as a long compilation would."""
     release = threading.Event()
-    job: Future[bool] = compute_thread.submit(lambda: release.wait(30))
+    job: Future[bool] = compute_thread.submit(lambda: release.wait(LONG))
     yield release
     release.set()
-    job.result(timeout=30)
+    job.result(timeout=LONG)
 
 
 @pytest.fixture
@@ -112,11 +112,11 @@ def small_sample():
 def run(qtbot):
     """Press Deform and wait for the end; what `finished` said."""
 
-    def deform(widget, timeout=240_000):
+    def deform(widget):
         said = []
         widget.finished.connect(said.append)
         widget.deform()
-        qtbot.waitUntil(lambda: bool(said), timeout=timeout)
+        qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
         widget.finished.disconnect(said.append)
         return said[0]
 
@@ -125,14 +125,8 @@ def run(qtbot):
 
 @pytest.fixture
 def wait_for(qtbot):
-    """Let the window live until something is so; how long that took, in seconds."""
-
-    def wait(condition, timeout=30_000):
-        started = time.perf_counter()
-        qtbot.waitUntil(condition, timeout=timeout)
-        return time.perf_counter() - started
-
-    return wait
+    """Let the window live until something is so."""
+    return lambda condition: qtbot.waitUntil(condition, timeout=LONG_MS)
 
 
 @pytest.fixture
@@ -200,7 +194,7 @@ def settle(qtbot):
     """Wait until the tissue has followed, and its displacement is drawn."""
 
     def wait(widget):
-        qtbot.waitUntil(lambda: not widget.busy, timeout=240_000)
+        qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
         qtbot.wait(60)
 
     return wait

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, TypeVar
 
 import pytest
+from patience import LONG
 
 from napari_hmrf import BackendError
 from napari_hmrf.backends import compute_thread
@@ -19,7 +20,7 @@ T = TypeVar("T")
 
 def on_compute_thread(job: Callable[[], T]) -> T:
     """Run a job where OpenGL may be used."""
-    return compute_thread.submit(job).result(timeout=120)
+    return compute_thread.submit(job).result(timeout=LONG)
 
 
 @cache

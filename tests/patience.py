@@ -2,3 +2,5 @@
 
 #: Seconds that are enough to compile every kernel anew on a busy machine.
 LONG = 240.0
+#: As milliseconds, for Qt.
+LONG_MS = int(1000 * LONG)

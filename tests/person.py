@@ -1,5 +1,6 @@
 """Somebody before a window, for tests of what the mouse and the keys do."""
 
+from patience import LONG_MS
 from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtTest import QTest
@@ -69,4 +70,4 @@ def by_name(viewer, name):
 
 
 def settle_moves(person, widget):
-    person._qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
+    person._qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)

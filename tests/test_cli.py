@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from patience import LONG_MS
 
 import napari_hmrf
 from napari_hmrf import Solution, cli, selftest, solve
@@ -271,7 +272,7 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     options = ("--prior", "elastic", "--poisson", "0.3", "--plane", "strain")
     assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect", *options) == 0
     (widget,) = viewer.window.dock_widgets.values()
-    qtbot.waitUntil(lambda: widget.idle, timeout=240_000)
+    qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)
     assert widget.solution.displacement.shape == (48, 48, 2)
     prior = widget.solution.provenance.parameters["prior"]
     assert (prior["name"], prior["poisson"], prior["plane"]) == ("ElasticPrior", 0.3, "strain")

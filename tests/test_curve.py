@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.layers import Image
+from patience import LONG_MS
 from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
@@ -568,7 +569,7 @@ def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run
     look = LookAtResult(viewer)
     qtbot.addWidget(look.native)
     said = f"stiffness {layer.data[12, 6]:.3g} MPa"
-    qtbot.waitUntil(lambda: said in look._scene.cursor.at((12.0, 6.0))[1], timeout=5000)
+    qtbot.waitUntil(lambda: said in look._scene.cursor.at((12.0, 6.0))[1], timeout=LONG_MS)
 
 
 def test_a_first_tick_says_where_air_is_likely_to_end(qtbot):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from npe2 import PluginManifest
+from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget, QLabel, QTabBar
@@ -169,14 +170,14 @@ def test_each_command_runs_in_a_window(window, choose, name, qtbot):
     choose(samples.get(word, word.removeprefix("sample_")))
     for inner in window.dock_widgets.values():
         if isinstance(inner, GrabAndPull):
-            qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=240_000)
+            qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
 
 
 def test_commands_do_what_they_say(window, choose, qtbot):
     choose("grab_now")
     grab = dock(GrabAndPull)
     assert grab.active
-    qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)
+    qtbot.waitUntil(lambda: not grab.busy, timeout=LONG_MS)
     grab.clear()
     choose("grab_now")
     assert not grab.active
@@ -234,7 +235,7 @@ def test_the_palette_finds_commands_by_what_people_type(window, typed, command, 
 def test_undo_of_the_palette_takes_back_what_was_drawn(window, choose, qtbot):
     choose("grab_now")
     grab = dock(GrabAndPull)
-    qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)
+    qtbot.waitUntil(lambda: not grab.busy, timeout=LONG_MS)
     drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
     grab.drawing = drawn
     choose("undo")

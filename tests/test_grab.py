@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from patience import LONG_MS
 from person import CTRL, SHIFT, by_name, only, settle_moves
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -19,7 +20,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     person.press(30, 30)
     for step in range(1, 5):
         person.move(30 + step, 30 + 2 * step)
-        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=10_000)
+        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
     assert widget.history.in_progress, "the button is still down"
     moved = by_name(person.viewer, "Deformed image").data
     assert (moved != still).mean() > 0.05
@@ -261,7 +262,7 @@ def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbo
     qtbot.wait(100)
     assert "two dimensions" in widget.status
     person.viewer.dims.ndisplay = 2
-    qtbot.waitUntil(lambda: widget.active, timeout=5_000)
+    qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
 
 def test_void_cannot_be_taken_hold_of(open_window, settle):
@@ -457,7 +458,7 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
 
 
 def settle_ground(widget, person, stiffest):
-    person._qtbot.waitUntil(lambda: widget._puller.ground.m.max() == stiffest, timeout=30_000)
+    person._qtbot.waitUntil(lambda: widget._puller.ground.m.max() == stiffest, timeout=LONG_MS)
 
 
 def test_a_patch_over_the_held_edge_is_said_to_take_it_along(open_window, settle):

@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 import pytest
+from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
 
@@ -49,7 +50,7 @@ def solver_at_work():
 
 
 def rest(follower, qtbot):
-    qtbot.waitUntil(lambda: not follower.busy, timeout=240_000)
+    qtbot.waitUntil(lambda: not follower.busy, timeout=LONG_MS)
     qtbot.wait(50)
 
 
@@ -135,7 +136,7 @@ def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, sol
     person.press(30, 30)
     person.move(34, 40)
     arrows = by_name(person.viewer, "Arrows")
-    qtbot.waitUntil(lambda: len(arrows.data) > 0 and arrows.data[:, 0].max() > 40, timeout=5_000)
+    qtbot.waitUntil(lambda: len(arrows.data) > 0 and arrows.data[:, 0].max() > 40, timeout=LONG_MS)
     solver_at_work.set()
     person.release(34, 40)
 
@@ -146,13 +147,13 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     told, thumbnails, seen = [], [], []
     person.press(30, 30)
     person.move(32, 32)
-    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
+    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
     picture.events.data.connect(lambda event: told.append(event.value))
     picture.events.thumbnail.connect(lambda event: thumbnails.append(event))
     widget.seen.connect(seen.append)
     for step in range(1, 4):
         person.move(32 + step, 32)
-        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=10_000)
+        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
         assert np.array_equal(picture.data, seen[-1].picture)
     assert not told
     assert not thumbnails
@@ -167,12 +168,12 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person, widget = pulling
     person.press(30, 30)
     person.move(32, 32)
-    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=240_000)
+    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
     picture = by_name(person.viewer, "Deformed image")
     theirs = np.zeros_like(picture.data)
     picture.data = theirs
     person.move(34, 34)
-    qtbot.waitUntil(lambda: picture.data.any(), timeout=10_000)
+    qtbot.waitUntil(lambda: picture.data.any(), timeout=LONG_MS)
     assert not theirs.any()
     person.release(34, 34)
 
@@ -244,7 +245,7 @@ def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
 def test_whoever_waits_for_the_compiler_is_told(open_window, settle, qtbot, solver_at_work):
     _, widget = open_window()
     widget.start()
-    qtbot.waitUntil(lambda: "Compiling" in widget.status, timeout=10_000)
+    qtbot.waitUntil(lambda: "Compiling" in widget.status, timeout=LONG_MS)
     solver_at_work.set()
     settle(widget)
     assert widget.status.startswith("Drag tissue")

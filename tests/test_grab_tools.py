@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from patience import LONG_MS
 from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -55,7 +56,7 @@ def test_what_is_painted_is_seen_before_anything_is_solved(brushing, busy_thread
     person.press(20, 20)
     assert seen_paint(person)[20, 20] == number_of("pin"), "at once"
     person.move(20, 36)
-    qtbot.waitUntil(lambda: seen_paint(person)[20, 28] == number_of("pin"), timeout=1000)
+    qtbot.waitUntil(lambda: seen_paint(person)[20, 28] == number_of("pin"), timeout=LONG_MS)
     assert not busy_thread.is_set()
     person.release(20, 36)
 

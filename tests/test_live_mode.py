@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from patience import LONG_MS
 from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtTest import QTest
@@ -55,7 +56,7 @@ def settle(qtbot):
 
     def wait(widget):
         qtbot.wait(10)
-        qtbot.waitUntil(lambda: not widget.following, timeout=120_000)
+        qtbot.waitUntil(lambda: not widget.following, timeout=LONG_MS)
         qtbot.wait(60)
 
     return wait
@@ -187,7 +188,7 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     widget, (_, _, boundary) = living
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    qtbot.waitUntil(lambda: widget.footer.cancel.enabled, timeout=5000)
+    qtbot.waitUntil(lambda: widget.footer.cancel.enabled, timeout=LONG_MS)
     assert widget.status.startswith("Following the last edit")
     widget.cancel()
     assert widget.status == "Cancelled; the last result stays."
@@ -353,7 +354,7 @@ def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     qtbot.wait(50)
     busy_thread.set()
-    qtbot.waitUntil(lambda: widget.idle, timeout=240_000)
+    qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)
     settle(widget)
     assert_newest(widget)
 

@@ -8,6 +8,7 @@ from napari_hmrf import (
     ICM,
     Cancelled,
     ConvergenceError,
+    ElasticPrior,
     Multigrid,
     Problem,
     ProblemError,
@@ -254,11 +255,7 @@ def test_what_cannot_converge_is_an_error_and_not_a_field():
     with pytest.raises(ConvergenceError, match=r"not sure to be within 1e-06 px"):
         solve(problem, optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
     with pytest.raises(ConvergenceError, match=r"px from converged after 2 cycles"):
-        solve(
-            problem,
-            SeilerPrior(conditional="blanket"),
-            Multigrid(tolerance=1e-6, max_iterations=2),
-        )
+        solve(problem, ElasticPrior(), Multigrid(tolerance=1e-6, max_iterations=2))
 
 
 @pytest.mark.parametrize("reading", READINGS)

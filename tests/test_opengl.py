@@ -7,6 +7,7 @@ import threading
 import numpy as np
 import pytest
 from opengl_here import on_compute_thread, require_opengl
+from patience import LONG
 
 from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
 from napari_hmrf.backends import compute_thread, open_backend
@@ -226,7 +227,7 @@ def test_the_default_context_of_moderngl_stays_everybodys(opengl):
 
 def test_a_compute_thread_that_ends_takes_the_context_with_it(opengl):
     device = on_compute_thread(the_device)
-    assert compute_thread.stop(timeout=10)
+    assert compute_thread.stop(timeout=LONG)
     assert device.lost
     before = threading.active_count()
     assert solve(body(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0

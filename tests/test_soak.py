@@ -9,5 +9,3 @@ def test_many_solves_and_cancels_leave_nothing_behind(make_napari_viewer):
     assert found.wrong == 0
     assert found.threads_left == []
     assert not found.picture_changed
-    assert found.close_seconds < 2
-    assert max(found.cancel_seconds) < 0.2

@@ -170,13 +170,11 @@ def test_a_problem_is_run_again_by_its_number(answer, capsys):
     assert capsys.readouterr().out.startswith("refused: `--seed 5 --only 2 --backend cpu`")
 
 
-@pytest.mark.xfail(reason="the solver refuses, or answers wrongly, some of these")
 def test_random_problems_are_answered_as_they_should_be():
     run = trust.campaign([(number, "cpu") for number in range(60)])
     assert run.sound, trust.report(run)
 
 
-@pytest.mark.xfail(reason="the solver refuses, or answers wrongly, some of these")
 def test_so_they_are_by_shaders():
     require_opengl()
     run = trust.campaign([(number, "opengl") for number in range(6)])

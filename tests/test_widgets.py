@@ -8,12 +8,14 @@ from conftest import quick
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
 from napari.utils.notifications import notification_manager
+from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import ICM, SeilerPrior
 from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.presets import PRESETS
 from napari_hmrf.widgets.deform import DeformTissue
@@ -547,7 +549,7 @@ def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thr
     tissue.data[5:9, 5:9] = 0
     tissue.refresh()
     busy_thread.set()
-    wait_for(lambda: widget.idle, 60_000)
+    wait_for(lambda: widget.idle)
     assert widget.status == "Changed since the last result: press Deform."
     assert viewer.layers["MR arrows"].metadata[METADATA]["inputs_changed"]
 
@@ -673,7 +675,7 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
     assert docked._face.footer._bar.maximum() == 0  # nobody knows how long preparing takes
     assert places() == before
     busy_thread.set()
-    wait_for(lambda: docked.idle, 60_000)
+    wait_for(lambda: docked.idle)
     assert places() == before
     docked.say("word " * 300)
     assert places() == before
@@ -750,9 +752,8 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     assert not widget.idle
     assert not widget._face.footer.deform.enabled
     assert widget._face.footer.cancel.enabled
-    started = time.perf_counter()
     widget.cancel()
-    assert time.perf_counter() - started < 0.2
+    assert not busy_thread.is_set()
     assert widget.idle
     assert widget._face.footer.deform.enabled
     assert not widget._face.footer.cancel.enabled
@@ -762,9 +763,18 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     assert state(viewer) == before
 
 
-def test_cancel_stops_a_long_solve_within_a_moment(docked, small_sample, run, wait_for):
-    from napari_hmrf.backends.thread import compute_thread
+def test_cancel_stops_a_long_solve_long_before_its_end(
+    docked, small_sample, run, wait_for, monkeypatch
+):
+    from napari_hmrf.backends.cpu import kernels
 
+    swept, sweep = [], kernels.sweeps
+
+    def counted(*arguments):
+        sweep(*arguments)
+        swept.append(len(arguments[-1]))
+
+    monkeypatch.setattr(kernels, "sweeps", counted)
     viewer = viewer_of(docked)
     small_sample(viewer)
     run(docked)
@@ -773,10 +783,8 @@ def test_cancel_stops_a_long_solve_within_a_moment(docked, small_sample, run, wa
     docked.deform()
     wait_for(lambda: "sweep" in docked.status)
     docked.cancel()
-    # And the thread is free again soon.
-    started = time.perf_counter()
-    compute_thread.submit(lambda: None).result(timeout=5)
-    assert time.perf_counter() - started < 1
+    compute_thread.submit(lambda: None).result(timeout=LONG)
+    assert sum(swept) < 100_000, "of as many on each level"
     assert state(viewer) == before
 
 
@@ -787,7 +795,7 @@ def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_th
     widget.deform()
     widget.deform()
     busy_thread.set()
-    wait_for(lambda: widget.idle, 60_000)
+    wait_for(lambda: widget.idle)
     assert len(said) == 1
 
 
@@ -829,14 +837,13 @@ def test_closing_the_viewer_while_working_is_quick_and_quiet(
     quick(widget)
     small_sample(viewer)
     widget.deform()
-    started = time.perf_counter()
+    after_it = compute_thread.submit(lambda: None)
     viewer.close()
-    assert time.perf_counter() - started < 2
+    assert not after_it.done(), "nobody waited for the solve"
     QApplication.processEvents()
     busy_thread.set()
-    for _ in range(10):
-        QApplication.processEvents()
-        time.sleep(0.02)
+    after_it.result(LONG)
+    QApplication.processEvents()
 
 
 def test_closing_the_dock_while_working_leaves_the_viewer_alone(
@@ -870,7 +877,7 @@ def test_two_widgets_queue_and_both_finish(make_napari_viewer, small_sample, wai
         widgets.append(quick(widget))
     for widget in widgets:
         widget.deform()
-    wait_for(lambda: all(widget.idle for widget in widgets), 60_000)
+    wait_for(lambda: all(widget.idle for widget in widgets))
     for viewer in viewers:
         assert "MR arrows" in names(viewer)
 

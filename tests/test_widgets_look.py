@@ -53,7 +53,7 @@ def look(deformed, qtbot, wait_for):
     """*Look at the result*, beside it."""
     found = LookAtResult(viewer_of(deformed))
     qtbot.addWidget(found.native)
-    wait_for(lambda: found.idle, 60_000)
+    wait_for(lambda: found.idle)
     return found
 
 
@@ -64,7 +64,7 @@ def set_to(wait_for):
     def set_and_wait(look, **choices):
         for name, choice in choices.items():
             setattr(look, name, choice)
-        wait_for(lambda: look.idle, 60_000)
+        wait_for(lambda: look.idle)
 
     return set_and_wait
 
@@ -99,7 +99,7 @@ def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
     look.colours = "jacobian"
     assert not look.playing
     run(widget)
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     assert look.result is viewer_of(widget).layers["MR arrows"]
     assert look._face.slider.enabled
     assert look.status == ""
@@ -164,7 +164,7 @@ def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeyp
     look._face.play.native.click()
     assert not look.playing
     assert look._face.play.text == "Play"
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == look.percent == seen[-1]
 
 
@@ -172,7 +172,7 @@ def test_the_slider_in_the_hand_stops_playing(look, wait_for):
     look.play()
     wait_for(lambda: look.percent < 100)
     look.percent = 70
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     assert not look.playing
     assert look.percent == 70
 
@@ -199,7 +199,7 @@ def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_
     assert viewer_of(look).layers["MR deformed"].data is before
     assert not look.idle
     busy_thread.set()
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == 40
 
 
@@ -210,7 +210,7 @@ def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
     few = len(look.result.data)
     deformed.rules = (deformed.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     outputs = run(deformed)
-    wait_for(lambda: look.idle and look.percent == 100, 60_000)
+    wait_for(lambda: look.idle and look.percent == 100)
     moved = viewer_of(look).layers["MR deformed"]
     np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
     assert "up to 1 px" in look._face.how_far.value
@@ -278,7 +278,7 @@ def test_how_many_arrows_can_be_typed(look, wait_for):
         QTest.keyClicks(box.lineEdit(), typed)
         QTest.keyClick(box.lineEdit(), Qt.Key.Key_Return)
         assert look.arrow_count == about
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
 
 
 def test_arrows_can_be_fewer_and_longer(look, set_to):
@@ -486,7 +486,7 @@ def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack,
     viewer, _ = make_stack
     look = LookAtResult(viewer)
     qtbot.addWidget(look.native)
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     line = look._face.how_far
     assert line.value.endswith("mm")
     viewer.dims.set_current_step(0, 1)
@@ -523,7 +523,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     viewer.add_vectors(data, **attributes)
     look = LookAtResult(viewer)
     qtbot.addWidget(look.native)
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     look.percent = 50
     assert look.status.startswith("There is no image on the pixels of this result")
     set_to(look, colours="magnitude")
@@ -570,7 +570,7 @@ def test_pictures_are_saved_without_holding_up_the_window(look, tmp_path, wait_f
     started = time.perf_counter()
     look.save_pictures(tmp_path)
     assert time.perf_counter() - started < 0.3
-    wait_for(lambda: bool(got), 30_000)
+    wait_for(lambda: bool(got))
     assert sorted(path.stem for path in got[0]) == sorted(
         ["displacement", "warped", "grid", "magnitude", "jacobian", "strain", "energy"]
     )
@@ -580,7 +580,7 @@ def test_pictures_are_saved_without_holding_up_the_window(look, tmp_path, wait_f
 
 def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
     look.save_pictures(tmp_path / "nowhere")
-    wait_for(lambda: look.idle, 30_000)
+    wait_for(lambda: look.idle)
     assert "nowhere" in look.status
 
 
@@ -616,7 +616,7 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     viewer.layers.remove("MR")
     look.colours = "jacobian"
     viewer.layers.remove("MR arrows")
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     assert look.result is None
     assert not look.playing
     assert look.at((10, 10)) is None
@@ -626,7 +626,7 @@ def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(
     look, deformed, run, wait_for
 ):
     viewer_of(look).layers.remove("MR arrows")
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     told = look.status
     assert "The result was in the layer 'MR arrows', which was deleted" in told
     assert "Press Deform" in told
@@ -634,7 +634,7 @@ def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(
     look.play()
     assert look.status == told
     run(deformed)
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     assert look.status == ""
     assert look.result is viewer_of(look).layers["MR arrows"]
 
@@ -647,7 +647,7 @@ def window(make_napari_viewer, small_sample, run, wait_for):
     small_sample(viewer)
     run(quick(widget))
     dock, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
-    wait_for(lambda: look.idle, 60_000)
+    wait_for(lambda: look.idle)
     return viewer, dock, look
 
 
@@ -678,7 +678,7 @@ def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wai
     viewer.cursor.position = (10, 12)
     assert "Jacobian" not in str(viewer.status)
     _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
-    wait_for(lambda: again.idle, 60_000)
+    wait_for(lambda: again.idle)
     assert again.result is viewer.layers["MR arrows"]
     assert "Shift+B" in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
@@ -703,7 +703,7 @@ def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, set
     got = []
     look.saved.connect(got.append)
     look.save_pictures(tmp_path)
-    wait_for(lambda: bool(got), 30_000)
+    wait_for(lambda: bool(got))
     assert got[0][0].name == "canvas.png"
     assert "canvas.png is as you see it, at 30 %; the others show the whole" in look.status
     assert imread(got[0][0]).std() > 5
@@ -761,7 +761,7 @@ def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_fo
     for _ in range(2):
         got.clear()
         look._face.save.native.click()
-        wait_for(lambda: bool(got), 30_000)
+        wait_for(lambda: bool(got))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
 
 

@@ -49,12 +49,15 @@ class Bodies:
     """
 
     def __init__(self, material: ElasticMaterial, held: HeldPlanes) -> None:
-        labels, count = ndimage.label(rigid_sites(material.m), structure=np.ones((3, 3)))
+        sites = rigid_sites(material.m)
+        (box,) = ndimage.find_objects(sites.astype(np.int8))[:1] or [(slice(0, 0), slice(0, 0))]
+        labels, count = ndimage.label(sites[box], structure=np.ones((3, 3)))
         aspect = (material.shape.cols / material.shape.rows) ** 0.25
         _, height, width = held.shape
         self._bodies = []
         for number in range(1, count + 1):
             i, j = np.nonzero(labels == number)
+            i, j = i + box[0].start, j + box[1].start
             at = (i + 2) * width + j + 2
             at = np.concatenate([at, at + height * width])
             row, col = (i - i.mean()) * aspect, (j - j.mean()) / aspect
@@ -63,11 +66,12 @@ class Bodies:
                 [
                     np.concatenate([one, nothing]),
                     np.concatenate([nothing, one]),
-                    np.concatenate([-col, row]) / max(np.abs(row).max(), np.abs(col).max()),
+                    np.concatenate([-col, row]),
                 ],
                 axis=1,
             )
-            motions, _ = np.linalg.qr(motions)
+            # Around its centre, a body's turn is orthogonal to where it goes.
+            motions /= np.sqrt(np.einsum("sm,sm->m", motions, motions))
             stopped = held.ravel()[at]
             some = motions[stopped]
             stops, ways = np.linalg.eigh(some.T @ some)

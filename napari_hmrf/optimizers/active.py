@@ -27,8 +27,6 @@ FreeMotion = Callable[[HeldPlanes], Planes | None]
 PATIENCE = 6
 # What is this close to its mark, in pixels, has come to rest there.
 _ON_THE_MARK = 1e-7
-# Of a force in double precision, in units of steepness times displacement.
-_ROUNDING = 4e-16
 # A part of a way that is none.
 _NO_WAY = 1e-6
 # Steps of all components at once, each on its own.
@@ -231,16 +229,32 @@ class ActiveSet(States):
         passed = self._slips * (d.ravel()[self.at] - self.y)
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
-    def certain(self, pull: Planes, steepness: Planes, margin: float) -> HeldPlanes:
+    def certain(self, pull: Planes, margin: float, noise: Planes | float = 0.0) -> HeldPlanes:
         """Which components are held with less than their limit.
 
-        By this part of it, and by what rounding adds to a force where tissue is stiff.
+        By this part of it, and by what forces are uncertain by.
         """
         made = np.zeros(self._grid, dtype=np.bool_)
-        rounding = _ROUNDING * steepness.ravel()[self.at] * max(1.0, float(np.abs(self.y).max()))
-        less = np.abs(pull.ravel()[self.at]) < (1 - margin) * self.limit - rounding
+        some = np.broadcast_to(noise, self._grid).ravel()[self.at]
+        less = np.abs(pull.ravel()[self.at]) < (1 - margin) * self.limit - some
         made.ravel()[self.at] = (self._slips == 0) & less
         return made
+
+    def correct(
+        self, d: Planes, pull: Planes, tolerance: float, share: float, singly: bool
+    ) -> bool:
+        """Exchange what contradicts its state by so many pixels, or by this share of its limit.
+
+        Returns whether there was any. `singly`, only the last of these: that ends for certain
+        (Murty's rule).
+        """
+        force, held = -pull.ravel()[self.at], self._slips == 0
+        passed = self._slips * (d.ravel()[self.at] - self.y)
+        wrong = np.where(held, np.abs(force) > (1 + share) * self.limit, passed > tolerance)
+        if singly:
+            wrong[: np.flatnonzero(wrong)[-1:].sum()] = False
+        self._slips = np.where(wrong, np.where(held, np.sign(force), 0.0), self._slips)
+        return bool(wrong.any())
 
     def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
         """How far components are from what was observed, y - d, and on which side it must stay."""

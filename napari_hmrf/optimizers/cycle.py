@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from napari_hmrf.backends.linear import LinearModel, Steps
+from napari_hmrf.priors.elements import ElasticMaterial
 
 
 class Smoothing(NamedTuple):
@@ -20,6 +21,8 @@ class Smoothing(NamedTuple):
     visits : int
         How often a cycle visits the second level, and from there all below, if that is worth it
         there: what V-cycles lose with every level, that wins back, for a fifth more work.
+    patience : int
+        Cycles after which factors are the shorter way.
     """
 
     part: float
@@ -27,14 +30,27 @@ class Smoothing(NamedTuple):
     coarsest_part: float
     coarsest_sweeps: int
     visits: int = 1
+    patience: int = 60
 
 
 #: For models that stretch: elastic tissue.
 STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
+#: The same, for tissue that resists changes of volume much more than those of shape, which coarse
+#: levels see less well.
+NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
+# Up to which ratio of lambda to mu the former does.
+_MOST_RATIO = 50.0
 #: For models of means of neighbours, which are not symmetric.
 AVERAGING = Smoothing(0.3, 2, 0.02, 20)
 #: For models that bend: their spectra are wider, and bilinear transfer leaves more to do.
 BENDING = Smoothing(0.1, 4, 0.005, 40)
+
+
+def smoothing_of(material: ElasticMaterial) -> Smoothing:
+    """How much to smooth elastic tissue."""
+    nu = material.largest_poisson
+    ratio = 2 * nu / (1 - (2 * nu if material.strain else nu))
+    return STRETCHING if ratio <= _MOST_RATIO else NEARLY_INCOMPRESSIBLE
 
 
 class Cycle:
@@ -67,7 +83,7 @@ class Cycle:
 
     def _smooth_up_to(self, bound: float) -> None:
         self._bound = bound
-        part, sweeps, coarsest_part, coarsest_sweeps, _ = self._smoothing
+        part, sweeps, coarsest_part, coarsest_sweeps = self._smoothing[:4]
         self._steps = chebyshev(part * bound, bound, sweeps)
         self._coarsest = chebyshev(coarsest_part * bound, bound, coarsest_sweeps)
 

@@ -13,34 +13,35 @@ factors of A + W, where W >= 0 are springs on all that is observed, so that noth
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.dissection import Singular
 from napari_hmrf.backends.factors import Factors
-from napari_hmrf.backends.linear import LinearModel, Planes
+from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Monitor, Report
+from napari_hmrf.optimizers.refinement import add
 
 Vector = npt.NDArray[np.float64]
 
-_MOST_STEPS = 80
+_MOST_STEPS = 100
 # How far a step goes towards where something would vanish.
-_FRACTION = 0.995
-# At the end: the gap, over all that could be; what the last step moves, in units of what is
-# observed; and the gap where rounding ends the way, at most.
-_GAP, _STILL, _CLOSE = 1e-13, 1e-9, 1e-9
+_FRACTION = 0.9995
+# At the end: no product is more than this part of limit times passage; no less than that is aimed
+# at; and no more than that is good enough where rounding ends the way.
+_GAP, _LEAST_GAP, _CLOSE = 1e-19, 1e-22, 1e-8
+# What the last step moves, in units of what is observed; and steps after which what still moves is
+# rounding.
+_STILL, _ROUNDED = 1e-10, 8
 _LEAST_SCALE = 1e-3
-# What is closer to its mark than this is held there.
-_AWAY = 1e-6
-# Springs to where tissue is, as a part of the diagonal: they change steps, not where these lead.
-_PROXIMAL = 1e-13
-# Steps after which what still moves is rounding.
-_ROUNDED = 3
-_TINY = 1e-16
+# Springs to where tissue is, as a part of the diagonal, the weakest that rounding allows: they
+# change steps, not where these lead.
+_PROXIMAL = tuple(10.0**power for power in range(-16, -10))
+# Corrections of a step, at most; and which part of it needs none.
+_CORRECTIONS, _EXACTLY = 10, 1e-9
+_SIDE = np.array([[1.0], [-1.0]])
 
 
 def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> float:
@@ -58,63 +59,79 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> f
     at, y, p = states.at, states.y, states.limit
     scale = max(_LEAST_SCALE, float(np.abs(y).max()))
     d.ravel()[at] = y
-    force, whole = np.zeros(len(at)), float(p.sum()) * scale
-    a, b = np.full((2, len(at)), 0.1 * scale)
-    far, closed = np.inf, 0
+    low, force = np.zeros_like(d), np.zeros(len(at))
+    # What is past its mark on either side, and how far the force is from either limit.
+    past, slack = np.full((2, len(at)), scale), np.stack([p, p])
+    far = gap = np.inf
+    closed = 0
     for number in range(_MOST_STEPS):
-        up, down = np.maximum(p - force, _TINY * p), np.maximum(p + force, _TINY * p)
-        gap = float((a * up + b * down).sum())
-        report(
-            Monitor(f"interior point, step {number}, a gap of {gap / whole:.1e}, {far:.1e}", 0.5)
-        )
-        off = y - d.ravel()[at] - (a - b)
-        closed += gap <= _GAP * whole and float(np.abs(off).max()) <= _STILL * scale
+        products = past * slack / (p * scale)
+        gap = float(products.max())
+        report(Monitor(f"interior point, step {number}, a gap of {gap:.1e}", 0.5))
+        closed += gap < _GAP
         if closed and (far <= _STILL * scale or closed > _ROUNDED):
             break
+        weight = 1 / (past / slack).sum(axis=0)
+        factors = _factors(model, moves, at, weight)
+        if factors is None:
+            break
         rest = model.pull(d).copy()
+        rest += model.pull(low)
         rest.ravel()[at] += force
         rest[~moves] = 0
-        weight = 1 / (a / up + b / down)
-        springs = _PROXIMAL * steep
-        springs.ravel()[at] += weight
-        try:
-            factors = Factors(model.material, moves, lambda part: None, springs)
-        except Singular:
-            break
-        mean, aim = gap / (2 * len(at)), 0.0
-        bent_a, bent_b = np.zeros((2, len(at)))
+        apart = y - d.ravel()[at] - low.ravel()[at] - (past[0] - past[1])
+        aim = np.zeros_like(past)
         for predicted in (True, False):
-            rest_a = (aim * mean + bent_a) / up - a
-            rest_b = (aim * mean - bent_b) / down - b
-            target = off - rest_a + rest_b
+            target = apart - (_SIDE * (aim / slack - past)).sum(axis=0)
             load = rest.copy()
             load.ravel()[at] += weight * target
             way = factors.solve(load)
-            left = load + model.pull(way)
-            left.ravel()[at] -= weight * way.ravel()[at]
-            left[~moves] = 0
-            way += factors.solve(left)
+            for _ in range(_CORRECTIONS):
+                left = load + model.pull(way)
+                left.ravel()[at] -= weight * way.ravel()[at]
+                left[~moves] = 0
+                more = factors.solve(left)
+                way += more
+                if np.abs(more).max() <= _EXACTLY * np.abs(way).max():
+                    break
             stronger = weight * (target - way.ravel()[at])
-            more_a, more_b = rest_a + a / up * stronger, rest_b - b / down * stronger
-            pairs = (a, more_a), (b, more_b), (up, -stronger), (down, stronger)
-            part = min(1.0, _FRACTION * min(_room(*pair) for pair in pairs))
+            narrower = -_SIDE * stronger
+            wider = (aim - past * slack - past * narrower) / slack
+            most = 1.0 if predicted else _FRACTION
+            part = min(1.0, most * _room(past, wider), most * _room(slack, narrower))
             if predicted:
-                then = (a + part * more_a) * (up - part * stronger)
-                then += (b + part * more_b) * (down + part * stronger)
-                aim = (max(float(then.sum()), 0.0) / gap) ** 3
-                bent_a, bent_b = more_a * stronger, more_b * stronger
-        np.add(d, part * way, out=d)
+                then = (past + part * wider) * (slack + part * narrower) / (p * scale)
+                share = (max(float(then.mean()), 0.0) / float(products.mean())) ** 3
+                mean = max(float(products.mean()) * share, _LEAST_GAP)
+                aim = p * scale * mean - narrower * wider
+        if not np.isfinite(way).all():
+            break
+        add(d, low, part * way)
         force += part * stronger
-        a = np.maximum(a + part * more_a, _TINY * scale)
-        b = np.maximum(b + part * more_b, _TINY * scale)
+        past, slack = past + part * wider, slack + part * narrower
         far = float(np.abs(part * way).max())
-    if not (gap <= _CLOSE * whole and math.isfinite(far)):
+    if not gap <= _CLOSE:
         raise ConvergenceError(
             "which observations slip stays open: the energy is known to a part of "
-            f"{gap / whole:.1g} only. Raise the penalty, or hold more of the tissue"
+            f"{gap:.1g} only. Raise the penalty, or hold more of the tissue"
         )
-    states.slip_as(np.where(a > _AWAY * scale, 1.0, np.where(b > _AWAY * scale, -1.0, 0.0)))
+    slips = past / scale > slack / p
+    states.slip_as(np.where(slips[0], 1.0, np.where(slips[1], -1.0, 0.0)))
     return far
+
+
+def _factors(
+    model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
+) -> Factors | None:
+    """The factors of the model on springs where it is observed; None if rounding forbids."""
+    for proximal in _PROXIMAL:
+        springs = proximal * model.steepness
+        springs.ravel()[at] += weight
+        try:
+            return Factors(model.material, moves, lambda part: None, springs)
+        except Singular:
+            continue
+    return None
 
 
 def _room(values: Vector, steps: Vector) -> float:

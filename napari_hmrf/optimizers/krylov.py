@@ -89,7 +89,7 @@ class ConjugateGradients:
         Raises
         ------
         FloatingPointError
-            If numbers overflow.
+            If numbers overflow, or vanish.
         """
         level = self._cycle.levels[0]
         rest = level.vector(residual)
@@ -108,7 +108,7 @@ class ConjugateGradients:
             length = level.ratio(slope, curvature)
             left = level.advance(found, rest, direction, image, length)
             values = level.read(most, slope, curvature, turn, left)
-            if not all(math.isfinite(value) for value in values):
+            if square == 0 or not all(math.isfinite(value) for value in values):
                 raise FloatingPointError
             far, down, bend, turned, after = values
             if not (down > 0 and bend > 0):

@@ -58,14 +58,17 @@ def settle(
 
 def _least_distance(rows: Float64Array, bounds: Float64Array) -> Float64Array | None:
     """The shortest x with rows x >= bounds; None if there is none."""
-    if not len(rows):
+    if not (bounds > 0).any():
         return np.zeros(rows.shape[1])
-    matrix = np.vstack([rows.T, bounds])
+    matrix = np.vstack([rows.T, bounds / bounds.max()])
     target = np.zeros(len(matrix))
     target[-1] = 1.0
-    weights, rest = nnls(matrix, target)
+    try:
+        weights, rest = nnls(matrix, target, maxiter=50 * matrix.shape[1])
+    except RuntimeError:
+        return None
     if rest < 1e-12:
         return None
-    residual = matrix @ weights - target
-    found: Float64Array = -residual[:-1] / residual[-1]
-    return found
+    # What is touched is touched exactly.
+    touched = weights > 0
+    return np.asarray(np.linalg.lstsq(rows[touched], bounds[touched])[0])

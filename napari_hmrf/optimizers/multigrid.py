@@ -21,7 +21,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers import centred
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Convergence, LevelRun, Outcome, Report
-from napari_hmrf.optimizers.cycle import BENDING, STRETCHING
+from napari_hmrf.optimizers.cycle import BENDING, smoothing_of
 from napari_hmrf.optimizers.refinement import Refinement
 from napari_hmrf.optimizers.slip import Slip
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
@@ -48,8 +48,9 @@ class Multigrid:
     tolerance : float
         Stop when no site is estimated to be further than this from the converged field, in
         pixels. The estimate is what the last cycle corrected, times the residual it left, over
-        the least eigenvalue of the preconditioned system as the iteration has come to know it.
-        In the centred reading it is a bound, by a maximum principle.
+        the least eigenvalue of the preconditioned system as the iteration has come to know it;
+        where tissue is not mild, a rehearsal shows whether that can be believed, and if not the
+        system is factorised. In the centred reading it is a bound, by a maximum principle.
     max_iterations : int
         Give up after so many cycles, with an error. Where observations may slip, that many for
         each set of those that do.
@@ -89,7 +90,8 @@ class Multigrid:
         limit = prior.limit(problem)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
-            model, smoothing = backend.elastic_model(prior.material(problem)), STRETCHING
+            material = prior.material(problem)
+            model, smoothing = backend.elastic_model(material), smoothing_of(material)
         else:
             check_bent(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING

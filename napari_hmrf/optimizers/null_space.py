@@ -1,44 +1,107 @@
-"""The motions that cost a model nothing, found from its factors."""
+"""The motions that cost a model nothing, or next to nothing, found from its factors."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from napari_hmrf.backends.dissection import Singular
 from napari_hmrf.backends.factors import Factors
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
-from napari_hmrf.optimizers.base import Monitor, Report
+from napari_hmrf.optimizers.base import Report
+from napari_hmrf.optimizers.refinement import Refinement, factorise
 
 Float64Array = npt.NDArray[np.float64]
 
-# The springs that make the model invertible, as a part of its diagonal; and up to which part of it
-# a motion costs nothing.
-_SPRINGS, _NOTHING = 1e-13, 1e-12
-_ITERATIONS = 3
+# The springs that make the model invertible, as a part of its diagonal; up to which part of it a
+# motion costs next to nothing; and nothing.
+_SPRINGS, _LITTLE, _NOTHING = 1e-13, 1e-11, 1e-26
+_ITERATIONS = 4
 _FIRST, _MOST = 8, 64
+_EXACT, _FLOOR = 1e-12, 1e-14
+_BALANCINGS = 4
 
 
-def null_space(model: LinearModel, held: HeldPlanes, report: Report) -> list[Float64Array]:
-    """Find how tissue could move at no cost if only so much were held.
+class Play(NamedTuple):
+    """How tissue can move at next to no cost, and what of it has to be held to stop that.
+
+    Attributes
+    ----------
+    pins : ndarray of bool, planes
+        Components that, held, stop all of these motions.
+    ways : ndarray, shape (ways, planes)
+        The motions, each of one pin by a pixel while the others rest.
+    cost : ndarray, shape (ways, ways)
+        Their second derivatives of the energy.
+    free : list of ndarray, each of shape (ways, H, W, 2)
+        Those that cost nothing: one item, if there are any.
+    """
+
+    pins: HeldPlanes
+    ways: Float64Array
+    cost: Float64Array
+    free: list[Float64Array]
+
+    def balance(
+        self, model: LinearModel, refinement: Refinement, d: Planes, load: Planes, tolerance: float
+    ) -> None:
+        """Move `d` in place to where tissue and load balance: pins, too, if that costs anything.
+
+        Energies, unlike forces, tell how far these have to go: they are sums of squares.
+        """
+        refinement.run(d, load, tolerance)
+        size = np.sqrt(np.diagonal(self.cost).clip(1e-300))
+        inverse = np.linalg.pinv(self.cost / np.outer(size, size), _FLOOR, True)
+        for _ in range(_BALANCINGS if not self.free else 0):
+            left = [(load * way).sum() - _product(model, d, way) for way in self.ways]
+            go = inverse @ (np.array(left) / size) / size
+            if not np.abs(go).max(initial=0.0) > tolerance:
+                break
+            d += np.tensordot(go, self.ways, 1)
+            refinement.run(d, load, tolerance)
+
+
+def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
+    """Find how tissue could move at next to no cost if only so much were held.
 
     By iterating on a few random motions at once with the inverse of the model on weak springs.
-
-    Returns
-    -------
-    list of ndarray, each of shape (ways, H, W, 2)
-        One, with all ways; none if there are none.
     """
     steep = model.steepness
     moves = (steep > 0) & ~held
-    try:
-        Factors(model.material, moves, lambda part: report(Monitor("looking for play", part)))
-        return []
-    except Singular:
-        springs = np.where(moves, _SPRINGS * steep, 0.0)
-        factors = Factors(model.material, moves, lambda part: None, springs)
-    weights = np.sqrt(steep[moves])
+    pins, weights = np.zeros_like(held), np.sqrt(steep[moves])
+    some = _soft(model, moves, weights) if len(weights) else np.zeros((0, 0))
+    count = some.shape[1]
+    if not count:
+        return Play(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
+    *_, order = scipy.linalg.qr(some.T, mode="economic", pivoting=True)
+    at = np.flatnonzero(moves)[order[:count]]
+    pins.ravel()[at] = True
+    model.hold(held | pins)
+    factorise(model, report)
+    ways = np.zeros((count, *held.shape))
+    for way, pin in zip(ways, at, strict=True):
+        way.ravel()[pin] = 1.0
+        refinement.run(way, None, _EXACT)
+    cost = np.array([[_product(model, one, two) for two in ways] for one in ways])
+    scale = np.sqrt(steep.ravel()[at])
+    costs, mixes = np.linalg.eigh(cost / np.outer(scale, scale))
+    free = np.tensordot((mixes / scale[:, None])[:, costs < _NOTHING].T, ways, 1)
+    free /= np.abs(free).max(axis=(1, 2, 3), keepdims=True)
+    motions = [np.moveaxis(free[:, :, 2:-2, 2:-2], 1, -1)] if len(free) else []
+    return Play(pins, ways, cost, motions)
+
+
+def _product(model: LinearModel, one: Planes, two: Planes) -> float:
+    """The product of two motions by which an energy is half a square."""
+    return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
+
+
+def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
+    """The motions, times the roots of the diagonal, that cost little: (components, motions)."""
+    springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
+    factors = Factors(model.material, moves, lambda part: None, springs)
     random, count = np.random.default_rng(0), _FIRST
     while True:
         some = random.standard_normal((len(weights), min(count, len(weights))))
@@ -46,16 +109,10 @@ def null_space(model: LinearModel, held: HeldPlanes, report: Report) -> list[Flo
             some, _ = np.linalg.qr(_inverse(factors, moves, weights, some))
         images = np.stack([_image(model, moves, weights, way) for way in some.T], axis=1)
         costs, mixes = scipy.linalg.eigh(some.T @ images)
-        free = costs < _NOTHING
-        if not free.all() or count >= min(_MOST, len(weights)):
-            break
+        soft = costs < _LITTLE
+        if not soft.all() or count >= min(_MOST, len(weights)):
+            return np.asarray(some @ mixes[:, soft])
         count *= 2
-    if not free.any():
-        return []
-    ways = (some @ mixes[:, free]) / weights[:, None]
-    fields = np.zeros((ways.shape[1], *moves.shape))
-    fields[:, moves] = ways.T / np.abs(ways).max(axis=0)[:, None]
-    return [np.moveaxis(fields[:, :, 2:-2, 2:-2], 1, -1)]
 
 
 def _inverse(

@@ -30,10 +30,10 @@ _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was.
 _MARGIN = 2.5
 _REHEARSAL_CYCLES = 30
-# Cycles after which factors are the shorter way.
-_CYCLES = 60
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
+# A correction of this many pixels need not be.
+_ROUNDING = 1e-15
 
 
 class Refinement:
@@ -64,6 +64,7 @@ class Refinement:
     ) -> None:
         self._most, self._model, self._report = max_iterations, model, report
         self._iteration = ConjugateGradients(Cycle(model, smoothing))
+        self._patience = smoothing.patience
         self.estimate = math.inf
         self.residual = 0.0
         self.energies: list[float] = []
@@ -71,6 +72,14 @@ class Refinement:
         self._gains: list[float] = []
         self._first: float | None = None
         self._doubt: float | None = None
+        self._low: Planes | None = None
+
+    def pull(self, d: Planes) -> Planes:
+        """What tissue pulls with where the last run has left it: more digits than `d` carries."""
+        pulls = self._model.pull(d).copy()
+        if self._low is not None:
+            pulls += self._model.pull(self._low)
+        return pulls
 
     def doubt_again(self) -> None:
         """Rehearse once more if something else is held: what holds less may move otherwise."""
@@ -89,7 +98,7 @@ class Refinement:
         ConvergenceError
         """
         balance = self._model.balance(d, load)
-        self.residual = balance.norm
+        self.residual, self._low = balance.norm, None
         if known is not None and known.suffices(tolerance, balance.norm):
             self.estimate = known.error
         elif balance.most == 0:
@@ -122,7 +131,9 @@ class Refinement:
             balance = self._model.balance(d, load)
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
-        doubt = 1.0 if self._model.mild else max(_MARGIN * found.doubt, 1.0)
+        model = self._model
+        sure = model.mild and model.material.compressible and model.bodies is None
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
         while True:
             step: Step | None = None
 
@@ -153,7 +164,7 @@ class Refinement:
     @property
     def _too_long(self) -> bool:
         """Whether factors are the shorter way from here."""
-        return len(self._gains) >= _CYCLES and Factors.fit(self._model.shape)
+        return len(self._gains) >= self._patience and Factors.fit(self._model.shape)
 
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """How far off a known answer is, over how far off it is said to be."""
@@ -189,29 +200,35 @@ class Refinement:
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Go to the tolerance by factors."""
-        model, factors = self._model, factorise(self._model, self._report)
-        balance, before = model.balance(d, load), math.inf
-        while balance.most > 0:
-            correction = balance.unit * factors.solve(balance.rest)
+        factors, before = factorise(self._model, self._report), math.inf
+        rest, self._low = self._left(d, load), np.zeros_like(d)
+        while rest.any():
+            correction = factors.solve(rest)
             self._project(correction)
-            np.add(d, correction, out=d)
             self.cycles += 1
-            self._gains.append(balance.unit / 2 * float((correction * balance.rest).sum()))
+            self._gains.append(float((correction * rest).sum()) / 2)
             far = float(np.abs(correction).max())
             self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
-            balance = model.balance(d, load, balance.most)
-            self.residual, self.estimate = balance.norm, far
-            # What is left is smaller still: by as much as this one was smaller than the last.
-            if far <= tolerance and far <= _FALL * before:
-                return
-            if not far <= _FALL * before:
+            if not far <= max(_FALL * before, _ROUNDING):
                 raise ConvergenceError(
                     f"the field stays {far:.2g} px from converged: double precision does not carry "
                     "this tissue. Hold more of it, or bring the softest and the stiffest closer "
                     "together"
                 )
-            before = far
+            add(d, self._low, correction)
+            rest = self._left(d, load)
+            self.residual, self.estimate, before = float(np.linalg.norm(rest)), far, far
+            # What is left is smaller still: by as much as this one was smaller than the last.
+            if far <= tolerance:
+                return
         self.estimate = 0.0
+
+    def _left(self, d: Planes, load: Planes | None) -> Planes:
+        """What `d` leaves of a load."""
+        rest = self.pull(d) if load is None else self.pull(d) + load
+        rest[~self._model.moves] = 0
+        self._project(rest)
+        return rest
 
     def _say(self, estimate: float, tolerance: float) -> None:
         """Report, count, and give up in time."""
@@ -225,6 +242,18 @@ class Refinement:
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
                 "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
             )
+
+
+def add(d: Planes, low: Planes, way: Planes) -> None:
+    """Add a way to a field in two parts, in place: `low` is what rounding takes from `d`.
+
+    Forces come from differences between neighbours, and stiff tissue multiplies what rounding adds.
+    """
+    change = low + way
+    total = d + change
+    taken = total - d
+    np.add(d - (total - taken), change - taken, out=low)
+    np.copyto(d, total)
 
 
 def factorise(model: LinearModel, report: Report) -> Factors:

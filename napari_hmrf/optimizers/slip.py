@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
@@ -12,24 +13,26 @@ from napari_hmrf.held import free_motion, free_motions
 from napari_hmrf.optimizers import interior, least_motion
 from napari_hmrf.optimizers.active import ActiveSet
 from napari_hmrf.optimizers.base import Report
-from napari_hmrf.optimizers.null_space import null_space
+from napari_hmrf.optimizers.null_space import Play, find_play
 from napari_hmrf.optimizers.refinement import Refinement, factorise
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
 
+Float64Array = npt.NDArray[np.float64]
+
 # The states of what is observed are found at so many times the tolerance, and then confirmed.
 _ROUGHLY = 10.0
-# How exactly, in pixels where tissue moves by one; and by how many times more a wrong state is
-# contradicted.
+# How exactly, in pixels where tissue moves by one; by how many times more a wrong state is
+# contradicted; and by how many times more where it is known which others could be.
 _EXACT = 1e-11
-_ABOVE = 10.0
+_ABOVE, _PASSED = 10.0, 10.0
 # With which part less than its limit a component is held for certain; and with which part that
 # needs no closer look.
 _AT_LIMIT, _NEAR_LIMIT = 1e-9, 1e-4
 # By which part of its limit a held component may need more.
-_SHARE = 1e-6
-# Exchanges of states after which they are found another way.
-_MOST_EXCHANGES = 100
+_SHARE = 1e-9
+# Exchanges of states after which they are found another way, and of many at a time.
+_MOST_EXCHANGES, _AT_ONCE = 100, 30
 
 
 class Slip:
@@ -74,19 +77,18 @@ class Slip:
                 self._exchange(d, rough, rough / 2)
             self._refinement.doubt_again()
             self._exchange(d, exact, _ABOVE * exact)
-            pull = self._model.pull(d)
-            if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
-                raise ConvergenceError("what is let go of would leave tissue free")
-            if not np.array_equal(
-                self._states.certain(pull, self._steepness, _NEAR_LIMIT), self._states.held
-            ):
+            if not np.array_equal(self._clear(d), self._states.held):
                 factorise(self._model, self._report)
                 self._refinement.run(d, self._states.load, exact)
+            pull = self._refinement.pull(d)
+            if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
+                raise ConvergenceError("what is let go of would leave tissue free")
         except ConvergenceError:
             # Exchanges of states went on and on, or led to where nothing holds tissue any more. Is
             # there anything that does?
             self._model.hold(self._states.every)
-            factorise(self._model, self._report)
+            if self._model.moves.any():
+                factorise(self._model, self._report)
             far = interior.solve(self._model, self._states, d, self._report)
             self._confirm(d, exact, far)
         return self._settle(d)
@@ -136,43 +138,59 @@ class Slip:
         raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
 
     def _confirm(self, d: Planes, exact: float, far: float) -> None:
-        """Solve for the states there are if they are the right ones; else leave `d` as it is."""
-        states, model, found = self._states, self._model, d.copy()
+        """Solve for the states that were found, and exchange those that are wrong after all."""
+        states, model, refinement, found = self._states, self._model, self._refinement, d.copy()
         try:
-            if self._free(states.held) is None:
+            for number in range(_MOST_EXCHANGES):
+                play = self._play(states.held)
                 states.place(found)
-                model.hold(states.held)
-                self._refinement.run(found, states.load, exact)
-                pull = model.pull(found)
-                near = _ABOVE * exact
-                if not states.contradicted(found, pull, self._steepness, near, _SHARE):
+                model.hold(states.held | play.pins)
+                play.balance(model, refinement, found, states.load, exact)
+                pull = refinement.pull(found)
+                self._least(found, pull, play.free)
+                if not states.correct(found, pull, _PASSED * exact, _SHARE, number >= _AT_ONCE):
                     np.copyto(d, found)
-                    far = self._refinement.estimate
+                    far = refinement.estimate
+                    break
         except ConvergenceError:
             pass
-        self._refinement.estimate = far
+        refinement.estimate = far
         energy, _ = model.work(d)
-        self._refinement.settle(energy + states.cost(d))
+        refinement.settle(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
         """Of fields of the same energy take that of least motion, in place.
 
         Returns the norm of its forces.
         """
-        states, pull = self._states, self._model.pull(d).copy()
-        if np.array_equal(states.certain(pull, self._steepness, _NEAR_LIMIT), states.held):
-            _, forces = self._model.work(d)
-            return forces
-        certain = self._states.certain(pull, self._steepness, _AT_LIMIT)
+        states, pull = self._states, self._refinement.pull(d)
+        if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
+            known = self._refinement.estimate, self._refinement.residual
+            self._least(d, pull, self._motions(states.certain(pull, _AT_LIMIT)))
+            self._refinement.estimate, self._refinement.residual = known
+        _, forces = self._model.work(d)
+        return forces
+
+    def _clear(self, d: Planes) -> HeldPlanes:
+        """Which components are held whatever a closer look would say."""
+        noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
+        return self._states.certain(self._refinement.pull(d), _NEAR_LIMIT, noise)
+
+    def _motions(self, held: HeldPlanes) -> list[Float64Array]:
+        """All ways in which tissue could move at no cost if only so much were held."""
         if self._elastic:
-            motions = list(free_motions(self._problem, np.moveaxis(certain[:, 2:-2, 2:-2], 0, -1)))
-        else:
-            motions = null_space(self._model, certain, self._report)
+            return list(free_motions(self._problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1)))
+        return self._play(held).free
+
+    def _play(self, held: HeldPlanes) -> Play:
+        """All ways in which tissue could move at next to no cost if only so much were held."""
+        return find_play(self._model, held, self._refinement, self._report)
+
+    def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
+        """Of all fields that differ by motions take that of least motion, in place."""
         if motions:
             moved, off, side = (
                 np.moveaxis(each[:, 2:-2, 2:-2], 0, -1)
                 for each in (d, *self._states.sides(d, pull))
             )
             least_motion.settle(moved, off, side, motions, self._problem.tissue)
-        _, forces = self._model.work(d)
-        return forces

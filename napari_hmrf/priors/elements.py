@@ -24,9 +24,9 @@ Float64Array = npt.NDArray[np.float64]
 
 #: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles, whose levels
 #: it must not spoil, and for factors.
-CYCLE_STAND_IN, FACTOR_STAND_IN = 20.0, 1e6
-#: Up to which ratio of stiffnesses, of a pixel's sides, and up to which Poisson's ratio in plane
-#: strain a cycle of multigrid has been found to see every motion of tissue.
+CYCLE_STAND_IN, FACTOR_STAND_IN = 40.0, 1e6
+#: Up to which ratio of stiffnesses, and of a pixel's sides, a cycle of multigrid has been found to
+#: see every motion of tissue; up to which Poisson's ratio in plane strain without any doubt.
 MILD_CONTRAST = 5.0
 MILD_ASPECT = 2.0
 MILD_POISSON = 0.45
@@ -81,8 +81,12 @@ class ElasticMaterial:
             contrast(self.m) <= MILD_CONTRAST
             and self._compactness >= MILD_COMPACTNESS
             and aspect <= MILD_ASPECT
-            and not (self.strain and self.largest_poisson > MILD_POISSON)
         )
+
+    @property
+    def compressible(self) -> bool:
+        """Whether cycles see it as well as they see a spring."""
+        return not (self.strain and self.largest_poisson > MILD_POISSON)
 
     @property
     def _compactness(self) -> float:

@@ -117,6 +117,8 @@ class SeilerMaterial:
         """
         return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
+    #: No volume is kept.
+    compressible = True
     #: Sites along a side of an element: the cliques around a site.
     patch = 3
     #: How far elements reach beyond the image, in sites: those around sites of its border.

@@ -147,7 +147,8 @@ class CpuSeilerLevel(CpuLevel):
             image,
             self._rows,
         )
-        return float(self._rows.sum())
+        with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
+            return float(self._rows.sum())
 
 
 class CpuSeilerModel(CpuModel):

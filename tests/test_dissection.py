@@ -1,0 +1,80 @@
+"""The factors of a whole system: they solve it, whatever the tissue."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ElasticPrior, Problem, SeilerPrior
+from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.backends.cpu.seiler_model import CpuSeilerModel
+from napari_hmrf.backends.dissection import Singular
+from napari_hmrf.backends.factors import Factors
+
+PRIORS = {
+    "stress": ElasticPrior(0.4),
+    "strain": ElasticPrior(0.49, plane="strain"),
+    "centred": SeilerPrior(),
+    "blanket": SeilerPrior(conditional="blanket"),
+}
+
+
+def model_of(prior, shape, spacing=(1.0, 1.0), held=True, seed=0):
+    """A model of random tissue with a hole, of which two edges and some components are held."""
+    rng = np.random.default_rng(seed)
+    m = 10 ** rng.uniform(0, 2, shape)
+    m[3:6, 2:4] = 0
+    c = np.zeros((*shape, 2))
+    if held:
+        c[0] = c[-1] = 1
+        c[rng.random(c.shape) < 0.05] = 1
+    else:
+        c[0, 0] = 1
+    problem = Problem(np.zeros_like(c), c, m, spacing)
+    kind = CpuElasticModel if isinstance(prior, ElasticPrior) else CpuSeilerModel
+    model = kind(prior.material(problem))
+    planes = np.zeros((2, shape[0] + 4, shape[1] + 4), dtype=bool)
+    planes[:, 2:-2, 2:-2] = np.moveaxis(problem.observed, -1, 0)
+    model.hold(planes)
+    return model
+
+
+def silent(part):
+    """Take no notice of progress."""
+
+
+@pytest.mark.parametrize("prior", PRIORS.values(), ids=PRIORS)
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 3.0)], ids=["square", "oblong"])
+@pytest.mark.parametrize("shape", [(9, 7), (40, 23), (6, 64), (50, 51)], ids=str)
+def test_the_forces_of_a_displacement_lead_back_to_it(prior, spacing, shape):
+    model = model_of(prior, shape, spacing)
+    d = np.random.default_rng(1).normal(size=model.moves.shape) * model.moves
+    balance = model.balance(d, None)
+    found = -balance.unit * Factors(model.material, model.moves, silent).solve(balance.rest)
+    np.testing.assert_allclose(found, d, atol=2e-4)
+
+
+def test_tissue_that_nothing_holds_has_no_factors():
+    model = model_of(PRIORS["stress"], (20, 20), held=False)
+    with pytest.raises(Singular):
+        Factors(model.material, model.moves, silent)
+
+
+def test_springs_hold_it():
+    model = model_of(PRIORS["stress"], (20, 20), held=False)
+    springs = np.where(model.moves, 0.5, 0.0)
+    load = np.random.default_rng(2).normal(size=springs.shape) * model.moves
+    d = Factors(model.material, model.moves, silent, springs).solve(load)
+    rest = load + np.where(model.moves, model.pull(d), 0.0) - springs * d
+    assert np.abs(rest).max() < 1e-6
+
+
+def test_progress_goes_from_nothing_to_all_and_may_stop_it():
+    model = model_of(PRIORS["stress"], (70, 70))
+    parts = []
+    Factors(model.material, model.moves, parts.append)
+    assert 0 < parts[0] < 0.5 < parts[-1] <= 1
+
+    def stop(part):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Factors(model.material, model.moves, stop)
