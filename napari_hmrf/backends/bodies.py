@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.planes import HeldPlanes, Planes
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.priors.elements import ElasticMaterial
 

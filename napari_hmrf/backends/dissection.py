@@ -28,6 +28,9 @@ import numpy.typing as npt
 import scipy.linalg
 from threadpoolctl import ThreadpoolController
 
+from napari_hmrf.backends import tiles as shapes
+from napari_hmrf.backends.tiles import LEAF, TILE
+
 Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -37,8 +40,6 @@ Elements = Callable[[slice, slice], Float64Array]
 #: Is told, on any thread, which part of the work is done; may raise to stop it.
 Progress = Callable[[float], None]
 
-# Elements along a side of the smallest boxes, and of a tile.
-_LEAF, _TILE = 4, 16
 # Tiles condensed at once: what a processor's cache holds.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
@@ -139,7 +140,7 @@ class Dissection:
         self._elements, self._patch = elements, patch
         self._moves, self._symmetric = moves, symmetric
         self._span = tuple(size - patch + 1 for size in moves.shape[:2])
-        self._tiles = tuple(-(-size // _TILE) for size in self._span)
+        self._tiles = tuple(-(-size // TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
         self._place()
         # The matrix's diagonal, as far as elements have been looked at.
@@ -174,15 +175,15 @@ class Dissection:
 
     def _place(self) -> None:
         """Number the components, tile by tile; the last number is of those that do not move."""
-        side = _TILE + self._patch - 1
+        side = TILE + self._patch - 1
         height, width, fields = self._moves.shape
-        size = [_TILE * count + self._patch - 1 for count in self._tiles]
+        size = [TILE * count + self._patch - 1 for count in self._tiles]
         numbers = np.full((*size, fields), self._moves.size)
         every = np.arange(self._moves.size).reshape(self._moves.shape)
         numbers[:height, :width] = np.where(self._moves, every, self._moves.size)
         windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(0, 1))
         #: (tile rows, tile columns, side, side, C)
-        self._numbers = np.moveaxis(windows[::_TILE, ::_TILE], 2, -1)
+        self._numbers = np.moveaxis(windows[::TILE, ::TILE], 2, -1)
 
     def _condense(
         self,
@@ -240,10 +241,10 @@ class Dissection:
         above, below = top > 0, bottom < self._tiles[0]
         before, after = left > 0, right < self._tiles[1]
         return np.asarray(
-            (above & (row < _TILE * top + over))
-            | (below & (row >= _TILE * bottom))
-            | (before & (col < _TILE * left + over))
-            | (after & (col >= _TILE * right))
+            (above & (row < TILE * top + over))
+            | (below & (row >= TILE * bottom))
+            | (before & (col < TILE * left + over))
+            | (after & (col >= TILE * right))
         )
 
     def _condense_tiles(self, tiles: _Range) -> tuple[_Steps, dict[tuple[int, int], _Share]]:
@@ -253,10 +254,10 @@ class Dissection:
         numbers = self._numbers[top:bottom, left:right].reshape(-1, *self._numbers.shape[2:])
         boxes, at = self._leaves(tiles, numbers)
         steps: _Steps = []
-        own = _components(_own(_LEAF, _LEAF, self._patch), fields).size
-        for merge in (None, *_merges(self._patch, fields)):
+        own = shapes.components(shapes.own(LEAF, LEAF, self._patch), fields).size
+        for merge in (None, *shapes.merges(self._patch, fields)):
             if merge is not None:
-                boxes, at, own = _front(boxes, at, merge)
+                boxes, at, own = shapes.merged(boxes, at, merge)
             step, boxes = self._eliminate(boxes, at, own)
             steps.append(step)
             at = at[..., own:]
@@ -273,29 +274,29 @@ class Dissection:
         """The matrices of the smallest boxes (tiles, 4, 4, n, n), and their components' numbers."""
         top, bottom, left, right = tiles
         patch, fields = self._patch, self._moves.shape[2]
-        rows = slice(_TILE * top, min(_TILE * bottom, self._span[0]))
-        cols = slice(_TILE * left, min(_TILE * right, self._span[1]))
+        rows = slice(TILE * top, min(TILE * bottom, self._span[0]))
+        cols = slice(TILE * left, min(TILE * right, self._span[1]))
         some = self._elements(rows, cols)
         size = some.shape[-1]
-        every = np.zeros((_TILE * (bottom - top), _TILE * (right - left), size, size))
+        every = np.zeros((TILE * (bottom - top), TILE * (right - left), size, size))
         every[: some.shape[0], : some.shape[1]] = some
-        count, side = _TILE // _LEAF, _LEAF + patch - 1
-        split = (bottom - top, count, _LEAF, right - left, count, _LEAF, size, size)
+        count, side = TILE // LEAF, LEAF + patch - 1
+        split = (bottom - top, count, LEAF, right - left, count, LEAF, size, size)
         # (tile row, tile column, box row, box column, element row, element column, n, n)
         elements = every.reshape(split).transpose(0, 3, 1, 4, 2, 5, 6, 7)
-        order = _components(
-            np.concatenate([part(_LEAF, _LEAF, patch) for part in (_own, _ring)]), fields
+        order = shapes.components(
+            np.concatenate([part(LEAF, LEAF, patch) for part in (shapes.own, shapes.ring)]), fields
         )
         place = np.argsort(order)
         grid = np.arange(len(order)).reshape(side, side, fields)
         leaves = np.zeros((*elements.shape[:4], len(order), len(order)))
-        for i in range(_LEAF):
-            for j in range(_LEAF):
+        for i in range(LEAF):
+            for j in range(LEAF):
                 at = place[grid[i : i + patch, j : j + patch].ravel()]
                 leaves[..., at[:, None], at] += elements[:, :, :, :, i, j]
         leaves = leaves.reshape(-1, *leaves.shape[2:])
         windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(1, 2))
-        each = np.moveaxis(windows[:, ::_LEAF, ::_LEAF], 3, -1)
+        each = np.moveaxis(windows[:, ::LEAF, ::LEAF], 3, -1)
         at = each.reshape(*leaves.shape[:-1])[..., order]
         moves = at < self._moves.size
         leaves *= moves[..., None] & moves[..., None, :]
@@ -344,7 +345,7 @@ def work(shape: tuple[int, ...]) -> float:
     """Roughly how many multiplications a dissection of (H, W, C) takes."""
     height, width, fields = shape
     sites = height * width
-    boxes, tiles = 16.0 * sites * math.sqrt(sites), _TILE_WORK * sites / _TILE**2
+    boxes, tiles = 16.0 * sites * math.sqrt(sites), _TILE_WORK * sites / TILE**2
     return fields**3 * (boxes + tiles)
 
 
@@ -368,67 +369,3 @@ def _pools() -> ThreadpoolController:
 def _one_thread() -> Any:
     """Have each call computed by its own thread, within this context."""
     return _pools().limit(limits=1, user_api="blas")
-
-
-class _Merge(NamedTuple):
-    """How two boxes of a shape become one of `size` components, the `own` ones first."""
-
-    axis: int
-    own: int
-    size: int
-    first: Index
-    second: Index
-
-
-def _front(boxes: Float64Array, at: Index, merge: _Merge) -> tuple[Float64Array, Index, int]:
-    """Make every two boxes of a grid (tiles, rows, columns, ...) one."""
-    one, two = (
-        (slice(None), *(slice(None),) * merge.axis, slice(start, None, 2)) for start in (0, 1)
-    )
-    numbers = np.empty((*at[one].shape[:-1], merge.size), dtype=at.dtype)
-    front = np.zeros((*numbers.shape, merge.size))
-    for part, place in ((one, merge.first), (two, merge.second)):
-        numbers[..., place] = at[part]
-        front[..., place[:, None], place] += boxes[part]
-    return front, numbers, merge.own
-
-
-def _ring(height: int, width: int, patch: int) -> Index:
-    """The sites of a box of elements that others may touch, in the order of rows."""
-    over = patch - 1
-    inner = np.ones((height + over, width + over), dtype=bool)
-    inner[over:height, over:width] = False
-    return np.flatnonzero(inner)
-
-
-def _own(height: int, width: int, patch: int) -> Index:
-    """The sites of a box of elements that no others touch, in the order of rows."""
-    over = patch - 1
-    return np.setdiff1d(np.arange((height + over) * (width + over)), _ring(height, width, patch))
-
-
-def _components(sites: Index, fields: int) -> Index:
-    """The components of sites."""
-    return np.asarray((sites[:, None] * fields + np.arange(fields)).ravel())
-
-
-@lru_cache(maxsize=8)
-def _merges(patch: int, fields: int) -> tuple[_Merge, ...]:
-    """How the smallest boxes become a tile."""
-    made, size, over = [], [_LEAF, _LEAF], patch - 1
-    while size != [_TILE, _TILE]:
-        axis = int(size[1] == size[0])
-        row, col = np.divmod(_ring(size[0], size[1], patch), size[1] + over)
-        shift = [0, 0]
-        shift[axis] = size[axis]
-        size[axis] *= 2
-        width = size[1] + over
-        first, second = row * width + col, (row + shift[0]) * width + col + shift[1]
-        outside = _ring(size[0], size[1], patch)
-        own = np.setdiff1d(np.union1d(first, second), outside)
-        order = np.concatenate([own, outside])
-        place = np.zeros(width * (size[0] + over), dtype=np.intp)
-        place[order] = np.arange(len(order))
-        both = (_components(place[sites], fields) for sites in (first, second))
-        made.append(_Merge(axis, fields * len(own), fields * len(order), *both))
-    return tuple(made)

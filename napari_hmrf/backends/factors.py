@@ -11,7 +11,7 @@ import numpy.typing as npt
 import psutil
 
 from napari_hmrf.backends.dissection import Dissection, Elements, Progress
-from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.planes import HeldPlanes, Planes
 
 # The part of the memory that is free now that factors may take.
 _FREE = 0.7

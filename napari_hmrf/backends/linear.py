@@ -12,18 +12,15 @@ zeros two sites wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.found import Found
-
-if TYPE_CHECKING:
-    from napari_hmrf.backends.bodies import Bodies
-
-Planes = npt.NDArray[np.float64]
-HeldPlanes = npt.NDArray[np.bool_]
+from napari_hmrf.backends.planes import HeldPlanes as HeldPlanes
+from napari_hmrf.backends.planes import Planes as Planes
 
 #: (scale, momentum) of each Chebyshev step of a smoother.
 Steps = tuple[tuple[float, float], ...]
