@@ -218,7 +218,8 @@ def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing, visite
     assert off.max() < 2e-3
     assert (shaders.displacement[~problem.tissue] == 0).all()
     assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=1e-4)
-    assert abs(shaders.iterations - loops.iterations) <= max(2, loops.iterations // 4)
+    if loops.convergence.way == "cycles":
+        assert abs(shaders.iterations - loops.iterations) <= max(2, loops.iterations // 4)
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
@@ -245,14 +246,14 @@ def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stag
 
 def test_an_earlier_solution_is_a_good_beginning(stage):
     backend = f"opengl:{stage}"
-    first = solve(torn(1e4), ElasticPrior(), backend=backend)
-    again = solve(torn(1e4), ElasticPrior(), backend=backend, start=first)
+    first = solve(torn(4.0), ElasticPrior(), backend=backend)
+    again = solve(torn(4.0), ElasticPrior(), backend=backend, start=first)
     assert again.iterations < first.iterations / 3
     assert np.abs(again.displacement - first.displacement).max() < 4e-3
 
 
 def test_the_same_solve_gives_the_same_bits(stage):
-    first, second = (solve(torn(1e4), ElasticPrior(), backend=f"opengl:{stage}") for _ in range(2))
+    first, second = (solve(torn(4.0), ElasticPrior(), backend=f"opengl:{stage}") for _ in range(2))
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
@@ -328,7 +329,7 @@ def _batches(stage: str, stop_at: int | None = None) -> int:
     def job() -> int:
         backend = OpenGLBackend(look, stage)
         try:
-            Multigrid().run(torn(1e4), ElasticPrior(), backend, lambda _: None)
+            Multigrid().run(torn(4.0), ElasticPrior(), backend, lambda _: None)
         finally:
             backend.close()
         return looks
@@ -341,13 +342,13 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
     stage, made, where, every_pass_a_batch
 ):
     backend = f"opengl:{stage}"
-    before = solve(torn(1e4), ElasticPrior(), backend=backend)
+    before = solve(torn(4.0), ElasticPrior(), backend=backend)
     looks = _batches(stage)
     assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
         _batches(stage, stop_at=int(where * looks))
     assert left(made) == 0
-    after = solve(torn(1e4), ElasticPrior(), backend=backend)
+    after = solve(torn(4.0), ElasticPrior(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
@@ -355,18 +356,18 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     from napari_hmrf.backends.opengl import backend, regions
 
-    whole = solve(torn(1e4), ElasticPrior(), backend=f"opengl:{stage}").displacement
+    whole = solve(torn(4.0), ElasticPrior(), backend=f"opengl:{stage}").displacement
     monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
     monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
     monkeypatch.setattr(regions, "_ACROSS", 2)
-    cut = solve(torn(1e4), ElasticPrior(), backend=f"opengl:{stage}").displacement
+    cut = solve(torn(4.0), ElasticPrior(), backend=f"opengl:{stage}").displacement
     np.testing.assert_array_equal(cut, whole)
 
 
 def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest", 80)
     with pytest.raises(BackendError, match=r"67 x 90 pixels, but .* at most 80 x 80"):
-        solve(torn(1e4), ElasticPrior(), backend="opengl")
+        solve(torn(4.0), ElasticPrior(), backend="opengl")
     assert left(made) == 0
 
 

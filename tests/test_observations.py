@@ -123,7 +123,8 @@ def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalt
     m = np.where(np.hypot(*(place - 12)) < 24, 4.0, 1.0)
     problem, prior = Problem(y, c, m), ElasticPrior(0.45, penalty=firm)
     found = solve(problem, prior, Multigrid(1e-4))
-    assert found.iterations < 150
+    # About fifty cycles find which components slip; the rest make sure, to a billionth of a pixel.
+    assert found.iterations < 450
     d = found.displacement.astype(float)
     forces = -(stiffness_matrix(problem, prior) @ d.ravel()).reshape(d.shape)
     off, limit = (y - d)[patch], prior.limit(problem)[patch]

@@ -73,10 +73,10 @@ def spoiled(field, where, value):
     ("arrays", "field", "says"),
     [
         (spoiled("m", (1, 2), np.nan), "m", r"1 values that are NaN .* \(1, 2\)"),
-        (spoiled("m", (1, 2), np.inf), "m", r"\(1, 2\)"),
+        (spoiled("m", (1, 2), -np.inf), "m", r"\(1, 2\)"),
         (spoiled("m", (3, 0), -2), "m", r"1 negative values, the first at \(3, 0\)"),
         (spoiled("m", ..., 0), "m", "no tissue"),
-        (spoiled("m", (0, 0), 1e9), "m", "a million times"),
+        (spoiled("m", (0, 0), 1e9), "m", "ten million times"),
         (spoiled("m", (0, 0), 1e300), "m", "beyond single precision"),
         (spoiled("m", ..., 1e-44), "m", r"is 1e-44 at \(0, 0\).*choose a unit"),
         (spoiled("m", (1, 2), 1e-60), "m", r"is 1e-60 at \(1, 2\).*0 where there is no tissue"),

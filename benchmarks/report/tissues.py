@@ -43,6 +43,11 @@ class Images:
         return self.m.shape
 
     @cached_property
+    def rigid(self) -> Array:
+        """Where m is infinite."""
+        return np.isinf(self.m)
+
+    @cached_property
     def tissue(self) -> Array:
         """Where m > 0."""
         return self.m > 0

@@ -79,6 +79,7 @@ class ConjugateGradients:
     def least(self, value: float) -> None:
         self._spectrum.least = value
 
+    @np.errstate(over="ignore", invalid="ignore")
     def run(
         self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
     ) -> npt.NDArray[np.float32]:
@@ -153,6 +154,7 @@ class StabilisedGradients:
     def __init__(self, cycle: Cycle) -> None:
         self._cycle = cycle
 
+    @np.errstate(over="ignore", invalid="ignore")
     def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
         """Return a correction for a residual (planes), in single precision.
 

@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from napari_hmrf.backends.dissection import Singular
 from napari_hmrf.backends.factors import Factors
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.optimizers.base import Report
 from napari_hmrf.optimizers.refinement import Refinement, factorise
 
@@ -101,7 +103,13 @@ def _product(model: LinearModel, one: Planes, two: Planes) -> float:
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
     """The motions, times the roots of the diagonal, that cost little: (components, motions)."""
     springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
-    factors = Factors(model.material, moves, lambda part: None, springs)
+    try:
+        factors = Factors(model.material, moves, lambda part: None, springs)
+    except Singular:
+        raise ConvergenceError(
+            "how tissue can move at no cost is more than double precision tells. Hold more of it, "
+            "or bring the softest and the stiffest tissue closer together"
+        ) from None
     random, count = np.random.default_rng(0), _FIRST
     while True:
         some = random.standard_normal((len(weights), min(count, len(weights))))

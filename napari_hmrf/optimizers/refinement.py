@@ -28,7 +28,7 @@ from napari_hmrf.optimizers.krylov import ConjugateGradients, Step
 _REHEARSED = 0.01
 _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was.
-_MARGIN = 2.5
+_MARGIN = 4.0
 _REHEARSAL_CYCLES = 30
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
