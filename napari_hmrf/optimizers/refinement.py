@@ -125,10 +125,12 @@ class Refinement:
         self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
-                self._doubt = 1.0 if self._model.mild else self._rehearse(d.shape)
+                self._doubt = 1.0
+                if not self._model.mild:
+                    self._doubt = self._rehearse(d.shape)
+                    balance = self._model.balance(d, load)  # what it was is overwritten
             found.doubt = self._doubt
             found.least = self._iteration.least
-            balance = self._model.balance(d, load)
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
         model = self._model

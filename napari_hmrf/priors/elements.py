@@ -73,7 +73,7 @@ class ElasticMaterial:
         m = self.m[sites].astype(np.float64) / stiffest(self.m)
         return np.where(np.isinf(m), stand_in, m)
 
-    @property
+    @cached_property
     def mild(self) -> bool:
         """Whether a cycle is known to see every motion of such tissue."""
         aspect = max(self.shape.rows, self.shape.cols) / self.shape.mixed

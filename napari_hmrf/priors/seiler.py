@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -109,20 +109,15 @@ class SeilerMaterial:
         most = 3.0 if self.blanket else 2.0
         return most, most
 
-    @property
+    @cached_property
     def mild(self) -> bool:
-        """Whether a cycle is known to see every motion of such tissue.
-
-        Blanket it is not: parts three sites wide can bend at no cost.
-        """
+        """Whether a cycle sees every motion of it: not blanket, where parts three wide can bend."""
         return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
     #: No volume is kept.
     compressible = True
-    #: Sites along a side of an element: the cliques around a site.
-    patch = 3
-    #: How far elements reach beyond the image, in sites: those around sites of its border.
-    margin = 1
+    #: Sites along a side of an element (the cliques around a site), and how far it reaches beyond.
+    patch, margin = 3, 1
 
     @property
     def symmetric(self) -> bool:
@@ -132,14 +127,17 @@ class SeilerMaterial:
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
         """Each component apart, and what gives the matrices around sites, (h, w, 9, 9)."""
-        return tuple(((k,), partial(self._matrices, k)) for k in range(2))
+        padded = np.pad(self.m, 1)
+        return tuple(((k,), partial(self._matrices, k, padded)) for k in range(2))
 
-    def _matrices(self, component: int, rows: slice, cols: slice) -> Float64Array:
+    def _matrices(
+        self, component: int, padded: npt.NDArray[np.float32], rows: slice, cols: slice
+    ) -> Float64Array:
         """The matrices of the cliques whose middles lie between these rows and columns.
 
         Blanket, the second derivatives of their energies; centred, the middle's d - q(d).
         """
-        sites = np.pad(self.m, 1)[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
+        sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
         shape = sites.shape[0] - 2, sites.shape[1] - 2
         total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))
         for (i, j), weight in zip(LINES, self.lines[:, component], strict=True):
