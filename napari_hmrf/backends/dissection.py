@@ -52,7 +52,7 @@ class Singular(ArithmeticError):
 
 
 class _Step(NamedTuple):
-    """A condensation: its components, A^-1, A^-1 B, and C A^-1 if that is not (A^-1 B)^T.
+    """A condensation: its components, A^-1, A^-1 B, and C A^-1.
 
     All may have leading axes, for boxes of the same shape.
     """
@@ -61,12 +61,11 @@ class _Step(NamedTuple):
     ring: Index
     inverse: Float64Array
     right: Float64Array
-    left: Float64Array | None
+    left: Float64Array
 
     def forward(self, load: Float64Array) -> None:
         """Hand the load of own components on to the ring, in place."""
-        left = self.left if self.left is not None else self.right.swapaxes(-1, -2)
-        passed = (left @ load[self.own][..., None])[..., 0]
+        passed = (self.left @ load[self.own][..., None])[..., 0]
         np.subtract.at(load, self.ring, passed)
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
@@ -76,7 +75,10 @@ class _Step(NamedTuple):
 
 
 class _CholeskyStep(NamedTuple):
-    """A condensation of a symmetric box: U of A = U^T U, and U^-T B."""
+    """A condensation of symmetric boxes: U of A = U^T U, or its inverse, and U^-T B.
+
+    Many small boxes, with leading axes, have the inverse.
+    """
 
     own: Index
     ring: Index
@@ -85,12 +87,22 @@ class _CholeskyStep(NamedTuple):
 
     def forward(self, load: Float64Array) -> None:
         """As for `_Step`; the load of own components becomes U^-T times it."""
-        load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
-        load[self.ring] -= load[self.own] @ self.right
+        if self.factor.ndim == 2:
+            load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
+            load[self.ring] -= load[self.own] @ self.right
+            return
+        own = self.factor.swapaxes(-1, -2) @ load[self.own][..., None]
+        load[self.own] = own[..., 0]
+        np.subtract.at(load, self.ring, (self.right.swapaxes(-1, -2) @ own)[..., 0])
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
         """As for `_Step`."""
-        d[self.own] = _triangular(self.factor, load[self.own] - self.right @ d[self.ring])
+        if self.factor.ndim == 2:
+            rest = load[self.own] - self.right @ d[self.ring]
+            d[self.own] = _triangular(self.factor, rest)
+            return
+        rest = load[self.own][..., None] - self.right @ d[self.ring][..., None]
+        d[self.own] = (self.factor @ rest)[..., 0]
 
 
 _Steps = list[_Step | _CholeskyStep]
@@ -323,12 +335,23 @@ class Dissection:
             above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
             return _CholeskyStep(*places, factor, above), d - above.T @ above
         try:
+            if self._symmetric:
+                # Not the inverse of A itself: that would have lost twice as many digits.
+                if not (a[..., diagonal, diagonal] > 0).all():
+                    raise Singular
+                scale = np.sqrt(a[..., diagonal, diagonal])
+                scaled = a / (scale[..., :, None] * scale[..., None, :])
+                factor = np.linalg.cholesky(scaled)
+                self._check(factor[..., diagonal, diagonal] ** 2 * scale**2, places[0])
+                factor = np.linalg.inv(factor) / scale[..., None, :]
+                above = factor @ b
+                step = _CholeskyStep(*places, factor.swapaxes(-1, -2), above)
+                return step, d - above.swapaxes(-1, -2) @ above
             inverse = np.asarray(np.linalg.inv(a), np.float64)
         except np.linalg.LinAlgError:
             raise Singular from None
         self._check(1 / inverse.diagonal(axis1=-2, axis2=-1), places[0])
-        right = inverse @ b
-        left = None if self._symmetric else c @ inverse
+        right, left = inverse @ b, c @ inverse
         return _Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
 
     def _check(self, pivots: Float64Array, own: Index) -> None:
