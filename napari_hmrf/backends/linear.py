@@ -200,10 +200,10 @@ class LinearModel(Protocol):
         """
         ...
 
-    def pull(self, d: Planes) -> Planes:
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """What the tissue pulls with everywhere, held or not: - A d, in double precision.
 
-        Valid until the next call.
+        `low` is what rounding took from `d`. Valid until the next call.
         """
         ...
 

@@ -154,7 +154,7 @@ class ActiveSet(States):
             if motion is None:
                 break
             if len(let_go) == 1:
-                return self._slide(d, motion) or int(wrong.sum()) > 1
+                return self.slide(d, motion) or int(wrong.sum()) > 1
             # Too much at once: only of what needs most.
             wrong[let_go[np.argsort(excess[let_go])[: len(let_go) // 2]]] = False
         return count > 0
@@ -293,7 +293,7 @@ class ActiveSet(States):
         self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, np.sign(off))
         self.place(d)
 
-    def _slide(self, d: Planes, motion: Planes) -> bool:
+    def slide(self, d: Planes, motion: Planes) -> bool:
         """Move tissue at no cost of its own to where observations want it most, in place.
 
         Something holds it there again. Were there no such place, what was let go is held as before.

@@ -44,10 +44,8 @@ _CORRECTIONS, _EXACTLY = 10, 1e-9
 _SIDE = np.array([[1.0], [-1.0]])
 
 
-def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> float:
+def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> None:
     """Move `d` in place to the least energy, and find the states that go with it.
-
-    Returns how far the last step moved anything, in pixels.
 
     Raises
     ------
@@ -75,8 +73,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> f
         factors = _factors(model, moves, at, weight)
         if factors is None:
             break
-        rest = model.pull(d).copy()
-        rest += model.pull(low)
+        rest = model.pull(d, low).copy()
         rest.ravel()[at] += force
         rest[~moves] = 0
         apart = y - d.ravel()[at] - low.ravel()[at] - (past[0] - past[1])
@@ -117,7 +114,6 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> f
         )
     slips = past / scale > slack / p
     states.slip_as(np.where(slips[0], 1.0, np.where(slips[1], -1.0, 0.0)))
-    return far
 
 
 def _factors(

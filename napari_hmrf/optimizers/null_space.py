@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from napari_hmrf.backends import host
 from napari_hmrf.backends.dissection import Singular
 from napari_hmrf.backends.factors import Factors
 from napari_hmrf.backends.linear import HeldPlanes, LinearModel, Planes
@@ -19,11 +20,15 @@ Float64Array = npt.NDArray[np.float64]
 
 # The springs that make the model invertible, as a part of its diagonal; up to which part of it a
 # motion costs next to nothing; and nothing.
-_SPRINGS, _LITTLE, _NOTHING = 1e-13, 1e-11, 1e-26
+_SPRINGS, _LITTLE, _NOTHING = 1e-13, 1e-11, 1e-28
 _ITERATIONS = 4
 _FIRST, _MOST = 8, 64
 _EXACT, _FLOOR = 1e-12, 1e-14
 _BALANCINGS = 4
+# How far, in pixels where tissue moves by one, a motion may still be from rest after that; and which
+# part of a load may be left over in one that costs nothing.
+_ASTRAY, _BALANCED = 1e-6, 1e-9
+_MIXINGS = 2
 
 
 class Play(NamedTuple):
@@ -34,7 +39,7 @@ class Play(NamedTuple):
     pins : ndarray of bool, planes
         Components that, held, stop all of these motions.
     ways : ndarray, shape (ways, planes)
-        The motions, each of one pin by a pixel while the others rest.
+        Those that cost something.
     cost : ndarray, shape (ways, ways)
         Their second derivatives of the energy.
     free : list of ndarray, each of shape (ways, H, W, 2)
@@ -52,17 +57,36 @@ class Play(NamedTuple):
         """Move `d` in place to where tissue and load balance: pins, too, if that costs anything.
 
         Energies, unlike forces, tell how far these have to go: they are sums of squares.
+
+        Raises
+        ------
+        ConvergenceError
+            If double precision does not tell where that is.
         """
         refinement.run(d, load, tolerance)
         size = np.sqrt(np.diagonal(self.cost).clip(1e-300))
         inverse = np.linalg.pinv(self.cost / np.outer(size, size), _FLOOR, True)
-        for _ in range(_BALANCINGS if not self.free else 0):
+        far = np.inf
+        for _ in range(_BALANCINGS):
             left = [(load * way).sum() - _product(model, d, way) for way in self.ways]
-            go = inverse @ (np.array(left) / size) / size
-            if not np.abs(go).max(initial=0.0) > tolerance:
-                break
-            d += np.tensordot(go, self.ways, 1)
+            go = np.tensordot(inverse @ (np.array(left) / size) / size, self.ways, 1)
+            far = float(np.abs(go).max(initial=0.0))
+            if far <= tolerance:
+                return
+            d += go
             refinement.run(d, load, tolerance)
+        if far > _ASTRAY * max(1.0, float(np.abs(d).max())):
+            raise ConvergenceError("what moves at next to no cost does not come to rest")
+
+    def adrift(self, load: Planes) -> Planes | None:
+        """Return a motion that costs nothing and that a load does work in, if there is one."""
+        for ways in self.free:
+            for way in ways:
+                motion = host.planes(way)
+                work = load * motion
+                if abs(work.sum()) > _BALANCED * np.abs(work).sum():
+                    return motion
+        return None
 
 
 def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
@@ -86,10 +110,15 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     for way, pin in zip(ways, at, strict=True):
         way.ravel()[pin] = 1.0
         refinement.run(way, None, _EXACT)
+    for _ in range(_MIXINGS):
+        # Products lose what is small beside the cost of other motions: not once they are apart.
+        ways /= np.sqrt((steep * ways**2).sum(axis=(1, 2, 3)))[:, None, None, None]
+        cost = np.array([[_product(model, one, two) for two in ways] for one in ways])
+        _, mixes = np.linalg.eigh(cost)
+        ways = np.tensordot(mixes.T, ways, 1)
     cost = np.array([[_product(model, one, two) for two in ways] for one in ways])
-    scale = np.sqrt(steep.ravel()[at])
-    costs, mixes = np.linalg.eigh(cost / np.outer(scale, scale))
-    free = np.tensordot((mixes / scale[:, None])[:, costs < _NOTHING].T, ways, 1)
+    nothing = np.diagonal(cost) < _NOTHING * (steep * ways**2).sum(axis=(1, 2, 3))
+    free, ways, cost = ways[nothing], ways[~nothing], cost[~nothing][:, ~nothing]
     free /= np.abs(free).max(axis=(1, 2, 3), keepdims=True)
     motions = [np.moveaxis(free[:, :, 2:-2, 2:-2], 1, -1)] if len(free) else []
     return Play(pins, ways, cost, motions)

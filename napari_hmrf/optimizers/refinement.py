@@ -76,10 +76,7 @@ class Refinement:
 
     def pull(self, d: Planes) -> Planes:
         """What tissue pulls with where the last run has left it: more digits than `d` carries."""
-        pulls = self._model.pull(d).copy()
-        if self._low is not None:
-            pulls += self._model.pull(self._low)
-        return pulls
+        return self._model.pull(d, self._low).copy()
 
     def doubt_again(self) -> None:
         """Rehearse once more if something else is held: what holds less may move otherwise."""

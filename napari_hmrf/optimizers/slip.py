@@ -89,8 +89,8 @@ class Slip:
             self._model.hold(self._states.every)
             if self._model.moves.any():
                 factorise(self._model, self._report)
-            far = interior.solve(self._model, self._states, d, self._report)
-            self._confirm(d, exact, far)
+            interior.solve(self._model, self._states, d, self._report)
+            self._confirm(d, exact)
         return self._settle(d)
 
     def _free(self, held: HeldPlanes) -> Planes | None:
@@ -137,24 +137,31 @@ class Slip:
                 return
         raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
 
-    def _confirm(self, d: Planes, exact: float, far: float) -> None:
-        """Solve for the states that were found, and exchange those that are wrong after all."""
-        states, model, refinement, found = self._states, self._model, self._refinement, d.copy()
-        try:
-            for number in range(_MOST_EXCHANGES):
-                play = self._play(states.held)
-                states.place(found)
-                model.hold(states.held | play.pins)
-                play.balance(model, refinement, found, states.load, exact)
-                pull = refinement.pull(found)
-                self._least(found, pull, play.free)
-                if not states.correct(found, pull, _PASSED * exact, _SHARE, number >= _AT_ONCE):
-                    np.copyto(d, found)
-                    far = refinement.estimate
-                    break
-        except ConvergenceError:
-            pass
-        refinement.estimate = far
+    def _confirm(self, d: Planes, exact: float) -> None:
+        """Solve for the states that were found, and exchange those that are wrong after all.
+
+        Raises
+        ------
+        ConvergenceError
+        """
+        states, model, refinement = self._states, self._model, self._refinement
+        for number in range(_MOST_EXCHANGES):
+            play = self._play(states.held)
+            states.place(d)
+            adrift = play.adrift(states.load)
+            if adrift is not None and states.slide(d, adrift):
+                continue
+            model.hold(states.held | play.pins)
+            play.balance(model, refinement, d, states.load, exact)
+            pull = refinement.pull(d)
+            self._least(d, pull, play.free)
+            if not states.correct(d, pull, _PASSED * exact, _SHARE, number >= _AT_ONCE):
+                break
+        else:
+            raise ConvergenceError(
+                "which observations slip stays open: double precision does not tell. Raise the "
+                "penalty, or hold more of the tissue"
+            )
         energy, _ = model.work(d)
         refinement.settle(energy + states.cost(d))
 

@@ -1,7 +1,8 @@
 """What is known of tissue before anything is observed: the energies, as the equations say them."""
 
+from napari_hmrf.priors.cliques import LINES, line_weights
 from napari_hmrf.priors.elastic import ElasticPrior
-from napari_hmrf.priors.seiler import LINES, SeilerPrior, SiteParabola, line_weights
+from napari_hmrf.priors.seiler import SeilerPrior, SiteParabola
 
 #: What `solve` takes.
 Prior = SeilerPrior | ElasticPrior

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
 from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -25,7 +24,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.hierarchy import levels, nearest_pixels
-from napari_hmrf.priors.elements import MILD_CONTRAST, contrast
+from napari_hmrf.priors.cliques import LINES, SeilerMaterial, Slices, line_weights, ratios
 from napari_hmrf.problem import Problem
 
 Float64Array = npt.NDArray[np.float64]
@@ -35,134 +34,6 @@ Conditional = Literal["centred", "blanket"]
 _UNIFORM_PENALTY = 1e4
 # Beyond this float32 energies overflow.
 _LARGEST_PENALTY = 1e30
-
-#: Step from the middle of a clique to its end u; the end s lies on the other side (figure 2).
-LINES: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
-
-
-def line_weights(spacing: tuple[float, ...]) -> Float64Array:
-    """How much each line of cliques counts for each component of displacement.
-
-    The paper's pixels are square: there the vertical line carries the row component, the horizontal
-    line the col component, and the diagonals both, all with weight 1. For other pixels the weights
-    are those, none negative, that keep the continuum the lines stand for: in uniform tissue
-    component i obeys ``3 d_ii + 2 d_jj = 0`` in physical lengths, for any spacing.
-
-    Parameters
-    ----------
-    spacing : (float, float)
-        Size of a pixel in (row, col) direction.
-
-    Returns
-    -------
-    ndarray, shape (4, 2)
-        Weight of each of `LINES` for the (row, col) component.
-    """
-    row, col = spacing
-    along = np.array([row, col]) ** 2 / (row * col)  # squared sizes, in units of one pixel
-    diagonal = 1.0 / along.max()
-    own = 3.0 / along - 2.0 * diagonal
-    cross = 2.0 / along - 2.0 * diagonal
-    return np.array(
-        [[own[0], cross[0]], [cross[1], own[1]], [diagonal, diagonal], [diagonal, diagonal]]
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class SeilerMaterial:
-    """What the kernels of multigrid need to know of a problem's tissue.
-
-    Attributes
-    ----------
-    m : ndarray, shape (H, W), float32
-        Stiffness; 0 is void. Only its ratios matter.
-    lines : ndarray, shape (4, 2)
-        What each line of cliques counts for each component: `line_weights`.
-    square : bool
-        Whether the pixels are.
-    blanket : bool
-        Whether every clique that contains a site pulls at it, or those whose middle it is.
-    """
-
-    m: npt.NDArray[np.float32]
-    lines: Float64Array
-    square: bool
-    blanket: bool
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, SeilerMaterial)
-            and (self.square, self.blanket) == (other.square, other.blanket)
-            and np.array_equal(self.lines, other.lines)
-            and np.array_equal(self.m, other.m)
-        )
-
-    __hash__ = None  # type: ignore[assignment]
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A, for usual and for any materials.
-
-        Centred, a row is 1 less a weighted mean; blanket, each term of the energy is the square
-        of a sum of three, which is at most three times the sum of their squares.
-        """
-        most = 3.0 if self.blanket else 2.0
-        return most, most
-
-    @cached_property
-    def mild(self) -> bool:
-        """Whether a cycle sees every motion of it: not blanket, where parts three wide can bend."""
-        return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
-
-    #: No volume is kept.
-    compressible = True
-    #: Sites along a side of an element (the cliques around a site), and how far it reaches beyond.
-    patch, margin = 3, 1
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether the model is: it has an energy."""
-        return self.blanket
-
-    @property
-    def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Each component apart, and what gives the matrices around sites, (h, w, 9, 9)."""
-        padded = np.pad(self.m, 1)
-        return tuple(((k,), partial(self._matrices, k, padded)) for k in range(2))
-
-    def _matrices(
-        self, component: int, padded: npt.NDArray[np.float32], rows: slice, cols: slice
-    ) -> Float64Array:
-        """The matrices of the cliques whose middles lie between these rows and columns.
-
-        Blanket, the second derivatives of their energies; centred, the middle's d - q(d).
-        """
-        sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
-        shape = sites.shape[0] - 2, sites.shape[1] - 2
-        total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))
-        for (i, j), weight in zip(LINES, self.lines[:, component], strict=True):
-            s, t, u = (
-                (slice(1 + k * i, 1 + k * i + shape[0]), slice(1 + k * j, 1 + k * j + shape[1]))
-                for k in (-1, 0, 1)
-            )
-            at = np.array([3 * (1 + k * i) + 1 + k * j for k in (-1, 0, 1)])
-            r_s, r_u, exists = _ratios(sites, s, t, u)
-            one = np.ones_like(r_s)
-            # How the two terms of V depend on d_s, d_t and d_u.
-            for ratio, term in (
-                (r_u, np.concatenate([-r_u, 1 + r_u, -one], axis=-1)),
-                (r_s, np.concatenate([-one, 1 + r_s, -r_s], axis=-1)),
-            ):
-                if self.blanket:
-                    square = term[..., :, None] * term[..., None, :]
-                    total[..., at[:, None], at] += 2 * weight * exists[..., None] * square
-                else:
-                    total[..., 4, at] += weight * exists * (1 + ratio) * term
-                    curvature += weight * exists * (1 + ratio) ** 2
-        if not self.blanket:
-            steep = np.where(curvature > 0, curvature, 1.0)[..., None]
-            total = np.divide(total, steep)
-        return total
 
 
 class SiteParabola(NamedTuple):
@@ -293,7 +164,7 @@ class SeilerPrior:
         energy: Float64Array = (penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(axis=-1)
         energy[~problem.tissue] = 0.0
         for line, (s, t, u) in _cliques(problem.shape):
-            ratio_s, ratio_u, exists = _ratios(problem.m, s, t, u)
+            ratio_s, ratio_u, exists = ratios(problem.m, s, t, u)
             first = ratio_u * (d[t] - d[s]) - (d[u] - d[t])
             second = ratio_s * (d[t] - d[u]) - (d[s] - d[t])
             energy[t] += (exists * weights[line] * (first**2 + second**2)).sum(axis=-1)
@@ -318,7 +189,7 @@ class SeilerPrior:
         curvature = np.zeros_like(d)
         slope = np.zeros_like(d)  # -1/2 of the derivative of the energy by the site's displacement
         for line, (s, t, u) in _cliques(problem.shape):
-            ratio_s, ratio_u, exists = _ratios(problem.m, s, t, u)
+            ratio_s, ratio_u, exists = ratios(problem.m, s, t, u)
             weight = exists * weights[line]
             first = ratio_u * (d[t] - d[s]) - (d[u] - d[t])
             second = ratio_s * (d[t] - d[u]) - (d[s] - d[t])
@@ -367,10 +238,7 @@ def _steepest(around: Float64Array, weights: Float64Array) -> float:
     return float(curvature.max(initial=0.0))
 
 
-_Slices = tuple[slice, ...]
-
-
-def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[_Slices, _Slices, _Slices]]]:
+def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[Slices, Slices, Slices]]]:
     """All cliques of a grid, line by line, as three views (s, t, u) of equal shape."""
     for line, step in enumerate(LINES):
         views = [
@@ -382,17 +250,3 @@ def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[_Slices, _Slic
         ]
         if all(size > 2 * abs(along) for along, size in zip(step, shape, strict=True)):
             yield line, (views[0], views[1], views[2])
-
-
-def _ratios(
-    m: npt.NDArray[np.float32], s: _Slices, t: _Slices, u: _Slices
-) -> tuple[Float64Array, Float64Array, npt.NDArray[np.bool_]]:
-    """m_t/m_s, m_t/m_u (1 where undefined) and whether the clique exists, each (..., 1)."""
-    ms, mt, mu = (m[at].astype(np.float64)[..., None] for at in (s, t, u))
-    exists = (ms > 0) & (mt > 0) & (mu > 0)
-    one = np.ones_like(mt)
-    return (
-        np.divide(mt, ms, out=one.copy(), where=exists),
-        np.divide(mt, mu, out=one.copy(), where=exists),
-        exists,
-    )

@@ -7,7 +7,7 @@ col), so that site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-from numba import float32, prange
+from numba import float32, float64, prange
 
 from napari_hmrf.backends.cpu.compiled import inline, parallel
 from napari_hmrf.backends.cpu.vectors import span
@@ -18,25 +18,26 @@ def elements(m, poisson, each, strain, scale, lame):
     """Lame's parameters of each element: of the means of its sites; 0 if one of them is void.
 
     `poisson` is one value, or one for each site in `each`; lambda is that of plane stress or, if
-    `strain`, of plane strain.
+    `strain`, of plane strain. In double precision: of 1 - 2 nu little is left where nu is 0.499.
     """
     for i in prange(m.shape[0] - 1):
         for j in range(m.shape[1] - 1):
-            a, b, c, d = m[i, j], m[i, j + 1], m[i + 1, j], m[i + 1, j + 1]
-            if min(min(a, b), min(c, d)) > float32(0):
+            a, b = float64(m[i, j]), float64(m[i, j + 1])
+            c, d = float64(m[i + 1, j]), float64(m[i + 1, j + 1])
+            if min(min(a, b), min(c, d)) > 0:
                 young = scale * ((a + b) + (c + d))
                 nu = poisson
                 if each is not None:
-                    nu = float32(0.25) * (
-                        (each[i, j] + each[i, j + 1]) + (each[i + 1, j] + each[i + 1, j + 1])
-                    )
-                shear = young / (float32(2) + float32(2) * nu)
-                beside = float32(1) - (nu + nu if strain else nu)
-                lame[0, i + 2, j + 2] = float32(2) * shear * nu / beside
+                    above = float64(each[i, j]) + float64(each[i, j + 1])
+                    below = float64(each[i + 1, j]) + float64(each[i + 1, j + 1])
+                    nu = 0.25 * (above + below)
+                shear = young / (2 + 2 * nu)
+                beside = 1 - (nu + nu if strain else nu)
+                lame[0, i + 2, j + 2] = 2 * shear * nu / beside
                 lame[1, i + 2, j + 2] = shear
             else:
-                lame[0, i + 2, j + 2] = float32(0)
-                lame[1, i + 2, j + 2] = float32(0)
+                lame[0, i + 2, j + 2] = 0
+                lame[1, i + 2, j + 2] = 0
 
 
 @parallel

@@ -209,6 +209,7 @@ class CpuElasticModel(CpuModel):
         if little:
             self.levels += _SmallLevels(little, self._shape).levels
         self._rest = self.levels[0].vector()
+        self._exact_lame: Planes = np.zeros(self._rest.shape)
         self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
         self.assemble(material)
 
@@ -225,12 +226,13 @@ class CpuElasticModel(CpuModel):
             m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
         assembly.elements(
             m,
-            np.float32(0 if each is not None else material.poisson),
+            0.0 if each is not None else material.poisson,
             each,
             material.strain,
-            np.float32(0.25 / most),
-            self.levels[0].lame,
+            0.25 / most,
+            self._exact_lame,
         )
+        self.levels[0].lame[...] = self._exact_lame
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             assembly.coarsen(fine.lame, coarse.lame)
 
@@ -246,7 +248,7 @@ class CpuElasticModel(CpuModel):
         elastic_exact.balance(
             d,
             load,
-            finest.lame,
+            self._exact_lame,
             finest.inverse,
             self._exact_shape,
             finest.spans,
@@ -258,10 +260,10 @@ class CpuElasticModel(CpuModel):
         )
         return float(most.max()), math.sqrt(squares.sum())
 
-    def pull(self, d: Planes) -> Planes:
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision; valid until the next call."""
-        elastic_exact.pull(d, self.levels[0].lame, self._exact_shape, self._pull)
-        return self._pull
+        elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull)
+        return self._pull if low is None else self._pull.copy() + self.pull(low)
 
     @cached_property
     def _pull(self) -> Planes:
@@ -271,14 +273,14 @@ class CpuElasticModel(CpuModel):
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
         finest, (products, squares) = self.levels[0], self._rows
-        elastic_exact.work(d, finest.lame, self._exact_shape, products, squares, finest.parts)
+        elastic_exact.work(d, self._exact_lame, self._exact_shape, products, squares, finest.parts)
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
     def steepness(self) -> Planes:
         """The diagonal of the stiffness matrix."""
         out = np.zeros(self._rest.shape)
-        assembly.diagonal(self.levels[0].lame, self._exact_shape, out)
+        assembly.diagonal(self._exact_lame, self._exact_shape, out)
         return out
 
     def forget(self) -> None:

@@ -16,7 +16,7 @@ from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids
-from napari_hmrf.priors.seiler import SeilerMaterial
+from napari_hmrf.priors.cliques import SeilerMaterial
 
 # Levels of fewer sites are visited by one thread: waking the others costs more.
 _SMALL = 8000
@@ -212,8 +212,11 @@ class CpuSeilerModel(CpuModel):
         most, norm = host.measure(out)
         return most / unit, norm / unit
 
-    def pull(self, d: Planes) -> Planes:
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision; valid until the next call."""
+        if low is not None and self._blanket:
+            return self.material.pull(d, low)
+        assert low is None  # the centred update is not refined with more digits
         seiler.pull(d, self._stiffness, self._lines, self._blanket, self._pull)
         return self._pull
 

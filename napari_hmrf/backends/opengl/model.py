@@ -74,9 +74,9 @@ class GLModel:
         """What a displacement leaves of a load."""
         return self._host.balance(d, load, unit)
 
-    def pull(self, d: Planes) -> Planes:
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision."""
-        return self._host.pull(d)
+        return self._host.pull(d, low)
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The model's energy, and the norm of its forces."""

@@ -12,7 +12,7 @@ from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.model import GLModel
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import AS_IS, Float64Array, Model, RelaxingLevel
-from napari_hmrf.priors.seiler import SeilerMaterial
+from napari_hmrf.priors.cliques import SeilerMaterial
 
 
 class GLSeilerLevel(RelaxingLevel):
