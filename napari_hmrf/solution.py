@@ -58,7 +58,8 @@ class Solution:
     ----------
     displacement : ndarray, shape (H, W, 2), float32
         Components in (row, col) order, in the unit of `spacing`. Material (push-forward): the
-        tissue at X moves to X + d(X). Zero where there is no tissue.
+        tissue at X moves to X + d(X). Zero where there is no tissue. In float64 where tissue moves
+        so far that float32 does not carry the tolerance; files keep float32.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
         squared; one value where none was needed. Of multigrid for the centred update, which no
@@ -77,7 +78,7 @@ class Solution:
         only. The solver neither reads nor writes it.
     """
 
-    displacement: npt.NDArray[np.float32]
+    displacement: npt.NDArray[np.floating]
     energy: npt.NDArray[np.float64]
     levels: tuple[LevelRun, ...]
     tissue: npt.NDArray[np.bool_]

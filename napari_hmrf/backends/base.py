@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level
-from napari_hmrf.priors.elements import ElasticMaterial
 from napari_hmrf.priors.cliques import SeilerMaterial
+from napari_hmrf.priors.elements import ElasticMaterial
 
 FloatArray = npt.NDArray[np.float32]
 EnergyArray = npt.NDArray[np.float64]

@@ -69,6 +69,9 @@ def noise(shape: tuple[int, ...]) -> Planes:
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
     """Bring pixels (H, W, 2) to lengths, and void to rest, in place; whether all were numbers."""
+    if displacement.dtype == np.float64:
+        displacement *= unit * tissue[..., None]
+        return bool(np.isfinite(displacement).all())
     from napari_hmrf.backends.cpu import exact
 
     finite = np.zeros(len(displacement), dtype=np.bool_)
@@ -104,10 +107,15 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     exact.add(d, correction, scale)
 
 
-def gathered(d: Planes) -> FloatArray:
-    """Return a displacement as an array (H, W, 2) in single precision."""
+def gathered(d: Planes, tolerance: float) -> npt.NDArray[np.floating]:
+    """Return a displacement as an array (H, W, 2).
+
+    In single precision, but where that does not carry the tolerance in pixels.
+    """
     from napari_hmrf.backends.cpu import exact
 
+    if float(np.abs(d).max()) * np.finfo(np.float32).eps > tolerance:
+        return np.moveaxis(d[:, 2:-2, 2:-2], 0, -1).copy()
     made = np.empty((d.shape[1] - 4, d.shape[2] - 4, 2), dtype=np.float32)
     exact.gather(d, made)
     return made

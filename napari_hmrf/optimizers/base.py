@@ -87,7 +87,7 @@ class Outcome:
         None where the schedule does not look.
     """
 
-    displacement: npt.NDArray[np.float32]
+    displacement: npt.NDArray[np.floating]
     energy: npt.NDArray[np.float64]
     levels: tuple[LevelRun, ...]
     convergence: Convergence | None = None

@@ -43,6 +43,8 @@ _MOST_EXCHANGES = 2000
 _TINY = 1e-300
 # The residual of a field that is exact; and by how much one of two values is surely the larger.
 _EXACT, _SURE = 1e-12, 1e-11
+# By which part of its limit something may be held that is held for certain.
+_FIRM = 0.5
 
 
 def converge(
@@ -70,10 +72,12 @@ def converge(
         for _ in range(_MOST_EXCHANGES):
             states.place(d)
             model.hold(states.held)
-            reach = refinement.run(d, states.load if states.any_slip else None, states.lost)
+            reach = refinement.run(d, states.load if states.any_slip else None, states.exact)
             pull = model.pull(d)
             if not states.exchange(d, pull, _CONTRADICTION * tolerance / max(reach, 1.0)):
-                break
+                if states.exact or model.mild or states.firm(d, pull):
+                    break
+                states.be_exact()
         else:
             raise ConvergenceError(
                 f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise the "
@@ -89,7 +93,7 @@ def converge(
     energy += float((force * np.abs(y - d)).sum())
     cycles = max(1, refinement.cycles)
     return Outcome(
-        displacement=host.gathered(d),
+        displacement=host.gathered(d, tolerance),
         energy=np.full(cycles, energy / max(1, int(problem.tissue.sum()))),
         levels=(LevelRun(0, problem.shape, cycles),),
         convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
@@ -133,7 +137,7 @@ class _CentredStates(States):
         """
         off = d.ravel()[self.at] - self.y
         q = off + pull.ravel()[self.at]
-        if self._patience == 0:
+        if self.exact:
             return self._improve(q)
         held = self._slips == 0
         excess, passed = np.abs(q) - self.limit, self._slips * off
@@ -150,9 +154,22 @@ class _CentredStates(States):
         return count > 0
 
     @property
-    def lost(self) -> bool:
-        """Whether exchanges have led nowhere: from then on solutions must be exact."""
+    def exact(self) -> bool:
+        """Whether solutions must be exact: exchanges have led nowhere, or may have by chance."""
         return self._patience == 0
+
+    def be_exact(self) -> None:
+        """Ask for exact solutions from now on."""
+        self._patience = 0
+
+    def firm(self, d: Planes, pull: Planes) -> bool:
+        """Whether all is held with much less than it could be.
+
+        Where stiff tissue slips that might as well be held, a residual that is small for the states
+        found says nothing: with others all may be elsewhere.
+        """
+        q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
+        return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
     def _improve(self, q: npt.NDArray[Any]) -> bool:
         """Improve the policy of the minimum or, if it is the best, that of the maximum."""
@@ -206,13 +223,12 @@ class _Refinement:
 
         def enough(step: Step, scale: float) -> bool:
             self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
-            return scale * reach * step.rest <= self._tolerance
+            return scale * step.rest <= target
 
-        most = self._tolerance / reach if reach > 0 else math.inf
+        most = target = self._tolerance / reach if reach > 0 else math.inf
         if exactly:
-            factorise(self._model, self._report)
-            most = min(most, _EXACT)
-        self.most, self.residual = self._solve(d, load, most, enough)
+            target = min(most, _EXACT)
+        self.most, self.residual = self._solve(d, load, most, enough, target)
         return reach
 
     def _reach(self, shape: tuple[int, ...]) -> float:
@@ -226,16 +242,19 @@ class _Refinement:
 
         barrier, ones = self._barrier, np.ones(shape)
         barrier[~self._model.moves] = 0
-        off, _ = self._solve(barrier, ones, _BARRIER, enough)
+        off, _ = self._solve(barrier, ones, _BARRIER, enough, _BARRIER)
         return float(barrier.max()) / (1 - off)
 
     def _solve(
-        self, d: Planes, load: Planes | None, most: float, enough: Any
+        self, d: Planes, load: Planes | None, most: float, enough: Any, target: float
     ) -> tuple[float, float]:
-        """Move `d` to where no residual exceeds `most`; returns the largest, and the norm."""
+        """Move `d` to where no residual exceeds `most`, or `target` if rounding allows.
+
+        Returns the largest, and the norm.
+        """
         balance = self._model.balance(d, load)
         least, last = math.inf, self.cycles + _CYCLES
-        while balance.most > most:
+        while balance.most > target:
             unit, cycles = balance.unit, self._model.found.factors is None
             if cycles and balance.most < 0.9 * least and self.cycles < last:
                 least = balance.most
@@ -250,6 +269,8 @@ class _Refinement:
                     continue
             else:
                 if not cycles and not balance.most < 0.9 * least:
+                    if balance.most <= most:
+                        break
                     self._give_up()
                 least = math.inf if cycles else balance.most
                 d += unit * factorise(self._model, self._report).solve(balance.rest)

@@ -28,8 +28,6 @@ from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
 _TINY = 1e-300
-# Of single precision, in which the field is returned.
-_ROUNDING = 2.0**-24
 # What is this part of the tolerance, or less, is as good as nothing.
 _NOTHING = 0.01
 
@@ -118,7 +116,8 @@ class Multigrid:
         finally:
             model.close()
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
-        displacement = host.gathered(d)
+        displacement = host.gathered(d, self.tolerance)
+        rounding = float(np.finfo(displacement.dtype).eps) / 2
         host.reuse(d, observed)
         if limit is None:
             model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
@@ -127,7 +126,7 @@ class Multigrid:
             energy=energies,
             levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
             convergence=Convergence(
-                max(refinement.estimate, _ROUNDING * float(np.abs(d).max())),
+                max(refinement.estimate, rounding * float(np.abs(d).max())),
                 refinement.residual / max(forces, _TINY),
                 "factors" if refinement.by_factors else "cycles",
             ),

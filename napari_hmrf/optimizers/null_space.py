@@ -25,8 +25,8 @@ _ITERATIONS = 4
 _FIRST, _MOST = 8, 64
 _EXACT, _FLOOR = 1e-12, 1e-14
 _BALANCINGS = 4
-# How far, in pixels where tissue moves by one, a motion may still be from rest after that; and which
-# part of a load may be left over in one that costs nothing.
+# How far, in pixels where tissue moves by one, a motion may still be from rest after that; and
+# which part of a load may be left over in one that costs nothing.
 _ASTRAY, _BALANCED = 1e-6, 1e-9
 _MIXINGS = 2
 

@@ -1,4 +1,4 @@
-"""The cliques of the paper's prior, and what its linear models need to know of tissue (eqs. 9-11)."""
+"""The cliques of the paper's prior (eqs. 9-11), and what its linear models know of tissue."""
 
 from __future__ import annotations
 
@@ -156,7 +156,8 @@ class SeilerMaterial:
                 (slice(2 + k * i, 2 + k * i + height), slice(2 + k * j, 2 + k * j + width))
                 for k in (-1, 0, 1)
             )
-            r_s, r_u, exists = (each[..., 0] for each in ratios(m, s, t, u))
+            r_s, r_u, there = ratios(m, s, t, u)
+            r_s, r_u, exists = r_s[..., 0], r_u[..., 0], there[..., 0]
             from_s, to_u = _apart(d, low, t, s), _apart(d, low, u, t)
             first = exists * weights * _stretched(r_u, from_s, to_u)
             second = exists * weights * _stretched(-r_s, to_u, _turned(from_s))

@@ -14,8 +14,8 @@ from napari_hmrf.backends.base import BATCH_SECONDS, Checkpoint, EnergyArray, Fl
 from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.hierarchy import Level, nearest_pixels
 from napari_hmrf.priors import line_weights
-from napari_hmrf.priors.elements import ElasticMaterial
 from napari_hmrf.priors.cliques import SeilerMaterial
+from napari_hmrf.priors.elements import ElasticMaterial
 
 # A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.
 _SLOWEST_SITE_SECONDS = 10e-9

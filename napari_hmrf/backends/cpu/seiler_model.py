@@ -215,7 +215,8 @@ class CpuSeilerModel(CpuModel):
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision; valid until the next call."""
         if low is not None and self._blanket:
-            return self.material.pull(d, low)
+            pulls: Planes = self.material.pull(d, low)
+            return pulls
         assert low is None  # the centred update is not refined with more digits
         seiler.pull(d, self._stiffness, self._lines, self._blanket, self._pull)
         return self._pull

@@ -33,8 +33,8 @@ from napari_hmrf.backends.opengl.totals import (
 from napari_hmrf.errors import BackendError
 from napari_hmrf.hierarchy import Level
 from napari_hmrf.priors import line_weights
-from napari_hmrf.priors.elements import ElasticMaterial
 from napari_hmrf.priors.cliques import SeilerMaterial
+from napari_hmrf.priors.elements import ElasticMaterial
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
 # observation 16, displacement 2 x 8, energy 2; a third more for the coarser levels.
