@@ -170,20 +170,25 @@ class _Enough(Exception):
     """Stop iterating."""
 
 
+class _Late(Exception):
+    """Stop iterating: others are there by now."""
+
+
 def has_pyamg() -> bool:
     """Whether PyAMG is installed."""
     return importlib.util.find_spec("pyamg") is not None
 
 
-def run_pyamg(images: Images, exact: Field) -> Run:
+def run_pyamg(images: Images, exact: Field, patience: float = math.inf) -> Run:
     """Smoothed aggregation with the rigid-body modes, and conjugate gradients.
 
     It stops by the loosest of the relative residuals 0.1, 0.01, ... at which its true error is
-    within `WITHIN`.
+    within `WITHIN`, and is later than others after `patience` seconds.
     """
     import pyamg
 
     def run(turn: int) -> Run:
+        started = time.perf_counter()
         np.random.seed(2008)  # it estimates spectral radii from a random vector  # noqa: NPY002
         system = assemble(images, PRIOR)
         modes = rigid_body_modes(system)
@@ -198,6 +203,8 @@ def run_pyamg(images: Images, exact: Field) -> Run:
             nonlocal decades, iterations, latest
             iterations += 1
             latest = solution
+            if time.perf_counter() - started > patience:
+                raise _Late
             left = residuals[-1] / residuals[0]
             passed = math.floor(-math.log10(left)) if left > 0 else _MOST_DECADES
             if passed > decades:
@@ -216,6 +223,8 @@ def run_pyamg(images: Images, exact: Field) -> Run:
             )
         except _Enough:
             return Run(system.field(latest), iterations, how=f"1e-{decades}")
+        except _Late:
+            return Run(system.field(latest), iterations, fault="later")
         return Run(system.field(latest), iterations, fault="fails")
 
     return timed(run)
