@@ -136,3 +136,38 @@ def test_tissue_that_is_all_rigid_moves_as_it_is_held():
     y[c > 0] = 1.5
     solution = solve(Problem(y, c, problem.m), PRIOR, Multigrid(), backend="cpu")
     np.testing.assert_allclose(solution.displacement, 1.5, atol=1e-5)
+
+
+def two_discs(gap):
+    """Two discs beside each other, so many pixels apart."""
+    return disc(8, (24, 15)) | disc(8, (24, 30 + gap))
+
+
+APART = disc(5, (12, 24)) | disc(5, (34, 24))
+
+
+@pytest.mark.parametrize("bone", [disc(), bar(), APART], ids=["disc", "bar", "two discs"])
+def test_a_bone_costs_a_few_cycles_more_than_soft_tissue(bone):
+    rigid = solve(pushed(bone), PRIOR, Multigrid(), backend="cpu")
+    soft = solve(pushed(bone, 1.0), PRIOR, Multigrid(), backend="cpu")
+    assert rigid.convergence.way == "cycles"
+    assert rigid.iterations <= soft.iterations + 3
+
+
+@pytest.mark.parametrize("gap", [2, 3, 5])
+def test_the_error_of_bones_close_together_is_no_more_than_is_said(gap):
+    problem = pushed(two_discs(gap))
+    solution = solve(problem, PRIOR, Multigrid(1e-2), backend="cpu")
+    exact = solve(problem, PRIOR, Multigrid(1e-6), backend="cpu").displacement
+    off = np.abs(solution.displacement - exact).max()
+    assert off <= solution.convergence.error + 1e-5
+
+
+def test_bones_at_the_border_and_more_bones_than_have_fields_of_their_own_move_as_well():
+    i, j = np.indices((N, N))
+    many = (i % 12 < 3) & (j % 12 < 3)
+    for bone in (disc(9, (24, 0)), many):
+        problem = pushed(bone & (i > 0) & (i < N - 1))
+        solution = solve(problem, PRIOR, Multigrid(1e-5), backend="cpu")
+        tight = solve(problem, PRIOR, Multigrid(1e-7), backend="cpu")
+        np.testing.assert_allclose(solution.displacement, tight.displacement, atol=3e-5)

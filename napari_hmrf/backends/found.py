@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from napari_hmrf.backends.entrained import Entrained
     from napari_hmrf.backends.factors import Factors
 
 FloatArray = npt.NDArray[np.float32]
@@ -80,12 +81,15 @@ class Found:
         The least eigenvalue that cycles have met.
     factors : Factors or None
         Of the system, where cycles cannot be trusted.
+    entrained : Entrained or None
+        What rigid bodies take along, where there are any.
     """
 
     def __init__(self) -> None:
         self.doubt: float | None = None
         self.least = 1.0
         self.factors: Factors | None = None
+        self.entrained: Entrained | None = None
         self._known: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.bodies import Bodies
+from napari_hmrf.backends.entrained import Entrained
 from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.planes import HeldPlanes as HeldPlanes
 from napari_hmrf.backends.planes import Planes as Planes
@@ -191,6 +192,10 @@ class LinearModel(Protocol):
 
     def hold(self, held: HeldPlanes) -> None:
         """Say which components do not move, on the finest level and therefore on all."""
+        ...
+
+    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+        """Return what bodies that cycles hold take along, by so much smoothing; None without."""
         ...
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:

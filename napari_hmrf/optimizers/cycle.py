@@ -87,6 +87,11 @@ class Cycle:
         self._steps = chebyshev(part * bound, bound, sweeps)
         self._coarsest = chebyshev(coarsest_part * bound, bound, coarsest_sweeps)
 
+    @property
+    def steps(self) -> tuple[Steps, Steps]:
+        """Of smoothing: on all levels but the coarsest, and there."""
+        return self._steps, self._coarsest
+
     def run(self, load: Any) -> Any:
         """Return the correction for a load on the finest level; valid until the next run."""
         self.levels[0].load = load

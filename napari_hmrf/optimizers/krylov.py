@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.backends.linear import UnsymmetricLevel
+from napari_hmrf.backends.entrained import Entrained
+from napari_hmrf.backends.linear import Steps, UnsymmetricLevel
 from napari_hmrf.optimizers.cycle import Cycle
 
 # How far single precision is trusted to reduce a residual before it is computed again in double.
@@ -69,6 +70,13 @@ class ConjugateGradients:
     def __init__(self, cycle: Cycle) -> None:
         self._cycle = cycle
         self._spectrum = _Spectrum()
+        #: What cycles do not see of rigid bodies, if there are any.
+        self.entrained: Entrained | None = None
+
+    @property
+    def steps(self) -> tuple[Steps, Steps]:
+        """What cycles smooth with."""
+        return self._cycle.steps
 
     @property
     def least(self) -> float:
@@ -97,10 +105,17 @@ class ConjugateGradients:
         found, direction, image = (level.vector() for _ in range(3))
         square = first = norm**2
         before: Any = None
+        settled, entrained = 0.0, self.entrained
+        if entrained is not None:
+            settled = entrained.settle(level.planes(found), level.planes(rest))
+            square = level.product(rest, rest)
         self._spectrum.restart()
         while True:
             steepest = self._cycle.run(rest)
-            level.project(steepest)
+            if entrained is None:
+                level.project(steepest)
+            else:
+                entrained.deflate(level.planes(steepest))
             most, slope = level.weigh(steepest, rest)
             turn = slope if before is None else level.ratio(slope, before)
             level.turn(steepest, direction, turn)
@@ -121,10 +136,12 @@ class ConjugateGradients:
                     continue
                 break
             self._spectrum.add(down / bend, 0.0 if before is None else turned)
-            step = self._judged(far, first, square, after, down**2 / bend / 2)
+            step = self._judged(far, first, square, after, down**2 / bend / 2 + settled)
+            settled = 0.0
             before, square = slope, after
             if enough(step) or after <= _INNER**2 * first:
                 break
+        level.project(found)
         level.free(found, direction, image)
         return np.asarray(level.planes(found))
 

@@ -123,6 +123,8 @@ class Refinement:
         found, before = self._model.found, math.inf
         if not self._model.mild and math.prod(self._model.shape) <= _FEW:
             return False
+        if not self._entrain():
+            return False
         self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
@@ -137,6 +139,8 @@ class Refinement:
         model = self._model
         sure = model.mild and model.material.compressible and model.bodies is None
         doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
+        if found.entrained is not None and found.entrained.close:
+            doubt *= _MARGIN
         while True:
             step: Step | None = None
 
@@ -158,11 +162,24 @@ class Refinement:
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
+            if found.entrained is not None:
+                self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
                 return True
             if self._too_long or not self.estimate < 0.5 * before:
                 return False
             before = self.estimate
+
+    def _entrain(self) -> bool:
+        """Find what bodies take along; False if that cannot be told."""
+        model = self._model
+        if model.bodies is None or not model.iterates:
+            return True
+        found = model.found
+        if found.entrained is None:
+            found.entrained = model.entrained(*self._iteration.steps)
+        self._iteration.entrained = found.entrained
+        return found.entrained is None or found.entrained.sure
 
     @property
     def _too_long(self) -> bool:

@@ -22,9 +22,9 @@ import numpy.typing as npt
 
 Float64Array = npt.NDArray[np.float64]
 
-#: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles, whose levels
-#: it must not spoil, and for factors.
-CYCLE_STAND_IN, FACTOR_STAND_IN = 40.0, 1e6
+#: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles that hold all
+#: bodies, for cycles that move them, whose levels it must not spoil, and for factors.
+HELD_STAND_IN, CYCLE_STAND_IN, FACTOR_STAND_IN = 1.0, 40.0, 1e6
 #: Up to which ratio of stiffnesses, and of a pixel's sides, a cycle of multigrid has been found to
 #: see every motion of tissue; up to which Poisson's ratio in plane strain without any doubt.
 MILD_CONTRAST = 5.0

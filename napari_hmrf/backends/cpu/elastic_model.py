@@ -10,14 +10,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.bodies import Bodies
+from napari_hmrf.backends.bodies import Bodies, BodySites, bodies_of, few
 from napari_hmrf.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
+from napari_hmrf.backends.cpu.entraining import entrain
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.backends.cpu.model import CpuModel
+from napari_hmrf.backends.entrained import Entrained
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
-from napari_hmrf.priors.elements import CYCLE_STAND_IN, ElasticMaterial, stiffest
+from napari_hmrf.priors.elements import (
+    CYCLE_STAND_IN,
+    HELD_STAND_IN,
+    ElasticMaterial,
+    stiffest,
+)
 
 # A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
 # kernels that a large one does, so that a rehearsal compiles them.
@@ -54,6 +61,8 @@ class CpuElasticLevel(CpuLevel):
         How much of what is held counts at each site.
     spans : ndarray, shape (H, 2)
         Where each row's moving sites begin and end.
+    moving, reach : ndarray
+        As `inverse` and `spans`, if bodies that cycles hold move, too.
     """
 
     def __init__(
@@ -68,16 +77,29 @@ class CpuElasticLevel(CpuLevel):
         self.shape, self.spans = shape, spans
         self.lame, self.pins = self.vector(), self.vector()
         self.weight = None if finest else self.vector()
+        self.moving, self.reach = self.inverse, spans
         self._memory = None
         #: Among how many threads its rows are divided.
         self.parts = forces.parts(grid[0])
         self.together: _SmallLevels | None = None
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
+        """Hold components on the finest level, and bodies that are entrained."""
         before = self.spans.copy()
+        self.moving, self.reach = self.inverse, self.spans
+        if self.bodies is not None and self.bodies.entrain:
+            self.moving, self.reach = self._with_bodies
+            assembly.hold(self.lame, self.shape, held, self.moving, self.pins, self.reach)
+            held = self.bodies.hold(held)
         assembly.hold(self.lame, self.shape, held, self.inverse, self.pins, self.spans)
+        # What moves bodies afterwards changes the correction there: the next cycle must clear it.
+        self.spans[:] = self.reach
         self._forget(before)
+
+    @cached_property
+    def _with_bodies(self) -> tuple[Vector, npt.NDArray[np.int64]]:
+        """Only rigid tissue needs it."""
+        return self.vector(), np.zeros_like(self.spans)
 
     def hold_as(self, finer: CpuElasticLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
@@ -105,6 +127,15 @@ class CpuElasticLevel(CpuLevel):
     def spare_correction(self) -> Vector:
         """Where `relax` writes, in turn with `correction`."""
         return self._other
+
+    def holding(self) -> CpuElasticLevel:
+        """Return this level, which takes the rest, once more, with all that touches it held."""
+        assert self.together is not None
+        made: CpuElasticLevel = self.together.copy().levels[0]
+        assert made.weight is not None
+        made.weight.fill(0)
+        made.hold(self.pins > 0)
+        return made
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Find the correction with all coarser levels, or as the coarsest."""
@@ -139,9 +170,9 @@ class CpuElasticLevel(CpuLevel):
         elastic.apply(
             direction,
             self.lame,
-            self.inverse,
+            self.moving,
             self.shape,
-            self.spans,
+            self.reach,
             image,
             self._rows,
             self.parts,
@@ -174,6 +205,12 @@ class _SmallLevels:
         first = self.levels[0]
         self._pair = first.correction, first.spare_correction
         first.together, first.takes_rest = self, True
+
+    def copy(self) -> _SmallLevels:
+        """Return the same levels once more."""
+        made = _SmallLevels([tuple(grid) for grid in self._table[:, :2].tolist()], self._shape)
+        np.copyto(made._values, self._values)
+        return made
 
     def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
         """Return the first level's correction for its load."""
@@ -210,6 +247,7 @@ class CpuElasticModel(CpuModel):
             self.levels += _SmallLevels(little, self._shape).levels
         self._rest = self.levels[0].vector()
         self._exact_lame: Planes = np.zeros(self._rest.shape)
+        self._entrained = np.zeros((0, *self._rest.shape), dtype=np.float32)
         self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
         self.assemble(material)
 
@@ -222,8 +260,11 @@ class CpuElasticModel(CpuModel):
         self._held = None
         each = None if isinstance(material.poisson, float) else material.poisson
         m, most = material.m, stiffest(material.m)
+        self._sites: list[BodySites] = []
         if material.rigid:
-            m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
+            self._sites = bodies_of(m)
+            stand_in = HELD_STAND_IN if few(self._sites, m.shape) else CYCLE_STAND_IN
+            m = np.where(np.isinf(m), np.float32(stand_in * most), m)
         assembly.elements(
             m,
             0.0 if each is not None else material.poisson,
@@ -239,9 +280,30 @@ class CpuElasticModel(CpuModel):
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
         if self._held is None or not np.array_equal(held, self._held):
-            self.bodies = Bodies(self.material, held) if self.material.rigid else None
+            rigid = self.material.rigid
+            self.bodies = Bodies(self._sites, self.material, held) if rigid else None
             self.levels[0].bodies = self.bodies
         super().hold(held)
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Which components of the finest level are unknown."""
+        moves: HeldPlanes = self.levels[0].moving > 0
+        return moves
+
+    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+        """Fields of bodies that move and take the tissue around them along."""
+        if self.bodies is None or not self.bodies.entrain:
+            return None
+        number = next((k for k, level in enumerate(self.levels) if level.takes_rest), 0)
+        small = self.levels[number].holding() if number > 0 else None
+        # As bodies are drawn, they are entrained again and again: fresh memory takes longer to get.
+        shape = 2 * self.bodies.freedom, *self._rest.shape
+        if self._entrained.shape[0] < shape[0]:
+            self._entrained = np.zeros(shape, dtype=np.float32)
+        memory = self._entrained[: shape[0]]
+        memory.fill(0)
+        return entrain(self.bodies, self.levels[: number + 1], small, steps, coarsest, memory)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
@@ -249,9 +311,9 @@ class CpuElasticModel(CpuModel):
             d,
             load,
             self._exact_lame,
-            finest.inverse,
+            finest.moving,
             self._exact_shape,
-            finest.spans,
+            finest.reach,
             1 / unit,
             self._rest,
             most,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.cpu.level import Vector
+from napari_hmrf.backends.entrained import Entrained
 from napari_hmrf.backends.found import Found
-from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes
+from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes, Steps
 
 # Squares of values between these are far from the ends of single precision.
 _SMALL, _GREAT = 1e-6, 1e6
@@ -75,8 +77,13 @@ class CpuModel:
             most, norm = self._balance(d, load, unit)
         if self.bodies is not None:
             self.bodies.project(self._rest)
-            most, norm = float(np.abs(self._rest).max()), float(np.linalg.norm(self._rest))
+            most, square = self.levels[0].weigh(self._rest, self._rest)
+            norm = math.sqrt(square)
         return Balance(self._rest, unit, unit * most, unit * norm)
+
+    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+        """None: there is nothing rigid."""
+        return None
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         """Write (load - A d) / unit to `_rest`; its largest absolute value, and its norm."""

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from napari_hmrf.backends.bodies import Bodies
+from napari_hmrf.backends.entrained import Entrained
 from napari_hmrf.backends.found import Found
-from napari_hmrf.backends.linear import Balance, HeldPlanes, LinearModel, Planes
+from napari_hmrf.backends.linear import Balance, HeldPlanes, LinearModel, Planes, Steps
 from napari_hmrf.backends.opengl.passes import Passes
 from napari_hmrf.backends.opengl.relaxing import RelaxingLevel
 
@@ -69,6 +70,10 @@ class GLModel:
     def found(self) -> Found:
         """What was found for the tissue with what is held now."""
         return self._host.found
+
+    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+        """None: see `iterates`."""
+        return None
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """What a displacement leaves of a load."""
