@@ -56,19 +56,19 @@ def popped_up():
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_opening_a_sample_leaves_one_button_to_press(widget, run, name):
-    viewer = viewer_of(widget)
+def test_opening_a_sample_leaves_one_button_to_press(docked, run, name):
+    viewer = viewer_of(docked)
     viewer.open_sample("napari-hmrf", name)
-    assert widget.status == "Press Deform."
-    assert [material.stiffness for material in widget.materials if material.label] != []
-    widget.settings.sweeps.value = 1
-    outputs = run(widget)
+    assert docked.status == "Press Deform."
+    assert [material.stiffness for material in docked.materials if material.label] != []
+    docked.settings.sweeps.value = 1
+    outputs = run(docked)
     assert outputs is not None
     added = set(names(viewer)) - {"Tissue", "Boundary", "boundary preview"}
     assert any(layer.endswith("arrows") for layer in added)
     assert any(layer.endswith("deformed") for layer in added)
-    assert widget.status.startswith("Tissue moved up to ")
-    assert "sweeps in" in widget.details
+    assert docked.status.startswith("Tissue moved up to ")
+    assert "sweeps in" in docked.details
 
 
 def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, small_sample):
