@@ -37,7 +37,6 @@ CASES = [
     ((4, 5), 1e3, SPACINGS[1], BLANKET),
 ]
 STEPS = chebyshev(0.5, 2.0, 3)
-COARSELY = Multigrid(0.1)
 
 readings = pytest.mark.parametrize("prior", [CENTRED, BLANKET], ids=["centred", "blanket"])
 
@@ -237,7 +236,7 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
 @readings
 def test_the_same_solve_gives_the_same_bits(stage, prior):
     backend = f"opengl:{stage}"
-    first, second = (solve(torn(20.0), prior, COARSELY, backend) for _ in range(2))
+    first, second = (solve(torn(20.0), prior, Multigrid(), backend) for _ in range(2))
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
@@ -288,7 +287,7 @@ def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
     def job() -> int:
         backend = OpenGLBackend(look, stage)
         try:
-            COARSELY.run(torn(20.0), prior.resolved(torn(20.0)), backend, lambda _: None)
+            Multigrid().run(torn(20.0), prior.resolved(torn(20.0)), backend, lambda _: None)
         finally:
             backend.close()
         return looks
@@ -301,13 +300,13 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
     stage, made, where, prior, every_pass_a_batch
 ):
     backend = f"opengl:{stage}"
-    before = solve(torn(20.0), prior, COARSELY, backend)
+    before = solve(torn(20.0), prior, Multigrid(), backend)
     looks = _batches(stage, prior)
     assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
         _batches(stage, prior, stop_at=int(where * looks))
     assert left(made) == 0
-    after = solve(torn(20.0), prior, COARSELY, backend)
+    after = solve(torn(20.0), prior, Multigrid(), backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
