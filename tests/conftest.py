@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import threading
@@ -9,6 +10,7 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
+from compiling import compile_most, compile_once
 from patience import LONG, LONG_MS
 
 from napari_hmrf.backends.thread import compute_thread
@@ -30,6 +32,38 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if _WINDOWS & set(item.fixturenames):
             item.add_marker(pytest.mark.skip(reason="napari needs a display; make test brings one"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session):
+    """Processes that test side by side share the work of compiling, which is half of a first run.
+
+    A run of so many tests needs nearly all loops.
+    """
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None:
+        return
+    compile_once()
+    if len(session.items) > 1000:
+        compile_most(backwards=worker["workerid"] != "gw0")
+
+
+_windows_opened = 0
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Have Python look no more for garbage in what all tests share.
+
+    Each window that napari's fixture closes has everything looked through: modules, compiled loops,
+    what tests are made of, more than a second's work by the end.
+    """
+    global _windows_opened
+    if _WINDOWS & set(item.fixturenames):
+        if _windows_opened % 20 == 0:
+            gc.collect()
+            gc.freeze()
+        _windows_opened += 1
 
 
 @pytest.fixture(autouse=True)

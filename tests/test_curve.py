@@ -249,16 +249,16 @@ def made(widget, pixels=None, **place):
     return viewer, image, widget.tissue
 
 
-def test_one_button_makes_tissue_of_an_image_and_chooses_it(docked):
-    viewer, image, layer = made(docked, scale=(0.5, 0.5), units="mm")
+def test_one_button_makes_tissue_of_an_image_and_chooses_it(widget):
+    viewer, image, layer = made(widget, scale=(0.5, 0.5), units="mm")
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)"]
-    assert docked.image is image
-    assert docked.curve == curve_of(layer)
-    assert not docked._face.tissue.curve.editor.isHidden()
+    assert widget.image is image
+    assert widget.curve == curve_of(layer)
+    assert not widget._face.tissue.curve.editor.isHidden()
     assert (layer.data[0] == 0).all(), "air"
     assert (layer.data[12, 10:20] > 0).all()
-    assert "Drag the points" in docked.status
-    docked._face.intensity.native.click()
+    assert "Drag the points" in widget.status
+    widget._face.intensity.native.click()
     assert len(viewer.layers) == 2, "there is one already"
 
 
@@ -282,21 +282,21 @@ def test_what_is_dragged_is_seen_in_the_layer_while_it_is_dragged(docked, qtbot,
     np.testing.assert_array_equal(layer.data, docked.curve(image.data))
 
 
-def test_tissue_from_intensity_is_deformed(docked, run, wait_for):
-    viewer, _, layer = made(docked)
-    docked._face.make.native.click()
+def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
+    viewer, _, layer = made(widget)
+    widget._face.make.native.click()
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)", "Boundary"]
-    assert docked.tissue is layer, "there is no other tissue to paint"
-    docked.boundary.data[12, 6] = 1
-    docked.boundary.data[12, 24] = 2
-    docked.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0)))
-    docked.settings.sweeps.value = 50
-    first = run(docked).solution.displacement.copy()
+    assert widget.tissue is layer, "there is no other tissue to paint"
+    widget.boundary.data[12, 6] = 1
+    widget.boundary.data[12, 24] = 2
+    widget.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0)))
+    widget.settings.sweeps.value = 50
+    first = run(widget).solution.displacement.copy()
     assert first[12, 24, 1] == pytest.approx(2, abs=0.05)
-    low, high = (at for at, _ in docked.curve.points[::2])
-    docked.curve = StiffnessCurve(((low, 1000), (high, 1)))
-    wait_for(lambda: docked.status.startswith("Changed"))
-    second = run(docked).solution.displacement
+    low, high = (at for at, _ in widget.curve.points[::2])
+    widget.curve = StiffnessCurve(((low, 1000), (high, 1)))
+    wait_for(lambda: widget.status.startswith("Changed"))
+    second = run(widget).solution.displacement
     assert np.abs(second - first).max() > 0.1
 
 
@@ -319,17 +319,17 @@ def test_tissue_from_intensity_is_pulled(qtbot):
 
 
 @pytest.mark.parametrize("shape", [(3, 24, 30), (24, 30, 3)])
-def test_stacks_and_colours_have_tissue_too(docked, shape):
+def test_stacks_and_colours_have_tissue_too(widget, shape):
     coloured = shape[-1] == 3
     pixels = np.repeat(grey()[..., None], 3, axis=-1) if coloured else grey(shape)
-    viewer, image, layer = made(docked, pixels, rgb=coloured)
+    viewer, image, layer = made(widget, pixels, rgb=coloured)
     assert image.rgb == coloured
     assert layer.data.shape == (24, 30) if coloured else shape
-    assert docked.curve is not None
+    assert widget.curve is not None
     if not coloured:
         image.data[1] //= 2
         viewer.dims.set_current_step(0, 1)
-        np.testing.assert_array_equal(layer.data[1], docked.curve(image.data[1]))
+        np.testing.assert_array_equal(layer.data[1], widget.curve(image.data[1]))
 
 
 def test_a_script_says_the_curve_and_reads_it_back(widget):

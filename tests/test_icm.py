@@ -43,7 +43,7 @@ def test_one_sweep_takes_the_best_of_all_candidates(conditional):
     # On the single level of a one-sweep schedule the sites start from rest.
     shape = (3, 2)  # levels 3x2, 2x1, 1x1: only the finest has cliques
     rng = np.random.default_rng(5)
-    steps = (1.0, 0.1)
+    steps = ICM().steps
     moves = [(0.0, 0.0)]
     for e in steps:
         moves += [(i * e, j * e) for i, j in itertools.product((0, 1, -1), repeat=2) if i or j]

@@ -130,14 +130,25 @@ def test_a_landmark_that_is_given_twice_leaves_its_neighbours_their_tissue():
 # Before a window
 
 
-@pytest.fixture
-def chosen(docked, small_sample):
-    """The dock beside a small sample and two layers of points, in a real window."""
-    viewer = docked._viewer
+def with_points(dock, small_sample):
+    """A dock beside a small sample and two layers of points."""
+    viewer = dock._viewer
     small_sample(viewer)
     where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
     should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
-    return docked, where, should
+    return dock, where, should
+
+
+@pytest.fixture
+def chosen(widget, small_sample):
+    """A dock beside a viewer without a window."""
+    return with_points(widget, small_sample)
+
+
+@pytest.fixture
+def chosen_in_window(docked, small_sample):
+    """A dock in a real window."""
+    return with_points(docked, small_sample)
 
 
 def menus(widget):
@@ -192,18 +203,18 @@ def test_points_alone_are_boundary_enough(chosen, run):
     np.testing.assert_allclose(widget.solution.displacement[14, 15], (0, 0), atol=0.05)
 
 
-def test_landmarks_alone_need_layers_and_no_paint(docked, run):
-    viewer = docked._viewer
-    docked.image = viewer.add_image(np.full((20, 24), 100, np.uint8), name="MR")
+def test_landmarks_alone_need_layers_and_no_paint(widget, run):
+    viewer = widget._viewer
+    widget.image = viewer.add_image(np.full((20, 24), 100, np.uint8), name="MR")
     where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
     should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
-    docked.landmarks = LandmarkLayers(where, should, 1.5)
-    assert run(docked) is None
-    assert docked.status.endswith("what is left unpainted is tissue, too.")
-    docked.make_layers()
-    docked.settings.sweeps.value = 30
-    assert run(docked) is not None, docked.status
-    np.testing.assert_allclose(docked.solution.displacement[8, 8], (2, 0), atol=0.1)
+    widget.landmarks = LandmarkLayers(where, should, 1.5)
+    assert run(widget) is None
+    assert widget.status.endswith("what is left unpainted is tissue, too.")
+    widget.make_layers()
+    widget.settings.sweeps.value = 30
+    assert run(widget) is not None, widget.status
+    np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -267,8 +278,8 @@ def test_without_live_mode_a_moved_point_outdates_the_result(chosen, run, wait_f
     wait_for(lambda: widget.status.startswith("Changed since the last result"))
 
 
-def test_a_dock_that_is_opened_again_hears_its_landmarks(chosen, wait_for):
-    widget, where, should = chosen
+def test_a_dock_that_is_opened_again_hears_its_landmarks(chosen_in_window, wait_for):
+    widget, where, should = chosen_in_window
     widget.landmarks = (where, should)
     window = widget._viewer.window
     window.remove_dock_widget(widget.native)
@@ -280,8 +291,8 @@ def test_a_dock_that_is_opened_again_hears_its_landmarks(chosen, wait_for):
     wait_for(lambda: widget.status.startswith("'ought' has 2 points, but 'is' has 3"))
 
 
-def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen, monkeypatch):
-    widget, where, should = chosen
+def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen_in_window, monkeypatch):
+    widget, where, should = chosen_in_window
     widget.landmarks = (where, should)
 
     class Gone:
@@ -321,8 +332,8 @@ def test_moved_added_and_removed_points_are_taken_back_in_their_order(chosen, wa
     assert "moved points of 'ought'" in widget.status
 
 
-def test_points_added_when_they_are_no_landmarks_any_more_survive_undo(chosen, wait_for):
-    widget, where, should = chosen
+def test_points_added_when_they_are_no_landmarks_any_more_survive_undo(chosen_in_window, wait_for):
+    widget, where, should = chosen_in_window
     widget.landmarks = (where, should)
     for column in (8.5, 9.0):
         should._move({0}, (10.0, column))

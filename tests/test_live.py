@@ -82,7 +82,7 @@ edits = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(edits, st.sampled_from([0.0, 0.004, 0.1]), st.sampled_from([np.inf, 0.05]))
 def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, patience, penalty):
     updates, latest = [], {}

@@ -37,7 +37,7 @@ random = np.random.default_rng(0)
 m = np.ones((14, 11)); m[4:8, 3:7] = 3; m[0, :4] = 0
 held = np.zeros((14, 11, 2)); held[[0, -1]] = 1
 problem = Problem(random.normal(size=held.shape), held, m)
-for steps in (None, (1.0, 0.1, 0.01)):
+for steps in (None, ICM().steps):
     plan = ICM(iterations=20, steps=steps)
     loops = solve(problem, optimizer=plan, backend="cpu")
     shaders = solve(problem, optimizer=plan, backend="opengl")

@@ -1,7 +1,5 @@
 """An image moves with its tissue: what was at X is seen at X + d(X)."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -335,15 +333,6 @@ def test_the_brain_grows_outward_in_its_picture():
     moved = warp(tissue.astype(np.uint8), reference_displacement("expansion"), (1, 1), 0, tissue)
     extent = np.ptp(np.argwhere(moved), axis=0) - np.ptp(np.argwhere(tissue), axis=0)
     np.testing.assert_allclose(extent, 20, atol=1)
-
-
-def test_it_is_quick_enough_to_look_at():
-    """About 12 ms on one 2-GHz core; the bound leaves room for a busy machine."""
-    image, displacement = phantom("expansion").image, reference_displacement("expansion")
-    warp(image, displacement)
-    start = time.thread_time()
-    warp(image, displacement)
-    assert time.thread_time() - start < 0.15
 
 
 @pytest.mark.parametrize(

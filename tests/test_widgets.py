@@ -112,23 +112,23 @@ def test_all_outputs_can_be_had(widget, small_sample, run):
         widget.outputs = ("hologram",)
 
 
-def test_running_again_updates_the_layers_in_place(docked, small_sample, run):
-    small_sample(viewer_of(docked))
-    docked.outputs = ("image", "arrows", "grid", "magnitude", "labels")
-    run(docked)
-    before = state(viewer_of(docked))
-    arrows = by_name(docked, "MR arrows")
+def test_running_again_updates_the_layers_in_place(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
+    run(widget)
+    before = state(viewer_of(widget))
+    arrows = by_name(widget, "MR arrows")
     arrows.edge_color = "red"
     arrows.name = "mine"
     longest = arrows.data[:, 1].max()
-    docked.rules = (docked.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
-    run(docked)
-    after = state(viewer_of(docked))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
+    run(widget)
+    after = state(viewer_of(widget))
     assert [identity for _, identity, _ in after] == [identity for _, identity, _ in before]
     assert arrows.data[:, 1].max() > 1.5 * longest
     assert arrows.name == "mine"
     np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
-    assert by_name(docked, "MR magnitude (px)").contrast_limits[1] > 4
+    assert by_name(widget, "MR magnitude (px)").contrast_limits[1] > 4
 
 
 def test_a_deleted_result_is_made_again(widget, small_sample, run):
@@ -141,11 +141,11 @@ def test_a_deleted_result_is_made_again(widget, small_sample, run):
     assert names(viewer).count("MR deformed") == 1
 
 
-def test_painting_goes_on_with_the_same_brush(docked, small_sample, run):
-    viewer = viewer_of(docked)
+def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
+    viewer = viewer_of(widget)
     _, tissue, _ = small_sample(viewer)
     viewer.layers.selection.active = tissue
-    run(docked)
+    run(widget)
     assert viewer.layers.selection.active is tissue
 
 
@@ -324,25 +324,25 @@ def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sampl
     assert preset.unit in widget._face.tissue.table.horizontalHeaderItem(2).text()
 
 
-def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(docked, run):
-    viewer = viewer_of(docked)
+def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
+    viewer = viewer_of(widget)
     viewer.add_image(
         np.random.default_rng(0).random((30, 40)), name="T1", scale=(0.5, 2), units=("mm", "mm")
     )
-    docked.make_layers()
-    tissue, boundary = docked.tissue, docked.boundary
+    widget.make_layers()
+    tissue, boundary = widget.tissue, widget.boundary
     assert (tissue.data.shape, boundary.data.shape) == ((30, 40), (30, 40))
     np.testing.assert_array_equal(tissue.scale, (0.5, 2))
     assert tissue.units == viewer.layers["T1"].units
     assert viewer.layers.selection.active is tissue
     assert tissue.mode == "paint"
-    assert docked.materials[0] == Material(0, "everything unpainted", 20.0)
-    assert [rule.action for rule in docked.rules] == ["fixed", "expand"]
+    assert widget.materials[0] == Material(0, "everything unpainted", 20.0)
+    assert [rule.action for rule in widget.rules] == ["fixed", "expand"]
     boundary.data[:, :2] = 1
     boundary.data[10:20, 20:25] = 2
     boundary.refresh()
-    assert run(docked) is not None
-    assert "mm" in docked._face.boundary.table.horizontalHeaderItem(3).text()
+    assert run(widget) is not None
+    assert "mm" in widget._face.boundary.table.horizontalHeaderItem(3).text()
 
 
 @pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
@@ -890,12 +890,12 @@ def test_the_kinds_of_result_layers(widget, small_sample, run):
     assert kinds == [Image, Image, Labels, Vectors, Vectors]
 
 
-def test_delete_in_a_table_deletes_nothing_in_a_layer(docked, small_sample, qtbot):
-    viewer = viewer_of(docked)
+def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, qtbot):
+    viewer = viewer_of(widget)
     small_sample(viewer)
     points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
     points.selected_data = {0, 1}
-    table = docked._face.tissue.table
+    table = widget._face.tissue.table
     table.selectRow(0)
     QTest.keyClick(table, Qt.Key.Key_Delete)
     qtbot.wait(50)

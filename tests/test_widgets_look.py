@@ -192,9 +192,7 @@ def test_an_image_that_was_not_moved_yet_is_moved_now(deformed, qtbot, set_to, w
 def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_for):
     before = viewer_of(look).layers["MR deformed"].data
     for percent in (10, 20, 30, 40):
-        started = time.perf_counter()
-        look.percent = percent
-        assert time.perf_counter() - started < 0.05
+        look.percent = percent  # which would never end if it waited for the thread
         QApplication.processEvents()
     assert viewer_of(look).layers["MR deformed"].data is before
     assert not look.idle
@@ -451,11 +449,10 @@ def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
     assert said().startswith("at 100 %: moves")
 
 
-def test_reading_under_the_cursor_is_quick(look):
-    started = time.perf_counter()
-    for _ in range(100):
-        look._scene.cursor.at((10.0, 12.0))
-    assert (time.perf_counter() - started) / 100 < 0.005
+def test_reading_under_the_cursor_waits_for_nothing(look, busy_thread):
+    look.percent = 50
+    assert look._scene.cursor.at((10.0, 12.0))[1].startswith("at 100 %: moves")
+    assert not look.idle
 
 
 # Stacks, files, colours
@@ -564,12 +561,12 @@ def test_a_picture_has_the_scale_that_the_viewer_shows(look):
         assert map_.get_clim() == pytest.approx(seen)
 
 
-def test_pictures_are_saved_without_holding_up_the_window(look, tmp_path, wait_for):
+def test_pictures_are_saved_without_holding_up_the_window(look, busy_thread, tmp_path, wait_for):
     got = []
     look.saved.connect(got.append)
-    started = time.perf_counter()
     look.save_pictures(tmp_path)
-    assert time.perf_counter() - started < 0.3
+    assert not got
+    busy_thread.set()
     wait_for(lambda: bool(got))
     assert sorted(path.stem for path in got[0]) == sorted(
         ["displacement", "warped", "grid", "magnitude", "jacobian", "strain", "energy"]

@@ -103,23 +103,23 @@ def be_rigid(widget):
     widget._face.tissue.table.item(1, 2).setText("rigid")
 
 
-def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(docked, small_sample, wait_for):
-    small_sample(viewer_of(docked))
-    model = docked.model
+def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
+    small_sample(viewer_of(widget))
+    model = widget.model
     assert model.elastic.native.isHidden()
-    be_rigid(docked)
+    be_rigid(widget)
     assert model.objection == RIGID_AND_PAPER
     assert not model.elastic.native.isHidden()
-    wait_for(lambda: docked.status == RIGID_AND_PAPER)
+    wait_for(lambda: widget.status == RIGID_AND_PAPER)
     model.elastic.native.click()
     assert model.energy.value == "elastic"
     assert model.elastic.native.isHidden()
-    wait_for(lambda: docked.status == READY)
+    wait_for(lambda: widget.status == READY)
     model.energy.value = "paper"
-    wait_for(lambda: docked.status == RIGID_AND_PAPER)
-    docked._face.tissue.table.item(1, 2).setText("900")
+    wait_for(lambda: widget.status == RIGID_AND_PAPER)
+    widget._face.tissue.table.item(1, 2).setText("900")
     assert not model.objection
-    wait_for(lambda: docked.status == READY)
+    wait_for(lambda: widget.status == READY)
 
 
 def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
@@ -200,17 +200,17 @@ def test_one_click_leads_back_to_the_paper(widget, small_sample, run):
     np.testing.assert_array_equal(again.energy, papers.energy)
 
 
-def test_the_way_back_is_offered_when_something_differs(docked):
-    docked.settings.sweeps.value = 70
+def test_the_way_back_is_offered_when_something_differs(widget):
+    widget.settings.sweeps.value = 70
     for change in (
-        lambda: setattr(docked.model.energy, "value", "elastic"),
-        lambda: setattr(docked.model.schedule, "value", "converged"),
-        lambda: setattr(docked.settings.sweeps, "value", 71),
+        lambda: setattr(widget.model.energy, "value", "elastic"),
+        lambda: setattr(widget.model.schedule, "value", "converged"),
+        lambda: setattr(widget.settings.sweeps, "value", 71),
     ):
-        assert docked.model.back.native.isHidden()
+        assert widget.model.back.native.isHidden()
         change()
-        assert not docked.model.back.native.isHidden()
-        docked.model.back.changed.emit(True)
+        assert not widget.model.back.native.isHidden()
+        widget.model.back.changed.emit(True)
 
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])
@@ -376,26 +376,26 @@ def test_another_model_means_that_the_result_is_old(widget, small_sample, run, w
     wait_for(lambda: widget.status.startswith("Tissue moved"))
 
 
-def test_the_plot_copes_with_cycles(docked, small_sample, run):
-    small_sample(viewer_of(docked))
-    plot = docked._face.energy
+def test_the_plot_copes_with_cycles(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    plot = widget._face.energy
     plot.expand(animate=False)
-    run(docked)
+    run(widget)
     axes = plot._canvas.figure.axes[0]
     assert len(axes.lines) > 3
-    elastic(docked)
-    solution = run(docked).solution
+    elastic(widget)
+    solution = run(widget).solution
     (curve,) = axes.lines
     np.testing.assert_array_equal(curve.get_ydata(), solution.energy)
     assert axes.get_xlabel() == "cycle over all levels"
     assert axes.get_title().endswith("px of the converged field")
-    docked.model.energy.value = "paper"
-    docked.model.schedule.value = "converged"
-    solution = run(docked).solution
+    widget.model.energy.value = "paper"
+    widget.model.schedule.value = "converged"
+    solution = run(widget).solution
     (curve,) = axes.lines
     assert list(curve.get_xdata()) == [solution.iterations]
-    docked.model.schedule.value = "paper"
-    run(docked)
+    widget.model.schedule.value = "paper"
+    run(widget)
     assert len(axes.lines) > 3
     assert axes.get_title() == ""
     assert axes.get_xlabel().startswith("sweep")
