@@ -34,8 +34,9 @@ _REHEARSAL_CYCLES = 40
 _FEW = 1024
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
-# A correction of this many pixels, where tissue moves by one, need not be.
-_ROUNDING = 1e-15
+# A correction of this many pixels, where tissue moves by one, need not be; and one of so many is
+# as small as they get, if it is not.
+_ROUNDING, _STALLED = 1e-15, 1e-7
 
 
 class Refinement:
@@ -229,7 +230,9 @@ class Refinement:
             self._gains.append(float((correction * rest).sum()) / 2)
             far = float(np.abs(correction).max())
             self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
-            if not far <= max(_FALL * before, _ROUNDING * max(1.0, float(np.abs(d).max()))):
+            scale = max(1.0, float(np.abs(d).max()))
+            stays = not far <= max(_FALL * before, _ROUNDING * scale)
+            if stays and not max(far, before) <= _STALLED * scale:
                 raise ConvergenceError(
                     f"the field stays {far:.2g} px from converged: double precision does not carry "
                     "this tissue. Hold more of it, or bring the softest and the stiffest closer "
@@ -237,9 +240,13 @@ class Refinement:
                 )
             add(d, self._low, correction)
             rest = self._left(d, load)
-            self.residual, self.estimate, before = float(np.linalg.norm(rest)), far, far
+            self.residual, self.estimate = float(np.linalg.norm(rest)), far
+            last, before = before, far
             # What is left is smaller still: by as much as this one was smaller than the last.
             if far <= tolerance:
+                return
+            if stays:
+                self.estimate = _MARGIN * max(far, last)
                 return
         self.estimate = 0.0
 

@@ -155,7 +155,8 @@ class Slip:
             play.balance(model, refinement, d, states.load, exact)
             pull = refinement.pull(d)
             self._least(d, pull, play.free)
-            if not states.correct(d, pull, _PASSED * exact, _SHARE, number >= _AT_ONCE):
+            sure = _PASSED * max(exact, refinement.estimate)
+            if not states.correct(d, pull, sure, _SHARE, number >= _AT_ONCE):
                 break
         else:
             raise ConvergenceError(
