@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
 from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
@@ -53,6 +54,32 @@ def test_the_forces_of_a_displacement_lead_back_to_it(prior, shape, spacing):
     balance = model.balance(d, None)
     found = -balance.unit * Factors(model.material, model.moves, silent).solve(balance.rest)
     np.testing.assert_allclose(found, d, atol=2e-4)
+
+
+def test_what_next_to_nothing_holds_is_found_to_many_digits():
+    """A plate of the paper's cliques with stiff blobs: its bending costs 1e-12 of its diagonal."""
+    rng = np.random.default_rng(0)
+    m = np.where(gaussian_filter(rng.random((34, 34)), 1.5) > 0.5, 1e6, 1.0)
+    problem = Problem(np.zeros((34, 34, 2)), rng.random((34, 34, 2)) < 0.05, m)
+    model = CpuSeilerModel(PRIORS["blanket"].material(problem))
+    held = np.zeros(model.moves.shape, dtype=bool)
+    held[:, 2:-2, 2:-2] = np.moveaxis(problem.observed, -1, 0)
+    model.hold(held)
+    d = rng.normal(size=model.moves.shape) * model.moves
+    factors = Factors(model.material, model.moves, silent)
+    d += factors.solve(np.where(model.moves, model.pull(d, np.zeros_like(d)), 0.0))
+    assert np.abs(d).max() < 0.1
+    d += factors.solve(np.where(model.moves, model.pull(d, np.zeros_like(d)), 0.0))
+    assert np.abs(d).max() < 1e-3
+
+
+def test_pulls_from_differences_are_those_of_the_loops():
+    model = model_of(PRIORS["blanket"], (30, 21), (1.0, 2.5))
+    d = np.random.default_rng(2).normal(size=model.moves.shape)
+    steep = np.maximum(model.steepness, 1e-300)
+    few, many = model.pull(d).copy(), model.pull(d, np.zeros_like(d))
+    assert (np.abs(many - few) <= 1e-9 * steep).all()
+    assert (np.abs(model.pull(np.zeros_like(d), d) - many) <= 1e-9 * steep).all()
 
 
 def test_tissue_that_nothing_holds_has_no_factors():

@@ -175,6 +175,28 @@ def test_random_problems_are_answered_as_they_should_be():
     assert run.sound, trust.report(run)
 
 
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(3423, id="fibres whose softest motion costs 4e-14 of their stiffest"),
+        pytest.param(4280, id="blobs, slipping, of a softest motion of 9e-12"),
+        pytest.param(1195, id="stiff fibres that one observation holds, and in one direction none"),
+        pytest.param(
+            1079, id="soft blobs that slip at a force that rounding of stiff ones exceeds"
+        ),
+        pytest.param(3527, id="tissue that reaches 190,000 pixels"),
+        pytest.param(1510, id="centred: one that slips or not moves the rest by half a pixel"),
+        pytest.param(4194, id="centred: so do two rows of fibres"),
+        pytest.param(2015, id="a checkerboard of four pixels by thirteen"),
+        pytest.param(2797, id="nearly incompressible layers that swing by 26 pixels"),
+        pytest.param(3249, id="a strip three pixels wide that slips"),
+    ],
+)
+def test_what_is_hardest_is_answered_too(number):
+    verdict = trust.judge(random_problem(0, number), "cpu")
+    assert verdict.outcome == "answered", verdict
+
+
 def test_so_they_are_by_shaders():
     require_opengl()
     run = trust.campaign([(number, "opengl") for number in range(6)])
