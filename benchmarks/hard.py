@@ -157,7 +157,7 @@ def measure(case: str, size: int, contrast: float, images: Images, alone: bool) 
     if not has_pyamg():
         return Row(case, size, contrast, ours, None, superlu)
     _say("PyAMG")
-    pyamg = run_pyamg(images, exact, patience=2 * superlu.seconds).against(exact)
+    pyamg = run_pyamg(images, exact, patience=superlu.seconds).against(exact)
     return Row(case, size, contrast, ours, pyamg, superlu)
 
 
@@ -257,7 +257,7 @@ def write_page(path: Path, found: Sequence[Row], begun: float) -> None:
         conjugate gradients, by the setting that did best of 18 (`{SETTING}`); it
         stops by the loosest of the relative residuals 0.1, 0.01, ... (in brackets) at which its
         true error is within {WITHIN} px, *fails* if it is not there after 300 iterations, and is
-        *later* if not in twice SuperLU's time.
+        *later* if SuperLU would have been done before it was.
         SuperLU: symmetric mode, minimum degree, no pivoting. Seconds are the median of three where
         they are below one; MB is the peak of memory over what the process had before. An error is
         the distance in pixels of the site that is furthest from the exact field: that of SuperLU
