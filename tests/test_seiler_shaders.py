@@ -20,6 +20,7 @@ from opengl_here import left, on_compute_thread, require_opengl
 from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, phantom, solve
 from napari_hmrf.backends.opengl import OpenGLBackend
 from napari_hmrf.backends.opengl.device import the_device
+from napari_hmrf.optimizers import refinement
 from napari_hmrf.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
 
 #: Odd, even, two sites wide, small enough to be the only level.
