@@ -209,9 +209,11 @@ class Refinement:
                 correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
             except FloatingPointError:
                 return math.inf
-            if step is None or step.error > target:
+            if step is None:
                 return math.inf
             host.add(error, correction, balance.unit)
+            if step.error > target:
+                continue  # single precision carries no further from there
             doubt = float(np.abs(error).max()) / (balance.unit * step.error)
         return doubt if most > 0 else 1.0
 
