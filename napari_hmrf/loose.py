@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.held import Firm, free_pieces
 
@@ -92,7 +92,7 @@ def _scraps(
 
 def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
     """Say so, as a clause for people; "" if there are none."""
-    _, count = ndimage.label(scrap, structure=np.ones((3, 3)))
+    _, count = scipy.ndimage.label(scrap, structure=np.ones((3, 3)))
     if not count:
         return ""
     pixels = int(scrap.sum())

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 #: How far an outline is smoothed before its normal is taken, in pixels.
 _SMOOTHING = 1.5
@@ -65,16 +65,16 @@ def outward_normals(
     normals = np.zeros((*mask.shape, 2), dtype=np.float32)
     for box, part in _parts(mask):
         padded = np.pad(part, [(size, size) for size in margin])
-        filled = ndimage.binary_fill_holes(padded)
+        filled = scipy.ndimage.binary_fill_holes(padded)
         _refuse_open_line(filled, sizes)
-        blurred = ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
+        blurred = scipy.ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
         slope = -np.stack(np.gradient(blurred, *sizes), axis=-1)
-        outline = filled & ~ndimage.binary_erosion(filled)
-        nearest = ndimage.distance_transform_edt(
+        outline = filled & ~scipy.ndimage.binary_erosion(filled)
+        nearest = scipy.ndimage.distance_transform_edt(
             ~outline, sampling=sizes, return_distances=False, return_indices=True
         )
         normal = _unit(slope[tuple(nearest)])
-        normal = _unit(ndimage.gaussian_filter(normal, (*sigma, 0.0), mode="nearest"))
+        normal = _unit(scipy.ndimage.gaussian_filter(normal, (*sigma, 0.0), mode="nearest"))
         inside = tuple(slice(size, -size) for size in margin)
         normals[box][part] = normal[inside][part]
     return normals
@@ -93,20 +93,20 @@ def _parts(
     mask: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
     """Each connected part, with the box that holds it."""
-    numbered, _ = ndimage.label(mask, structure=_EIGHT)
-    for number, box in enumerate(ndimage.find_objects(numbered), start=1):
+    numbered, _ = scipy.ndimage.label(mask, structure=_EIGHT)
+    for number, box in enumerate(scipy.ndimage.find_objects(numbered), start=1):
         yield box, numbered[box] == number
 
 
 def _refuse_open_line(filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float64]) -> None:
     area = float(filled.sum() * sizes.prod())
-    deepest = float(ndimage.distance_transform_edt(filled, sampling=sizes).max())
+    deepest = float(scipy.ndimage.distance_transform_edt(filled, sampling=sizes).max())
     at_least = 2 * deepest - sizes.max()
     if area <= _LINE * at_least**2:
         return
     # At half the pixel size even and odd widths both have a middle, and come out as they are.
     fine = filled.repeat(2, axis=0).repeat(2, axis=1)
-    thickness = 2 * float(ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
+    thickness = 2 * float(scipy.ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
     length = area / thickness
     if length > _LINE * thickness:
         raise OpenLine(length, thickness)
@@ -124,14 +124,14 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     ndarray of bool, shape (H, W)
         The pixels of each part beside what is around it, or at the edge of the image.
     """
-    rim = mask & ~ndimage.binary_erosion(mask)
-    parts, _ = ndimage.label(mask, structure=_EIGHT)
-    for number, box in enumerate(ndimage.find_objects(parts), 1):
+    rim = mask & ~scipy.ndimage.binary_erosion(mask)
+    parts, _ = scipy.ndimage.label(mask, structure=_EIGHT)
+    for number, box in enumerate(scipy.ndimage.find_objects(parts), 1):
         if parts[box].size <= _SPECK:
             continue
         part = np.pad(parts[box] == number, 1)
-        around, _ = ndimage.label(~part)
+        around, _ = scipy.ndimage.label(~part)
         filled = around != around[0, 0]
-        inner = part & ndimage.binary_erosion(filled)
+        inner = part & scipy.ndimage.binary_erosion(filled)
         rim[box] &= ~inner[1:-1, 1:-1]
     return np.asarray(rim)

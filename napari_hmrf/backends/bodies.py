@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.backends.planes import HeldPlanes, Planes
 from napari_hmrf.errors import ProblemError
@@ -172,9 +172,9 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
         return []
     row, col = max(rows[0] - 1, 0), max(cols[0] - 1, 0)
     sites = rigid_sites(m[row : rows[-1] + 2, col : cols[-1] + 2])
-    labels, _ = ndimage.label(sites, structure=np.ones((3, 3)))
+    labels, _ = scipy.ndimage.label(sites, structure=np.ones((3, 3)))
     found = []
-    for number, box in enumerate(ndimage.find_objects(labels), 1):
+    for number, box in enumerate(scipy.ndimage.find_objects(labels), 1):
         i, j = np.nonzero(labels[box] == number)
         found.append((i + row + box[0].start, j + col + box[1].start))
     return found

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 from threadpoolctl import ThreadpoolController
 
 from napari_hmrf.backends import tiles as shapes

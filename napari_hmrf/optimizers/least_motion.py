@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import nnls
+import scipy
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def _least_distance(rows: Float64Array, bounds: Float64Array) -> Float64Array | 
     target = np.zeros(len(matrix))
     target[-1] = 1.0
     try:
-        weights, rest = nnls(matrix, target, maxiter=50 * matrix.shape[1])
+        weights, rest = scipy.optimize.nnls(matrix, target, maxiter=50 * matrix.shape[1])
     except RuntimeError:
         return None
     if rest < 1e-12:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from napari_hmrf.backends import host
 from napari_hmrf.backends.dissection import Singular

@@ -30,6 +30,8 @@ _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was.
 _MARGIN = 4.0
 _REHEARSAL_CYCLES = 40
+# So many times too far off, in a rehearsal, will not become good enough.
+_HOPELESS = 10.0
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # A correction by factors must be smaller than the one before it by this factor.
@@ -212,9 +214,13 @@ class Refinement:
             if step is None:
                 return math.inf
             host.add(error, correction, balance.unit)
+            if step.error > _HOPELESS * target:
+                return math.inf
             if step.error > target:
                 continue  # single precision carries no further from there
             doubt = float(np.abs(error).max()) / (balance.unit * step.error)
+            if doubt > _HOPELESS * _BELIEVABLE:
+                break
         return doubt if most > 0 else 1.0
 
     def _project(self, d: Planes) -> None:
