@@ -7,7 +7,7 @@ Paint the inputs, or make them, then::
     solution = solve(Problem(y, c, m))
     solution.displacement  # (H, W, 2): the tissue at X moves to X + d(X)
 
-Importing this package imports neither napari nor Qt, OpenGL or numba.
+Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.
 """
 
 from napari_hmrf.deformation import (

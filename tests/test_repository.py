@@ -20,6 +20,7 @@ PACKAGE = ROOT / "napari_hmrf"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl", "glcontext")
 HEAVY += ("numba", "matplotlib", "vispy", "pandas")
+HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
 
 pytestmark = pytest.mark.skipif(
     not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"

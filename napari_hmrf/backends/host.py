@@ -107,15 +107,18 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     exact.add(d, correction, scale)
 
 
-def gathered(d: Planes, tolerance: float) -> npt.NDArray[np.floating]:
-    """Return a displacement as an array (H, W, 2).
+def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], float]:
+    """Return a displacement as an array (H, W, 2), and how far that rounds it, in pixels.
 
-    In single precision, but where that does not carry the tolerance in pixels.
+    In single precision, but where that does not carry the tolerance.
     """
     from napari_hmrf.backends.cpu import exact
 
-    if float(np.abs(d).max()) * np.finfo(np.float32).eps > tolerance:
-        return np.moveaxis(d[:, 2:-2, 2:-2], 0, -1).copy()
+    most = max(float(d.max()), -float(d.min()))
+    rounding = most * float(np.finfo(np.float32).eps) / 2
+    if 2 * rounding > tolerance:
+        exactly = np.moveaxis(d[:, 2:-2, 2:-2], 0, -1).copy()
+        return exactly, most * float(np.finfo(np.float64).eps) / 2
     made = np.empty((d.shape[1] - 4, d.shape[2] - 4, 2), dtype=np.float32)
     exact.gather(d, made)
-    return made
+    return made, rounding

@@ -85,6 +85,7 @@ def converge(
             )
         refinement.estimate = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
         energy, forces = model.work(d)
+        way = "cycles" if model.found.factors is None else "factors"
     except ConvergenceError:
         model.forget()
         raise
@@ -92,11 +93,14 @@ def converge(
         model.close()
     energy += float((force * np.abs(y - d)).sum())
     cycles = max(1, refinement.cycles)
+    displacement, rounding = host.gathered(d, tolerance)
     return Outcome(
-        displacement=host.gathered(d, tolerance),
+        displacement=displacement,
         energy=np.full(cycles, energy / max(1, int(problem.tissue.sum()))),
         levels=(LevelRun(0, problem.shape, cycles),),
-        convergence=Convergence(refinement.estimate, refinement.residual / max(forces, _TINY)),
+        convergence=Convergence(
+            max(refinement.estimate, rounding), refinement.residual / max(forces, _TINY), way
+        ),
     )
 
 

@@ -116,8 +116,7 @@ class Multigrid:
         finally:
             model.close()
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
-        displacement = host.gathered(d, self.tolerance)
-        rounding = float(np.finfo(displacement.dtype).eps) / 2
+        displacement, rounding = host.gathered(d, self.tolerance)
         host.reuse(d, observed)
         if limit is None:
             model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
@@ -126,7 +125,7 @@ class Multigrid:
             energy=energies,
             levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
             convergence=Convergence(
-                max(refinement.estimate, rounding * float(np.abs(d).max())),
+                max(refinement.estimate, rounding),
                 refinement.residual / max(forces, _TINY),
                 "factors" if refinement.by_factors else "cycles",
             ),
