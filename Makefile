@@ -23,7 +23,7 @@ help:
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
-	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: two hours"
+	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"

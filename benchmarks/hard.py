@@ -5,20 +5,22 @@
     python benchmarks/hard.py --strain     nearly incompressible tissue in plane strain
     python benchmarks/hard.py --rigid      bone with no end of stiffness
 
-The whole table takes hours on two cores; every row is printed as soon as it is known, and Ctrl-C
-leaves a summary of those that are. With --ours the others do not run; exact fields are then kept in
-benchmark-output/, so that the next time is quick.
+The whole table takes an hour on two cores; every row is printed as soon as it is known, and Ctrl-C
+leaves a summary of those that are. Rows are kept in benchmark-output/: a page has those of earlier
+runs, too. With --ours the others do not run; exact fields are then kept as well, so that the next
+time is quick.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 # Before NumPy looks: threads of its dense kernels only get in PyAMG's way.
@@ -230,12 +232,32 @@ def _listed(what: str, those: Sequence[Row]) -> str:
     return f"{what}: {len(those)} rows" + (f" ({names})" if names else "")
 
 
-def write_page(path: Path, found: Sequence[Row], begun: float) -> None:
+def keep(row: Row) -> None:
+    """Keep a row for the page of a later run."""
+    KEPT.mkdir(parents=True, exist_ok=True)
+    rows = {other.name: other for other in kept()} | {row.name: row}
+    text = json.dumps([asdict(each) for each in rows.values()])
+    (KEPT / "rows.json").write_text(text, encoding="utf-8")
+
+
+def kept() -> list[Row]:
+    """Rows of earlier runs."""
+    if not (KEPT / "rows.json").exists():
+        return []
+    rows = []
+    for each in json.loads((KEPT / "rows.json").read_text(encoding="utf-8")):
+        for who in ("ours", "pyamg", "superlu"):
+            each[who] = None if each[who] is None else Run(**each[who])
+        rows.append(Row(**each))
+    return sorted(rows, key=lambda row: (row.size, list(TISSUES).index(row.case), row.contrast))
+
+
+def write_page(path: Path, found: Sequence[Row]) -> None:
     """Write the table and its summary as a page."""
     page = Section("Hard tissue")
     busy = load()
     page.say(
-        f"""Made by `make hard` in one run of {(time.perf_counter() - begun) / 60:.0f} minutes.
+        f"""Made by `make hard`; every row's solvers ran one after the other.
         {machine()}. {time.strftime("%Y-%m-%d")}{f", load at the end {busy:.1f}" if busy else ""}.
         """
     )
@@ -351,7 +373,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     other.add_argument("--strain", action="store_true", help="Poisson's ratio 0.499, plane strain")
     other.add_argument("--rigid", action="store_true", help="bone with no end of stiffness")
     options = parser.parse_args(arguments)
-    begun = time.perf_counter()
     _say("warming up")
     warm_up()
     found: list[Row] = []
@@ -371,12 +392,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sizes, cases = options.sizes or SIZES, options.cases or list(TISSUES)
         for row in rows(cases, sizes, options.contrasts, options.ours, options.seed):
             found.append(row)
+            if not options.ours:
+                keep(row)
             _print_row(row.cells[columns], _WIDTHS[columns])
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     else:
         if options.page is not None:
-            write_page(options.page, found, begun)
+            write_page(options.page, kept())
             print(f"written: {options.page}")
     print("\n".join(["", *summary(found), ""]))
     if not options.ours:

@@ -87,8 +87,21 @@ def test_a_row_has_our_solver_and_the_others_and_their_errors(tmp_path, monkeypa
     if rivals.has_pyamg():
         assert row.pyamg.error <= rivals.WITHIN
     page = tmp_path / "page.md"
-    hard.write_page(page, [row, alone], 0.0)
+    hard.write_page(page, [row, alone])
     assert "| inclusion | 17 | 4e0 |" in page.read_text(encoding="utf-8")
+
+
+def test_rows_of_earlier_runs_are_kept_and_newer_ones_replace_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(hard, "KEPT", tmp_path / "new")
+    assert hard.kept() == []
+    peer = Run(None, seconds=1.0, error=0.0)
+    large, small, again = (
+        hard.Row("ribs", size, 1e2, Run(None, seconds=seconds, error=1e-4), None, peer)
+        for size, seconds in ((257, 1.0), (97, 1.0), (97, 0.5))
+    )
+    for row in (large, small, again):
+        hard.keep(row)
+    assert [row.cells for row in hard.kept()] == [again.cells, large.cells]
 
 
 def test_the_summary_names_what_is_wrong_slow_or_refused():

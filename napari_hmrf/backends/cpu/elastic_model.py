@@ -14,8 +14,8 @@ from napari_hmrf.backends.bodies import Bodies, BodySites, bodies_of, few
 from napari_hmrf.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.backends.cpu.entraining import entrain
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.backends.cpu.model import CpuModel
 from napari_hmrf.backends.entrained import Entrained
+from napari_hmrf.backends.host_model import HostModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids, smoother_bounds
@@ -226,7 +226,7 @@ class _SmallLevels:
         return self._pair[0 if number % 2 == 1 else 1]
 
 
-class CpuElasticModel(CpuModel):
+class CpuElasticModel(HostModel):
     """`LinearModel` of elastic tissue; other backends take their levels from it.
 
     Parameters

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.backends import host
 from napari_hmrf.backends.cpu import exact, kernels, seiler, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
-from napari_hmrf.backends.cpu.model import CpuModel
+from napari_hmrf.backends.host_model import HostModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import MOST_PINS, SPRING, grids
@@ -151,7 +151,7 @@ class CpuSeilerLevel(CpuLevel):
             return float(self._rows.sum())
 
 
-class CpuSeilerModel(CpuModel):
+class CpuSeilerModel(HostModel):
     """`LinearModel` of the paper's cliques; other backends take their levels from it.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What the linear models of all priors have in common on the processor."""
+"""What the linear models of all priors have in common on the host."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.backends.bodies import Bodies
-from napari_hmrf.backends.cpu.level import Vector
 from napari_hmrf.backends.entrained import Entrained
 from napari_hmrf.backends.found import Found
 from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes, Steps
@@ -18,12 +18,12 @@ from napari_hmrf.backends.linear import Balance, HeldPlanes, Planes, Steps
 _SMALL, _GREAT = 1e-6, 1e6
 
 
-class CpuModel:
+class HostModel:
     """The part of `LinearModel` that is the same for all.
 
     Attributes
     ----------
-    levels : sequence of CpuLevel
+    levels : sequence
         Finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
     bodies : Bodies or None
         Of rigid tissue, with what is held now.
@@ -40,7 +40,7 @@ class CpuModel:
     iterates: bool = True
     _held: HeldPlanes | None
     #: What is left of a load: 0 where held.
-    _rest: Vector
+    _rest: npt.NDArray[np.float32]
 
     @property
     def mild(self) -> bool:
