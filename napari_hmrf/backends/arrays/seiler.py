@@ -1,0 +1,206 @@
+"""The paper's cliques as arrays: their levels, and their pulls in double precision.
+
+`stiffness` is (m, 1/m), planes, 0 in void; `lines` is what each line of cliques counts for each
+component. Centred, the model is d - q(d); blanket, half the slope of U_total's cliques, or all of
+it, if `lines` are twice what they are.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.backends.arrays.level import ArrayLevel, Vector
+from napari_hmrf.backends.found import Found
+from napari_hmrf.backends.host_model import HostModel
+from napari_hmrf.backends.linear import HeldPlanes, Planes
+from napari_hmrf.backends.thread import in_child_of_fork
+from napari_hmrf.coarsening import grids
+from napari_hmrf.priors.cliques import LINES, SeilerMaterial
+
+Float64Array = npt.NDArray[np.float64]
+Real = npt.NDArray[np.floating[Any]]
+
+
+class Cliques(NamedTuple):
+    """Curvature and slope of the cliques that pull at each component, and each site's energy."""
+
+    curvature: Float64Array
+    slope: Float64Array
+    energy: Float64Array
+
+
+def cliques(d: Real, stiffness: Real, lines: Real, blanket: bool) -> Cliques:
+    """Look at all cliques around each site of planes (2, H + 4, W + 4)."""
+    d, (m, inverse) = d.astype(np.float64), stiffness.astype(np.float64)
+    height, width = m.shape[0] - 4, m.shape[1] - 4
+    curvature, slope = np.zeros((2, *d.shape))
+    energy = np.zeros(m.shape)
+    for (i, j), weight in zip(LINES, lines.astype(np.float64), strict=True):
+        s, t, u = (
+            (slice(2 + k * i, 2 + k * i + height), slice(2 + k * j, 2 + k * j + width))
+            for k in (-1, 0, 1)
+        )
+        exists = inverse[s] * m[t] * inverse[u] > 0
+        ratio_s, ratio_u = m[t] * inverse[s], m[t] * inverse[u]
+        counts = exists * weight[:, None, None]
+        to_s, to_u = d[:, *s] - d[:, *t], d[:, *u] - d[:, *t]
+        first, second = ratio_u * to_s + to_u, ratio_s * to_u + to_s
+        curvature[:, *t] += counts * ((1 + ratio_s) ** 2 + (1 + ratio_u) ** 2)
+        slope[:, *t] += counts * ((1 + ratio_u) * first + (1 + ratio_s) * second)
+        energy[t] += (counts * (first**2 + second**2)).sum(axis=0)
+        if blanket:
+            curvature[:, *s] += counts * (ratio_u**2 + 1)
+            curvature[:, *u] += counts * (ratio_s**2 + 1)
+            slope[:, *s] -= counts * (ratio_u * first + second)
+            slope[:, *u] -= counts * (first + ratio_s * second)
+    return Cliques(curvature, slope, energy)
+
+
+class ArraySeilerLevel(ArrayLevel):
+    """One level's cliques and springs.
+
+    Parameters
+    ----------
+    grid : tuple of int
+    stiffness : ndarray, shape (2, H + 4, W + 4)
+    even : ndarray, shape (H + 4, W + 4)
+        What makes a sum over the finer level's tissue around a site a mean.
+    material : SeilerMaterial
+    share : float
+        What a clique counts on this level.
+    finest : bool
+    """
+
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        stiffness: Float64Array,
+        even: Float64Array,
+        material: SeilerMaterial,
+        share: float,
+        finest: bool,
+    ) -> None:
+        super().__init__(grid, finest)
+        self.blanket = material.blanket or None
+        #: For the kernels; square pixels have kernels of their own.
+        plain = material.square and not material.blanket
+        self.lines = None if plain else (share * material.lines).astype(np.float32)
+        self._lines = share * material.lines
+        self.stiffness: Vector = stiffness.astype(np.float32)
+        self.even: Vector = even.astype(np.float32)
+        nothing = np.zeros_like(stiffness)
+        self.steep = cliques(nothing, stiffness, self._lines, material.blanket)[0].astype(
+            np.float32
+        )
+        self.diagonal = self.steep if material.blanket else np.ones_like(self.steep)
+
+    def _pinned(self, held: HeldPlanes) -> HeldPlanes:
+        return np.asarray((self.stiffness[:1] > 0) & ((self.steep == 0) | held))
+
+    def apply(self, direction: Vector, image: Vector) -> None:
+        """Image = A direction."""
+        image[...] = -pull(direction, self.stiffness, self._lines, bool(self.blanket))
+        image[self.inverse == 0] = 0
+
+
+def pull(d: Real, stiffness: Real, lines: Real, blanket: bool) -> Float64Array:
+    """- A d everywhere."""
+    curvature, slope, _ = cliques(d, stiffness, lines, blanket)
+    return slope if blanket else slope / np.maximum(curvature, 1e-30)
+
+
+class ArraySeilerModel(HostModel):
+    """The host's part of `LinearModel` for the paper's cliques.
+
+    Parameters
+    ----------
+    material : SeilerMaterial
+    """
+
+    def __init__(self, material: SeilerMaterial) -> None:
+        self.material, self._held, self.found = material, None, Found()
+        self.bounds = material.bounds
+        self._lines = (2 if material.blanket else 1) * material.lines
+        m = material.m / np.float64(material.m.max())
+        stiffness = np.zeros((2, *(size + 4 for size in m.shape)))
+        stiffness[0, 2:-2, 2:-2] = m
+        np.divide(1.0, stiffness[0], out=stiffness[1], where=stiffness[0] > 0)
+        self._stiffness, even = stiffness, np.zeros(stiffness.shape[1:])
+        self.levels = []
+        for number, grid in enumerate(grids(m.shape)):
+            if number > 0:
+                stiffness, even = _coarser(stiffness[0], grid)
+            # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
+            share = 2 * 0.25**number if material.blanket else 1.0
+            self.levels.append(
+                ArraySeilerLevel(grid, stiffness, even, material, share, number == 0)
+            )
+        self._rest = self.levels[0].vector()
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """- A d everywhere, in double precision."""
+        if low is not None:
+            assert self.material.blanket
+            pulls: Planes = self.material.pull(d, low)
+            return pulls
+        return pull(d, self._stiffness, self._lines, self.material.blanket)
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        rest = self.pull(d) if load is None else self.pull(d) + load
+        rest[~self.moves] = 0
+        rest /= unit
+        self._rest[...] = rest
+        return float(np.abs(rest).max()), float(np.linalg.norm(rest))
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The cliques' share of U_total, and the norm of all pulls."""
+        curvature, slope, energy = cliques(d, self._stiffness, self._lines, self.material.blanket)
+        pulls = slope if self.material.blanket else slope / np.maximum(curvature, 1e-30)
+        return float(energy.sum()) / (2 if self.material.blanket else 1), float(
+            np.linalg.norm(pulls)
+        )
+
+    @property
+    def steepness(self) -> Planes:
+        """The second derivative of each site's energy; 0 where no clique pulls."""
+        nothing = np.zeros_like(self._stiffness)
+        found = cliques(nothing, self._stiffness, self._lines, self.material.blanket).curvature
+        return found if self.material.blanket else 2 * found
+
+    def forget(self) -> None:
+        """Be not the last model any more."""
+        _last[:] = ()
+
+
+def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
+    """A coarse level's (m, 1/m): the mean of the tissue around a site; and what evens out sums."""
+    height, width = grid
+    padded = np.pad(fine, (0, 2))
+    total, share = np.zeros((2, height, width))
+    for a in range(3):
+        for b in range(3):
+            m = padded[1 + a : 1 + a + 2 * height : 2, 1 + b : 1 + b + 2 * width : 2]
+            near = (2 - abs(a - 1)) * (2 - abs(b - 1)) / 4
+            total += near * m
+            share += near * (m > 0)
+    stiffness = np.zeros((2, height + 4, width + 4))
+    inner = stiffness[:, 2:-2, 2:-2]
+    np.divide(total, share, out=inner[0], where=total > 0)
+    np.divide(share, total, out=inner[1], where=total > 0)
+    even = np.zeros((height + 4, width + 4))
+    even[2:-2, 2:-2] = 4 / np.maximum(share, 1)
+    return stiffness, even
+
+
+_last: list[ArraySeilerModel] = []
+in_child_of_fork(_last.clear)
+
+
+def the_model(material: SeilerMaterial) -> ArraySeilerModel:
+    """Return the model of a material: the last one, if it is the same tissue again."""
+    if not _last or _last[0].material != material:
+        _last[:] = (ArraySeilerModel(material),)
+    return _last[0]
