@@ -30,8 +30,8 @@ _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was.
 _MARGIN = 4.0
 _REHEARSAL_CYCLES = 40
-# So many times too far off, in a rehearsal, will not become good enough.
-_HOPELESS = 10.0
+# What a round of a rehearsal must leave of its error at most, for another one.
+_GAIN = 0.5
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # A correction by factors must be smaller than the one before it by this factor.
@@ -124,7 +124,8 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
-        if not self._model.mild and math.prod(self._model.shape) <= _FEW:
+        vain = math.prod(self._model.shape) <= _FEW or self._model.material.laced
+        if vain and not self._model.mild and Factors.fit(self._model.shape):
             return False
         if not self._entrain():
             return False
@@ -195,7 +196,7 @@ class Refinement:
         error[~self._model.moves] = 0
         self._project(error)
         most = float(np.abs(error).max())
-        doubt, cycles = math.inf, 0
+        doubt, cycles, rounds, left = math.inf, 0, 0, most
         while most > 0 and doubt > _BELIEVABLE and cycles < _REHEARSAL_CYCLES:
             # What is left of the error is what was not met: from there it is.
             balance, step = self._model.balance(error, None), None
@@ -214,12 +215,13 @@ class Refinement:
             if step is None:
                 return math.inf
             host.add(error, correction, balance.unit)
-            if step.error > _HOPELESS * target:
-                return math.inf
-            if step.error > target:
-                continue  # single precision carries no further from there
-            doubt = float(np.abs(error).max()) / (balance.unit * step.error)
-            if doubt > _HOPELESS * _BELIEVABLE:
+            before, left = left, float(np.abs(error).max())
+            if step.error <= target:
+                doubt = left / (balance.unit * step.error)
+            # Else single precision has carried no further from there. A motion may be met late, but
+            # once there have been two rounds each must gain something.
+            rounds += 1
+            if rounds > 1 and left > _GAIN * before:
                 break
         return doubt if most > 0 else 1.0
 

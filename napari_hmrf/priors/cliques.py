@@ -92,6 +92,8 @@ class SeilerMaterial:
         """Whether a cycle sees every motion of it: not blanket, where parts three wide can bend."""
         return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
+    #: A rehearsal may always show that cycles see every motion.
+    laced = False
     #: No volume is kept.
     compressible = True
     #: Sites along a side of an element (the cliques around a site), and how far it reaches beyond.

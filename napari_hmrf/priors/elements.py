@@ -32,6 +32,8 @@ MILD_ASPECT = 2.0
 MILD_POISSON = 0.45
 #: Elements for each site, at least: thin strips bend in ways that coarse levels do not.
 MILD_COMPACTNESS = 0.85
+#: From which contrast on cycles have not been found to see all motions of such strips.
+LACED_CONTRAST = 300.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,12 @@ class ElasticMaterial:
         """Whether cycles see it as well as they see a spring."""
         return not (self.strain and self.largest_poisson > MILD_POISSON)
 
-    @property
+    @cached_property
+    def laced(self) -> bool:
+        """Whether thin strips are of such contrast that a rehearsal is in vain."""
+        return self._compactness < MILD_COMPACTNESS and contrast(self.m) >= LACED_CONTRAST
+
+    @cached_property
     def _compactness(self) -> float:
         """Elements for each site of tissue: 1 but for borders, 1/2 for strips of two sites."""
         tissue = self.m > 0
