@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from napari_hmrf.backends import Backend, host, open_backend
+from napari_hmrf.backends import COMPILING, Backend, host, loops, open_backend
 from napari_hmrf.backends.found import Beginning
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.beginning import Start, beginning
@@ -241,15 +241,15 @@ def _prepare(
 ) -> None:
     """Compile what a schedule needs by running it on a small problem, once per process.
 
-    Small, but with levels between others and something to find. Square pixels have kernels of
-    their own.
+    Small, but with levels between others, something to find, and more sites than would be solved
+    without a cycle. Square pixels have kernels of their own.
     """
     rehearsal = optimizer.rehearsal()
     square = len(set(spacing)) == 1
-    key = (device.name, device.renderer, prior.kernels, repr(rehearsal), square)
+    key = (device.name, device.renderer, loops.in_use(), prior.kernels, repr(rehearsal), square)
     if key in _prepared:
         return
-    size = 24
+    size = 40
     y, c, m = np.zeros((size, size, 2)), np.zeros((size, size, 2)), np.ones((size, size))
     c[0] = c[-1] = 1
     y[-1] = 1
@@ -270,7 +270,7 @@ def _announce(renderer: str, reason: str) -> None:
     if message not in _announced:
         _announced.add(message)
         # A fallback is told even where nobody has set up logging.
-        fallback = reason not in ("asked for", "a GPU is there")
+        fallback = reason not in ("asked for", "a GPU is there", COMPILING)
         _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
 
 

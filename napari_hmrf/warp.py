@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf import triangles
+from napari_hmrf.backends import loops
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.problem import as_numbers
 from napari_hmrf.resample import as_image, resample
@@ -125,13 +127,24 @@ def inverse_map_and_overlaps(
         Naming the input at fault.
     """
     moving, mask = moved_sites(displacement, spacing, tissue)
-    # numba takes half a second to import: only those who warp wait for it.
-    from napari_hmrf.rasterise import TWICE, rasterise
-
-    coordinates, state = rasterise(moving, mask)
+    coordinates, state = _rasterised(moving, mask)
     still = ~mask & (state == 0)
     coordinates[still] = np.argwhere(still)
-    return coordinates, (state > 0) | still, state == TWICE
+    return coordinates, (state > 0) | still, state == triangles.TWICE
+
+
+def _rasterised(
+    moved: Float64Array, tissue: BoolArray
+) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
+    """Invert the motion of sites by the loops, or by NumPy before these are compiled."""
+    if not loops.ready():
+        loops.compile_meanwhile()
+        return triangles.rasterise(moved, tissue)
+    # Numba takes half a second to import: only those who warp wait for it.
+    from napari_hmrf.rasterise import rasterise
+
+    coordinates, state = rasterise(moved, tissue)
+    return coordinates, state
 
 
 def moved_sites(

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf import triangles
+from napari_hmrf.backends import loops
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.problem import as_numbers
 from napari_hmrf.resample import as_image, check_order, checked_fill, filled_in, resample
-from napari_hmrf.warp import checked_sizes
+from napari_hmrf.warp import checked_sizes, moved_sites
 
 # What the compiled loops interpolate. Large integers do not fit a double; half precision is no
 # number to numba.
@@ -131,6 +133,9 @@ class Warper:
                 raise ProblemError(
                     name, f"has shape {array.shape}, but the pictures need {expected}."
                 )
+        if not loops.ready():
+            loops.compile_meanwhile()
+            return self._without_loops(d, mask, fraction)
         # As for the solver's kernels: a core that waits must not burn.
         os.environ.setdefault("GOMP_SPINCOUNT", "1000")
         import numba
@@ -151,6 +156,14 @@ class Warper:
         if not finite:
             raise ProblemError("displacement", "is NaN or infinite at some pixel of the tissue.")
         return [look(self._source, self._state, mask) for look in self._looks]
+
+    def _without_loops(
+        self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
+    ) -> list[npt.NDArray[Any]]:
+        """Move the pictures by NumPy and SciPy."""
+        moved, _ = moved_sites(fraction * d.astype(np.float64), self._spacing, mask)
+        source, state = triangles.rasterise(moved, mask)
+        return [look.by_splines(source, state, mask) for look in self._looks]
 
 
 class _Look:
@@ -180,7 +193,7 @@ class _Look:
         tissue: npt.NDArray[np.bool_],
     ) -> npt.NDArray[Any]:
         if self._slow:
-            return self._by_splines(source, state, tissue)
+            return self.by_splines(source, state, tissue)
         from napari_hmrf.lookup import look_up
 
         moved = np.empty_like(self._values)
@@ -198,12 +211,13 @@ class _Look:
         )
         return moved.view(self._image.dtype).reshape(self._image.shape)
 
-    def _by_splines(
+    def by_splines(
         self,
         source: npt.NDArray[np.float64],
         state: npt.NDArray[np.uint8],
         tissue: npt.NDArray[np.bool_],
     ) -> npt.NDArray[Any]:
+        """Look it up with SciPy, which takes any type and order."""
         still = ~tissue & (state == 0)
         source = source.copy()
         source[still] = np.argwhere(still)

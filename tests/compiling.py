@@ -12,8 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 try:
     import fcntl
 except ImportError:  # where files have no such locks, loops are compiled twice
@@ -50,54 +48,9 @@ def compile_once() -> None:
     Dispatcher.compile = compile_or_wait
 
 
-def _elastic(poisson: Any, spacing: tuple[float, float], penalty: float | None = None) -> None:
-    from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
-
-    c = np.zeros((40, 40, 2))
-    c[0] = c[-1] = 1
-    problem = Problem(c, c, np.ones((40, 40)), spacing)
-    prior = ElasticPrior(poisson) if penalty is None else ElasticPrior(poisson, penalty=penalty)
-    solve(problem, prior, Multigrid(0.01), backend="cpu")
-
-
-def _paper(optimizer: Any, conditional: str, spacing: tuple[float, float]) -> None:
-    from napari_hmrf import Problem, SeilerPrior, solve
-
-    c = np.zeros((40, 40, 2))
-    c[0] = c[-1] = 1
-    problem = Problem(c, c, np.ones((40, 40)), spacing)
-    solve(problem, SeilerPrior(conditional=conditional), optimizer, backend="cpu")
-
-
-def _pictures() -> None:
-    from napari_hmrf import warp
-    from napari_hmrf.backends.thread import compute_thread
-    from napari_hmrf.warper import Warper
-
-    still = np.zeros((9, 9, 2), np.float32)
-    for kind in (np.uint8, np.float32):
-        image = np.zeros((9, 9), kind)
-        warp(image, still)
-        compute_thread.submit(lambda image=image: Warper(image)(still)).result()
-
-
 def compile_most(backwards: bool) -> None:
     """Run what brings nearly all loops to disk."""
-    from napari_hmrf import ICM, Multigrid
+    from napari_hmrf.compiling import jobs
 
-    square, oblong = (1.0, 1.0), (2.0, 0.5)
-    jobs = [
-        lambda: _elastic(0.3, square),
-        lambda: _elastic(np.full((40, 40), 0.3), oblong, 1.0),
-        _pictures,
-        lambda: _paper(ICM(iterations=2, steps=None), "centred", square),
-        lambda: _paper(ICM(iterations=2, steps=None), "centred", oblong),
-        lambda: _paper(ICM(iterations=2), "centred", square),
-        lambda: _paper(ICM(iterations=2), "blanket", square),
-        lambda: _paper(Multigrid(0.01), "blanket", square),
-        lambda: _paper(Multigrid(0.01), "blanket", oblong),
-        lambda: _paper(Multigrid(0.01), "centred", oblong),
-        lambda: _paper(Multigrid(0.01), "centred", square),
-    ]
-    for job in reversed(jobs) if backwards else jobs:
+    for job in reversed(jobs()) if backwards else jobs():
         job()

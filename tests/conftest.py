@@ -15,6 +15,9 @@ from patience import LONG, LONG_MS
 
 from napari_hmrf.backends.thread import compute_thread
 
+# Whoever needs a loop compiles it: no test is to depend on what another process has done by then.
+os.environ["NAPARI_HMRF_COMPILE"] = "here"
+
 _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 )

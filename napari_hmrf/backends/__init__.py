@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, get_args
 
+from napari_hmrf.backends import loops
 from napari_hmrf.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError
@@ -12,9 +13,13 @@ from napari_hmrf.errors import BackendError
 BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
 BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
+#: Why a software rasteriser is taken where nobody asked for it.
+COMPILING = "until the loops for the processor are compiled"
+
 __all__ = [
     "BACKEND_NAMES",
     "BATCH_SECONDS",
+    "COMPILING",
     "Backend",
     "BackendName",
     "Checkpoint",
@@ -31,7 +36,8 @@ def open_backend(name: str, checkpoint: Checkpoint) -> tuple[Backend[Any], str]:
     ----------
     name : str
         One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
-        where there is only a software rasteriser (ten times slower than they) or no OpenGL.
+        where there is only a software rasteriser (ten times slower than they) or no OpenGL. Until
+        the loops are compiled, which it has another process do, it takes the rasteriser.
     checkpoint : callable
         Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
 
@@ -49,18 +55,25 @@ def open_backend(name: str, checkpoint: Checkpoint) -> tuple[Backend[Any], str]:
     from napari_hmrf.backends.cpu import CpuBackend
 
     if name == "cpu":
+        loops.use()
         return CpuBackend(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
     from napari_hmrf.backends.opengl import OpenGLBackend, is_software_renderer
 
+    compiled = loops.ready()
     if name != "auto":
+        loops.compile_meanwhile()
         return OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None), "asked for"
     try:
         backend = OpenGLBackend(checkpoint)
     except BackendError as error:
+        loops.use()
         return CpuBackend(checkpoint), f"no usable OpenGL ({error})"
-    if is_software_renderer(backend.renderer):
-        backend.close()
-        return CpuBackend(checkpoint), f"OpenGL here is software only ({backend.renderer})"
-    return backend, "a GPU is there"
+    loops.compile_meanwhile()
+    if not is_software_renderer(backend.renderer):
+        return backend, "a GPU is there"
+    if not compiled:
+        return backend, COMPILING
+    backend.close()
+    return CpuBackend(checkpoint), f"OpenGL here is software only ({backend.renderer})"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.backends import loops
 from napari_hmrf.backends.base import FloatArray
 from napari_hmrf.backends.found import Beginning
 from napari_hmrf.backends.linear import HeldPlanes, Planes
@@ -21,12 +22,23 @@ _spare: list[tuple[Planes, HeldPlanes]] = []
 in_child_of_fork(_spare.clear)
 
 
+def _exact() -> Any:
+    """Return the loops, or before they are compiled their twins in NumPy."""
+    if loops.in_use():
+        from napari_hmrf.backends.cpu import exact
+
+        return exact
+    from napari_hmrf.backends.arrays import exact as plain
+
+    return plain
+
+
 def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:
     """Return the displacement that is observed on tissue, in pixels, and where that is.
 
     Elsewhere it is that of `start`, or zero.
     """
-    from napari_hmrf.backends.cpu import exact
+    exact = _exact()
 
     shape = (2, *(size + 4 for size in problem.shape))
     if _spare and _spare[0][0].shape == shape:
@@ -72,7 +84,7 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
     if displacement.dtype == np.float64:
         displacement *= unit * tissue[..., None]
         return bool(np.isfinite(displacement).all())
-    from napari_hmrf.backends.cpu import exact
+    exact = _exact()
 
     finite = np.zeros(len(displacement), dtype=np.bool_)
     exact.settle(displacement, tissue, np.float32(unit), finite)
@@ -93,7 +105,7 @@ def planes(values: npt.NDArray[Any]) -> Planes:
 
 def measure(rest: Planes) -> tuple[float, float]:
     """Return the largest absolute value, and the norm."""
-    from napari_hmrf.backends.cpu import exact
+    exact = _exact()
 
     most, squares = np.zeros((2, rest.shape[1] - 4))
     exact.measure(rest, most, squares)
@@ -102,7 +114,7 @@ def measure(rest: Planes) -> tuple[float, float]:
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     """Add scale * correction to a displacement, in place."""
-    from napari_hmrf.backends.cpu import exact
+    exact = _exact()
 
     exact.add(d, correction, scale)
 
@@ -112,7 +124,7 @@ def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], flo
 
     In single precision, but where that does not carry the tolerance.
     """
-    from napari_hmrf.backends.cpu import exact
+    exact = _exact()
 
     most = max(float(d.max()), -float(d.min()))
     rounding = most * float(np.finfo(np.float32).eps) / 2

@@ -7,24 +7,16 @@ kernels changes.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numba
 
+from napari_hmrf.backends.loops import sources
+
 # Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
 _ARITHMETIC = {"contract", "nsz"}
-
-
-@cache
-def _kernels() -> bytes:
-    """A digest of all files beside this one that have to do with numba."""
-    contents = (path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-    return hashlib.sha256(b"".join(each for each in contents if b"numba" in each)).digest()
 
 
 def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -34,7 +26,7 @@ def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         made = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         with suppress(AttributeError):  # a numba made otherwise looks at the function's file alone
             file = made._cache._cache_file
-            file._source_stamp = (file._source_stamp, _kernels())
+            file._source_stamp = (file._source_stamp, sources())
         return made
 
     return decorate

@@ -1,12 +1,13 @@
-"""Elastic tissue on the device; set-up and double precision are the compiled loops' work."""
+"""Elastic tissue on the device; set-up and double precision are the host's work."""
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from napari_hmrf.backends.cpu.elastic_model import CpuElasticLevel, the_model
+from napari_hmrf.backends import loops
+from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.model import GLModel
 from napari_hmrf.backends.opengl.passes import Passes
@@ -20,12 +21,12 @@ class GLElasticLevel(RelaxingLevel):
     Parameters
     ----------
     passes : Passes
-    host : CpuElasticLevel
+    host : CpuElasticLevel or ArrayElasticLevel
         Where elements and springs come from.
     shape : ElementShape
     """
 
-    def __init__(self, passes: Passes, host: CpuElasticLevel, shape: ElementShape) -> None:
+    def __init__(self, passes: Passes, host: Any, shape: ElementShape) -> None:
         there = host.lame[1] > 0
         there[1:] |= there[:-1]
         there[:, 1:] |= there[:, :-1]
@@ -59,10 +60,21 @@ class GLElasticModel(GLModel):
     """
 
     def __init__(self, passes: Passes, material: ElasticMaterial) -> None:
-        host = the_model(material)
+        host = _host(material)
         super().__init__(
             passes, host, [GLElasticLevel(passes, level, material.shape) for level in host.levels]
         )
+
+
+def _host(material: ElasticMaterial) -> LinearModel:
+    """The host's model: of loops, or of arrays before these are compiled."""
+    if loops.in_use():
+        from napari_hmrf.backends.cpu import elastic_model
+
+        return elastic_model.the_model(material)
+    from napari_hmrf.backends.arrays import elastic
+
+    return elastic.the_model(material)
 
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:

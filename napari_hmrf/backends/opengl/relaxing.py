@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.cpu.level import CpuLevel
 from napari_hmrf.backends.linear import Steps
 from napari_hmrf.backends.opengl.level import GLLevel, Scalar, Vector, stored_planes
 from napari_hmrf.backends.opengl.passes import Passes
@@ -59,7 +58,7 @@ class RelaxingLevel(GLLevel):
     Parameters
     ----------
     passes : Passes
-    host : CpuLevel
+    host : CpuLevel or ArrayLevel
         Where the diagonal and the springs (its ``weight``) come from.
     shown : ndarray, shape (H, W)
         Which sites are tissue.
@@ -67,7 +66,7 @@ class RelaxingLevel(GLLevel):
     """
 
     def __init__(
-        self, passes: Passes, host: CpuLevel, shown: npt.NDArray[np.bool_], model: Model
+        self, passes: Passes, host: Any, shown: npt.NDArray[np.bool_], model: Model
     ) -> None:
         super().__init__(passes, host.grid, shown)
         self._host, self._model = host, model

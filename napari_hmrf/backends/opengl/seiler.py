@@ -1,12 +1,13 @@
-"""The paper's cliques on the device; set-up and double precision are the compiled loops' work."""
+"""The paper's cliques on the device; set-up and double precision are the host's work."""
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from napari_hmrf.backends.cpu.seiler_model import CpuSeilerLevel, the_model
+from napari_hmrf.backends import loops
+from napari_hmrf.backends.linear import LinearModel
 from napari_hmrf.backends.opengl.fields import singles
 from napari_hmrf.backends.opengl.level import stored_planes
 from napari_hmrf.backends.opengl.model import GLModel
@@ -21,11 +22,11 @@ class GLSeilerLevel(RelaxingLevel):
     Parameters
     ----------
     passes : Passes
-    host : CpuSeilerLevel
+    host : CpuSeilerLevel or ArraySeilerLevel
         Where stiffness and springs come from.
     """
 
-    def __init__(self, passes: Passes, host: CpuSeilerLevel) -> None:
+    def __init__(self, passes: Passes, host: Any) -> None:
         defines = {"BLANKET": int(bool(host.blanket)), "SQUARE": int(host.lines is None)}
         weights = {} if host.lines is None else {"weights": host.lines}
         model = Model("smooth_cliques", "apply_cliques", defines, weights)
@@ -101,5 +102,16 @@ class GLSeilerModel(GLModel):
     """
 
     def __init__(self, passes: Passes, material: SeilerMaterial) -> None:
-        host = the_model(material)
+        host = _host(material)
         super().__init__(passes, host, [GLSeilerLevel(passes, level) for level in host.levels])
+
+
+def _host(material: SeilerMaterial) -> LinearModel:
+    """The host's model: of loops, or of arrays before these are compiled."""
+    if loops.in_use():
+        from napari_hmrf.backends.cpu import seiler_model
+
+        return seiler_model.the_model(material)
+    from napari_hmrf.backends.arrays import seiler
+
+    return seiler.the_model(material)
