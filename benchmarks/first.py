@@ -1,0 +1,166 @@
+"""How long a new user waits: the first field of a fresh process whose caches are empty.
+
+    python benchmarks/first.py [--models elastic ...] [--backends cpu opengl] [--size 300]
+
+Every model of the linear solver on every backend has a process of its own, with numba's cache and
+the driver's in new folders. Printed are the seconds to import the package, to the first field and
+to the second, and what each loop cost to compile; at the end all loops together, each counted once.
+Beside it stands how long a plain loop of the interpreter takes here: about a second on a quick
+machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+#: What is solved, by name: prior and optimizer.
+MODELS: dict[str, Callable[[], tuple[Any, Any]]] = {
+    "schedule": lambda: _paper("centred", False),
+    "converged": lambda: _paper("centred", True),
+    "blanket": lambda: _paper("blanket", True),
+    "elastic": lambda: _elastic(0.45, "stress"),
+    "slipping": lambda: _elastic(0.45, "stress", penalty=100.0),
+    "strain": lambda: _elastic(0.499, "strain"),
+}
+BACKENDS = ("opengl", "cpu")
+#: What all compiling of the linear solver may take on one quiet core, in seconds.
+BUDGET = 60.0
+_TURNS = 20_000_000
+
+
+def _paper(conditional: Any, converged: bool) -> tuple[Any, Any]:
+    from napari_hmrf import ICM, Multigrid, SeilerPrior
+
+    return SeilerPrior(conditional=conditional), Multigrid() if converged else ICM()
+
+
+def _elastic(poisson: float, plane: Any, **more: Any) -> tuple[Any, Any]:
+    from napari_hmrf import ElasticPrior, Multigrid
+
+    return ElasticPrior(poisson, plane, **more), Multigrid()
+
+
+@dataclass(frozen=True)
+class First:
+    """What a fresh process took, in seconds; `compiled` says which loop took how many."""
+
+    importing: float
+    first: float
+    second: float
+    compiled: dict[str, float]
+
+
+def watch_compiler() -> Callable[[], dict[str, float]]:
+    """Have numba's compiler watched; the result says what each loop took without its callees."""
+    from numba.core import event
+
+    taken: dict[str, float] = {}
+    running: list[list[float]] = []
+
+    class Watch(event.Listener):
+        def on_start(self, happening: Any) -> None:
+            running.append([time.perf_counter(), 0.0])
+
+        def on_end(self, happening: Any) -> None:
+            begun, within = running.pop()
+            whole = time.perf_counter() - begun
+            if running:
+                running[-1][1] += whole
+            loop = happening.data["dispatcher"].py_func
+            name = f"{loop.__module__.rpartition('.')[2]}.{loop.__name__}"
+            name += f" {hash(str(happening.data['args'])) & 0xFFFF:04x}"
+            taken[name] = taken.get(name, 0.0) + whole - within
+
+    event.register("numba:compile", Watch())
+    return lambda: taken
+
+
+def child(model: str, backend: str, size: int) -> First:
+    """Solve twice, here."""
+    begun = time.perf_counter()
+    import napari_hmrf
+
+    importing = time.perf_counter() - begun
+    problem = napari_hmrf.phantom("expansion", size).problem
+    prior, optimizer = MODELS[model]()
+    taken = watch_compiler()
+    seconds = []
+    for _ in range(2):
+        begun = time.perf_counter()
+        napari_hmrf.solve(problem, prior, optimizer, backend)
+        seconds.append(time.perf_counter() - begun)
+    return First(importing, *seconds, taken())
+
+
+def fresh(model: str, backend: str, size: int) -> First:
+    """Solve twice in a process whose caches are empty."""
+    with tempfile.TemporaryDirectory() as folder:
+        caches = {
+            "NUMBA_CACHE_DIR": folder,
+            "MESA_SHADER_CACHE_DIR": folder,
+            "PYTHONHASHSEED": "0",
+        }
+        given = [sys.executable, __file__, "--child", model, "--backends", backend]
+        ran = subprocess.run(
+            [*given, "--size", str(size)],
+            env={**os.environ, **caches},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+    return First(**json.loads(ran.stdout.splitlines()[-1]))
+
+
+def speed() -> float:
+    """Seconds for a loop of the interpreter."""
+    begun, total = time.perf_counter(), 0
+    for turn in range(_TURNS):
+        total += turn
+    return time.perf_counter() - begun
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print what was found; 0 whatever it is."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS))
+    parser.add_argument("--backends", nargs="+", choices=BACKENDS, default=list(BACKENDS))
+    parser.add_argument("--size", type=int, default=300)
+    parser.add_argument("--child", choices=MODELS, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.child:
+        found = child(options.child, options.backends[0], options.size)
+        print(json.dumps(found.__dict__))
+        return 0
+    print(f"a loop of {_TURNS:.0e} turns takes {speed():.2f} s here")
+    print(f"{'model':10} {'on':7} {'import':>7} {'first':>7} {'second':>7} {'compiling':>10}")
+    all_loops: dict[str, float] = {}
+    for backend in options.backends:
+        for model in options.models:
+            found = fresh(model, backend, options.size)
+            compiling = sum(found.compiled.values())
+            for name, taken in found.compiled.items():
+                all_loops[name] = max(taken, all_loops.get(name, 0.0))
+            cells = (found.importing, found.first, found.second, compiling)
+            print(
+                f"{model:10} {backend:7} " + " ".join(f"{cell:7.2f}" for cell in cells), flush=True
+            )
+    print(f"\nall loops, each once: {sum(all_loops.values()):.1f} s (at most {BUDGET:.0f})")
+    loops: dict[str, list[float]] = {}
+    for name, taken in all_loops.items():
+        loops.setdefault(name.rpartition(" ")[0], []).append(taken)
+    for name, each in sorted(loops.items(), key=lambda item: -sum(item[1])):
+        print(f"{sum(each):7.2f} s  {len(each):2} kinds  {name}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
