@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -26,7 +27,7 @@ def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         made = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         with suppress(AttributeError):  # a numba made otherwise looks at the function's file alone
             file = made._cache._cache_file
-            file._source_stamp = (file._source_stamp, sources())
+            file._source_stamp = (file._source_stamp, sources(Path(__file__).parent))
         return made
 
     return decorate
