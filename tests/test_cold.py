@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from opengl_here import require_opengl
 
-from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, phantom, solve, warp
+from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, phantom, solve, warp
 from napari_hmrf.backends import COMPILING, loops, open_backend
 from napari_hmrf.backends.thread import compute_thread
 
@@ -58,6 +58,19 @@ def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypat
         assert off < sure + 1e-5
     again = warp(image, early.displacement, PROBLEM.spacing, tissue=PROBLEM.tissue)
     np.testing.assert_allclose(seen, again, atol=1e-6)
+
+
+def test_a_bone_moves_as_one_before_the_loops_are_compiled(cold, monkeypatch):
+    require_opengl()
+    m = PROBLEM.m.copy()
+    m[18:23, 12:17] = np.inf
+    bony = Problem(PROBLEM.y, PROBLEM.c, m, PROBLEM.spacing)
+    early = solve(bony, ElasticPrior(0.3), backend="opengl")
+    assert not loops.in_use()
+    monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")
+    late = solve(bony, ElasticPrior(0.3), backend="cpu")
+    sure = early.convergence.error + late.convergence.error
+    assert np.abs(early.displacement - late.displacement).max() / bony.unit < sure + 1e-5
 
 
 def test_nothing_on_the_way_imports_the_compiler():

@@ -49,6 +49,10 @@ class ArrayLevel:
     def free(self, *vectors: Vector) -> None:
         """Nothing to do: memory goes with the last reference."""
 
+    def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
+        """The largest absolute value of `a`, and the scalar product."""
+        return float(np.abs(a).max()), float(np.vdot(a.astype(np.float64), b.astype(np.float64)))
+
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
         self.pins[...] = self._pinned(held)
