@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.arrays.level import ArrayLevel, Vector
+from napari_hmrf.backends.arrays.model import ArrayModel
 from napari_hmrf.backends.bodies import Bodies, bodies_of
-from napari_hmrf.backends.found import Found
-from napari_hmrf.backends.host_model import HostModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import grids, smoother_bounds
@@ -44,7 +43,7 @@ class ArrayElasticLevel(ArrayLevel):
         self.steep = self.diagonal = diagonal(lame, shape).astype(np.float32)
 
 
-class ArrayElasticModel(HostModel):
+class ArrayElasticModel(ArrayModel):
     """The host's part of `LinearModel` for elastic tissue.
 
     Parameters
@@ -53,7 +52,7 @@ class ArrayElasticModel(HostModel):
     """
 
     def __init__(self, material: ElasticMaterial) -> None:
-        self.material, self._held, self.found = material, None, Found()
+        super().__init__(material)
         self.bounds = smoother_bounds(material)
         self._sites = bodies_of(material.m) if material.rigid else []
         m = material.relative(CYCLE_STAND_IN)
@@ -80,13 +79,6 @@ class ArrayElasticModel(HostModel):
         forces = element_forces(Lame(*self._elements), self.material.shape, inner)
         made[:, 2:-2, 2:-2] = -np.moveaxis(forces, -1, 0)
         return made if low is None else made + self.pull(low)
-
-    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        rest = self.pull(d) if load is None else self.pull(d) + load
-        rest[~self.moves] = 0
-        rest /= unit
-        self._rest[...] = rest
-        return float(np.abs(self._rest).max()), float(np.linalg.norm(self._rest.astype(np.float64)))
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""

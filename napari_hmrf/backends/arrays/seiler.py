@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends.arrays.level import ArrayLevel, Vector
-from napari_hmrf.backends.found import Found
-from napari_hmrf.backends.host_model import HostModel
+from napari_hmrf.backends.arrays.model import ArrayModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import grids
@@ -112,7 +111,7 @@ def pull(d: Real, stiffness: Real, lines: Real, blanket: bool) -> Float64Array:
     return slope if blanket else slope / np.maximum(curvature, 1e-30)
 
 
-class ArraySeilerModel(HostModel):
+class ArraySeilerModel(ArrayModel):
     """The host's part of `LinearModel` for the paper's cliques.
 
     Parameters
@@ -121,7 +120,7 @@ class ArraySeilerModel(HostModel):
     """
 
     def __init__(self, material: SeilerMaterial) -> None:
-        self.material, self._held, self.found = material, None, Found()
+        super().__init__(material)
         self.bounds = material.bounds
         self._lines = (2 if material.blanket else 1) * material.lines
         m = material.m / np.float64(material.m.max())
@@ -147,13 +146,6 @@ class ArraySeilerModel(HostModel):
             pulls: Planes = self.material.pull(d, low)
             return pulls
         return pull(d, self._stiffness, self._lines, self.material.blanket)
-
-    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        rest = self.pull(d) if load is None else self.pull(d) + load
-        rest[~self.moves] = 0
-        rest /= unit
-        self._rest[...] = rest
-        return float(np.abs(rest).max()), float(np.linalg.norm(rest))
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The cliques' share of U_total, and the norm of all pulls."""
