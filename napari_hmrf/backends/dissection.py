@@ -29,6 +29,7 @@ import scipy
 from threadpoolctl import ThreadpoolController
 
 from napari_hmrf.backends import tiles as shapes
+from napari_hmrf.backends.condensation import Step, SymmetricStep
 from napari_hmrf.backends.tiles import LEAF, TILE
 
 Float64Array = npt.NDArray[np.float64]
@@ -51,61 +52,7 @@ class Singular(ArithmeticError):
     """Nothing holds a part of the system, as far as double precision can tell."""
 
 
-class _Step(NamedTuple):
-    """A condensation: its components, A^-1, A^-1 B, and C A^-1.
-
-    All may have leading axes, for boxes of the same shape.
-    """
-
-    own: Index
-    ring: Index
-    inverse: Float64Array
-    right: Float64Array
-    left: Float64Array
-
-    def forward(self, load: Float64Array) -> None:
-        """Hand the load of own components on to the ring, in place."""
-        passed = (self.left @ load[self.own][..., None])[..., 0]
-        np.subtract.at(load, self.ring, passed)
-
-    def back(self, load: Float64Array, d: Float64Array) -> None:
-        """Find the displacement of own components from their load and the ring's, in place."""
-        found = self.inverse @ load[self.own][..., None] - self.right @ d[self.ring][..., None]
-        d[self.own] = found[..., 0]
-
-
-class _CholeskyStep(NamedTuple):
-    """A condensation of symmetric boxes: U of A = U^T U, or its inverse, and U^-T B.
-
-    Many small boxes, with leading axes, have the inverse.
-    """
-
-    own: Index
-    ring: Index
-    factor: Float64Array
-    right: Float64Array
-
-    def forward(self, load: Float64Array) -> None:
-        """As for `_Step`; the load of own components becomes U^-T times it."""
-        if self.factor.ndim == 2:
-            load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
-            load[self.ring] -= load[self.own] @ self.right
-            return
-        own = self.factor.swapaxes(-1, -2) @ load[self.own][..., None]
-        load[self.own] = own[..., 0]
-        np.subtract.at(load, self.ring, (self.right.swapaxes(-1, -2) @ own)[..., 0])
-
-    def back(self, load: Float64Array, d: Float64Array) -> None:
-        """As for `_Step`."""
-        if self.factor.ndim == 2:
-            rest = load[self.own] - self.right @ d[self.ring]
-            d[self.own] = _triangular(self.factor, rest)
-            return
-        rest = load[self.own][..., None] - self.right @ d[self.ring][..., None]
-        d[self.own] = (self.factor @ rest)[..., 0]
-
-
-_Steps = list[_Step | _CholeskyStep]
+_Steps = list[Step | SymmetricStep]
 #: Of tiles: first row, last row, first column, last column; the last ones are outside.
 _Range = tuple[int, int, int, int]
 
@@ -230,7 +177,7 @@ class Dissection:
 
     def _merge(
         self, tiles: _Range, one: _Share, two: _Share
-    ) -> tuple[_Step | _CholeskyStep, _Share]:
+    ) -> tuple[Step | SymmetricStep, _Share]:
         """Make two boxes one."""
         every = np.union1d(one.ring, two.ring)
         shared = self._shared(every, tiles)
@@ -320,39 +267,46 @@ class Dissection:
 
     def _eliminate(
         self, front: Float64Array, at: Index, own: int
-    ) -> tuple[_Step | _CholeskyStep, Float64Array]:
+    ) -> tuple[Step | SymmetricStep, Float64Array]:
         """Condense matrices (..., own + ring, own + ring), of components with these numbers."""
         a, b = front[..., :own, :own], front[..., :own, own:]
         c, d = front[..., own:, :own], front[..., own:, own:]
         places = at[..., :own], at[..., own:]
         diagonal = np.arange(own)
         a[..., diagonal, diagonal] += self._springs[places[0]]
-        if self._symmetric and front.ndim == 2:
-            factor, wrong = scipy.linalg.lapack.dpotrf(a)
-            if wrong:
-                raise Singular
-            self._check(factor.diagonal() ** 2, places[0])
-            above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
-            return _CholeskyStep(*places, factor, above), d - above.T @ above
+        if self._symmetric:
+            step = self._factorise(a, b, places)
+            return step, d - step.right.swapaxes(-1, -2) @ step.right
         try:
-            if self._symmetric:
-                # Not the inverse of A itself: that would have lost twice as many digits.
-                if not (a[..., diagonal, diagonal] > 0).all():
-                    raise Singular
-                scale = np.sqrt(a[..., diagonal, diagonal])
-                scaled = a / (scale[..., :, None] * scale[..., None, :])
-                factor = np.linalg.cholesky(scaled)
-                self._check(factor[..., diagonal, diagonal] ** 2 * scale**2, places[0])
-                factor = np.linalg.inv(factor) / scale[..., None, :]
-                above = factor @ b
-                step = _CholeskyStep(*places, factor.swapaxes(-1, -2), above)
-                return step, d - above.swapaxes(-1, -2) @ above
             inverse = np.asarray(np.linalg.inv(a), np.float64)
         except np.linalg.LinAlgError:
             raise Singular from None
         self._check(1 / inverse.diagonal(axis1=-2, axis2=-1), places[0])
         right, left = inverse @ b, c @ inverse
-        return _Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
+        return Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
+
+    def _factorise(
+        self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
+    ) -> SymmetricStep:
+        """Condense symmetric matrices; A's inverse itself would lose twice as many digits."""
+        pivots = a.diagonal(axis1=-2, axis2=-1)
+        if not (pivots > 0).all():
+            raise Singular
+        if a.ndim == 2:
+            factor, wrong = scipy.linalg.lapack.dpotrf(a)
+            if wrong:
+                raise Singular
+            self._check(factor.diagonal() ** 2, places[0])
+            above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
+            return SymmetricStep(*places, factor, above)
+        scale = np.sqrt(pivots)
+        try:
+            factor = np.linalg.cholesky(a / (scale[..., :, None] * scale[..., None, :]))
+        except np.linalg.LinAlgError:
+            raise Singular from None
+        self._check(factor.diagonal(axis1=-2, axis2=-1) ** 2 * pivots, places[0])
+        inverse = np.linalg.inv(factor) / scale[..., None, :]
+        return SymmetricStep(*places, inverse.swapaxes(-1, -2), inverse @ b)
 
     def _check(self, pivots: Float64Array, own: Index) -> None:
         """See that something holds each component; springs may be as weak as they are."""
@@ -374,13 +328,6 @@ def work(shape: tuple[int, ...]) -> float:
 
 # Multiplications of a tile of one component.
 _TILE_WORK = 3.0e5
-
-
-def _triangular(factor: Float64Array, load: Float64Array, transposed: bool = False) -> Float64Array:
-    """Solve U x = load, or U^T x = load."""
-    if not len(load):
-        return load
-    return np.asarray(scipy.linalg.blas.dtrsv(factor, load, trans=int(transposed)))
 
 
 @lru_cache(maxsize=1)

@@ -124,13 +124,11 @@ def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], flo
 
     In single precision, but where that does not carry the tolerance.
     """
-    exact = _exact()
-
     most = max(float(d.max()), -float(d.min()))
     rounding = most * float(np.finfo(np.float32).eps) / 2
     if 2 * rounding > tolerance:
         exactly = np.moveaxis(d[:, 2:-2, 2:-2], 0, -1).copy()
         return exactly, most * float(np.finfo(np.float64).eps) / 2
     made = np.empty((d.shape[1] - 4, d.shape[2] - 4, 2), dtype=np.float32)
-    exact.gather(d, made)
+    _exact().gather(d, made)
     return made, rounding

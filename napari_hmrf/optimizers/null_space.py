@@ -113,15 +113,20 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     for _ in range(_MIXINGS):
         # Products lose what is small beside the cost of other motions: not once they are apart.
         ways /= np.sqrt((steep * ways**2).sum(axis=(1, 2, 3)))[:, None, None, None]
-        cost = np.array([[_product(model, one, two) for two in ways] for one in ways])
+        cost = _costs(model, ways)
         _, mixes = np.linalg.eigh(cost)
         ways = np.tensordot(mixes.T, ways, 1)
-    cost = np.array([[_product(model, one, two) for two in ways] for one in ways])
+    cost = _costs(model, ways)
     nothing = np.diagonal(cost) < _NOTHING * (steep * ways**2).sum(axis=(1, 2, 3))
     free, ways, cost = ways[nothing], ways[~nothing], cost[~nothing][:, ~nothing]
     free /= np.abs(free).max(axis=(1, 2, 3), keepdims=True)
     motions = [np.moveaxis(free[:, :, 2:-2, 2:-2], 1, -1)] if len(free) else []
     return Play(pins, ways, cost, motions)
+
+
+def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
+    """The products of all motions."""
+    return np.array([[_product(model, one, two) for two in ways] for one in ways])
 
 
 def _product(model: LinearModel, one: Planes, two: Planes) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -152,12 +153,7 @@ class SeilerMaterial:
         """
         m = np.pad(self.m, 2)
         made = np.zeros(d.shape)
-        height, width = self.m.shape
-        for (i, j), weights in zip(LINES, 2 * self.lines[:, :, None, None], strict=True):
-            s, t, u = (
-                (slice(2 + k * i, 2 + k * i + height), slice(2 + k * j, 2 + k * j + width))
-                for k in (-1, 0, 1)
-            )
+        for weights, (s, t, u) in _lines(2 * self.lines, m):
             r_s, r_u, there = ratios(m, s, t, u)
             r_s, r_u, exists = r_s[..., 0], r_u[..., 0], there[..., 0]
             from_s, to_u = _apart(d, low, t, s), _apart(d, low, u, t)
@@ -170,6 +166,68 @@ class SeilerMaterial:
             ):
                 made[:, *site] += force
         return made
+
+
+class Cliques(NamedTuple):
+    """What the cliques around sites ask for, planes, and what those in whose middle they are cost.
+
+    Attributes
+    ----------
+    curvature : ndarray, shape (2, H + 4, W + 4)
+    slope : ndarray, shape (2, H + 4, W + 4)
+        -1/2 of the derivative of the energy by the site's displacement.
+    energy : ndarray, shape (H + 4, W + 4)
+    """
+
+    curvature: Float64Array
+    slope: Float64Array
+    energy: Float64Array
+
+
+def cliques(
+    d: npt.NDArray[np.floating], m: npt.NDArray[np.floating], lines: Float64Array, blanket: bool
+) -> Cliques:
+    """Look at the cliques that pull at each site: as its middle or, blanket, all (eqs. 9-11).
+
+    Parameters
+    ----------
+    d : ndarray, shape (2, H + 4, W + 4)
+        Displacement in pixels, in a ring of zeros two sites wide.
+    m : ndarray, shape (H + 4, W + 4)
+        Stiffness in the same ring; 0 is void.
+    lines : ndarray, shape (4, 2)
+        What each line of cliques counts for each component.
+    blanket : bool
+    """
+    curvature, slope = np.zeros((2, *d.shape))
+    energy = np.zeros(m.shape)
+    for weights, (s, t, u) in _lines(lines, m):
+        r_s, r_u, there = (each[..., 0] for each in ratios(m, s, t, u))
+        counts = there * weights
+        to_s, to_u = d[:, *s] - d[:, *t], d[:, *u] - d[:, *t]
+        first, second = r_u * to_s + to_u, r_s * to_u + to_s
+        curvature[:, *t] += counts * ((1 + r_u) ** 2 + (1 + r_s) ** 2)
+        slope[:, *t] += counts * ((1 + r_u) * first + (1 + r_s) * second)
+        energy[t] += (counts * (first**2 + second**2)).sum(axis=0)
+        if blanket:
+            curvature[:, *s] += counts * (r_u**2 + 1)
+            curvature[:, *u] += counts * (1 + r_s**2)
+            slope[:, *s] -= counts * (r_u * first + second)
+            slope[:, *u] -= counts * (first + r_s * second)
+    return Cliques(curvature, slope, energy)
+
+
+def _lines(
+    lines: Float64Array, m: npt.NDArray[np.floating]
+) -> Iterator[tuple[Float64Array, tuple[Slices, Slices, Slices]]]:
+    """Each line of cliques in planes: what it counts, (2, 1, 1), and its sites s, t and u."""
+    height, width = (size - 4 for size in m.shape)
+    for (i, j), weights in zip(LINES, lines[:, :, None, None], strict=True):
+        s, t, u = (
+            (slice(2 + k * i, 2 + k * i + height), slice(2 + k * j, 2 + k * j + width))
+            for k in (-1, 0, 1)
+        )
+        yield weights, (s, t, u)
 
 
 _Pair = tuple[Float64Array, Float64Array]
@@ -216,7 +274,7 @@ def _halves(a: Float64Array) -> _Pair:
 
 
 def ratios(
-    m: npt.NDArray[np.float32], s: Slices, t: Slices, u: Slices
+    m: npt.NDArray[np.floating], s: Slices, t: Slices, u: Slices
 ) -> tuple[Float64Array, Float64Array, npt.NDArray[np.bool_]]:
     """Return m_t/m_s, m_t/m_u (1 where undefined) and whether the clique exists, each (..., 1)."""
     ms, mt, mu = (m[at].astype(np.float64)[..., None] for at in (s, t, u))

@@ -24,7 +24,14 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.hierarchy import levels, nearest_pixels
-from napari_hmrf.priors.cliques import LINES, SeilerMaterial, Slices, line_weights, ratios
+from napari_hmrf.priors.cliques import (
+    LINES,
+    Cliques,
+    SeilerMaterial,
+    Slices,
+    cliques,
+    line_weights,
+)
 from napari_hmrf.problem import Problem
 
 Float64Array = npt.NDArray[np.float64]
@@ -159,15 +166,10 @@ class SeilerPrior:
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         y = problem.y / np.float64(problem.unit)
-        weights = line_weights(problem.spacing)
         penalty = self.penalty_for(problem)
         energy: Float64Array = (penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(axis=-1)
         energy[~problem.tissue] = 0.0
-        for line, (s, t, u) in _cliques(problem.shape):
-            ratio_s, ratio_u, exists = ratios(problem.m, s, t, u)
-            first = ratio_u * (d[t] - d[s]) - (d[u] - d[t])
-            second = ratio_s * (d[t] - d[u]) - (d[s] - d[t])
-            energy[t] += (exists * weights[line] * (first**2 + second**2)).sum(axis=-1)
+        energy += self._cliques_of(problem, d).energy[2:-2, 2:-2]
         return energy
 
     def mean_energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
@@ -185,23 +187,18 @@ class SeilerPrior:
             where A = 0).
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
-        weights = line_weights(problem.spacing)
-        curvature = np.zeros_like(d)
-        slope = np.zeros_like(d)  # -1/2 of the derivative of the energy by the site's displacement
-        for line, (s, t, u) in _cliques(problem.shape):
-            ratio_s, ratio_u, exists = ratios(problem.m, s, t, u)
-            weight = exists * weights[line]
-            first = ratio_u * (d[t] - d[s]) - (d[u] - d[t])
-            second = ratio_s * (d[t] - d[u]) - (d[s] - d[t])
-            curvature[t] += weight * ((1 + ratio_u) ** 2 + (1 + ratio_s) ** 2)
-            slope[t] -= weight * ((1 + ratio_u) * first + (1 + ratio_s) * second)
-            if self.conditional == "blanket":
-                curvature[s] += weight * (ratio_u**2 + 1)
-                slope[s] += weight * (ratio_u * first + second)
-                curvature[u] += weight * (1 + ratio_s**2)
-                slope[u] += weight * (first + ratio_s * second)
+        found = self._cliques_of(problem, d)
+        curvature, slope = (
+            np.moveaxis(each[:, 2:-2, 2:-2], 0, -1) for each in (found.curvature, found.slope)
+        )
         way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
         return SiteParabola(curvature, (d + way) * problem.unit)
+
+    def _cliques_of(self, problem: Problem, d: Float64Array) -> Cliques:
+        """Look at the cliques of a problem, for a displacement (H, W, 2) in pixels."""
+        planes = np.pad(np.moveaxis(d, -1, 0), ((0, 0), (2, 2), (2, 2)))
+        weights, blanket = line_weights(problem.spacing), self.conditional == "blanket"
+        return cliques(planes, np.pad(problem.m, 2), weights, blanket)
 
 
 def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:

@@ -7,7 +7,7 @@ it, if `lines` are twice what they are.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,45 +17,10 @@ from napari_hmrf.backends.arrays.model import ArrayModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes
 from napari_hmrf.backends.thread import in_child_of_fork
 from napari_hmrf.coarsening import grids
-from napari_hmrf.priors.cliques import LINES, SeilerMaterial
+from napari_hmrf.priors.cliques import SeilerMaterial, cliques
 
 Float64Array = npt.NDArray[np.float64]
 Real = npt.NDArray[np.floating[Any]]
-
-
-class Cliques(NamedTuple):
-    """Curvature and slope of the cliques that pull at each component, and each site's energy."""
-
-    curvature: Float64Array
-    slope: Float64Array
-    energy: Float64Array
-
-
-def cliques(d: Real, stiffness: Real, lines: Real, blanket: bool) -> Cliques:
-    """Look at all cliques around each site of planes (2, H + 4, W + 4)."""
-    d, (m, inverse) = d.astype(np.float64), stiffness.astype(np.float64)
-    height, width = m.shape[0] - 4, m.shape[1] - 4
-    curvature, slope = np.zeros((2, *d.shape))
-    energy = np.zeros(m.shape)
-    for (i, j), weight in zip(LINES, lines.astype(np.float64), strict=True):
-        s, t, u = (
-            (slice(2 + k * i, 2 + k * i + height), slice(2 + k * j, 2 + k * j + width))
-            for k in (-1, 0, 1)
-        )
-        exists = inverse[s] * m[t] * inverse[u] > 0
-        ratio_s, ratio_u = m[t] * inverse[s], m[t] * inverse[u]
-        counts = exists * weight[:, None, None]
-        to_s, to_u = d[:, *s] - d[:, *t], d[:, *u] - d[:, *t]
-        first, second = ratio_u * to_s + to_u, ratio_s * to_u + to_s
-        curvature[:, *t] += counts * ((1 + ratio_s) ** 2 + (1 + ratio_u) ** 2)
-        slope[:, *t] += counts * ((1 + ratio_u) * first + (1 + ratio_s) * second)
-        energy[t] += (counts * (first**2 + second**2)).sum(axis=0)
-        if blanket:
-            curvature[:, *s] += counts * (ratio_u**2 + 1)
-            curvature[:, *u] += counts * (ratio_s**2 + 1)
-            slope[:, *s] -= counts * (ratio_u * first + second)
-            slope[:, *u] -= counts * (first + ratio_s * second)
-    return Cliques(curvature, slope, energy)
 
 
 class ArraySeilerLevel(ArrayLevel):
@@ -90,10 +55,8 @@ class ArraySeilerLevel(ArrayLevel):
         self._lines = share * material.lines
         self.stiffness: Vector = stiffness.astype(np.float32)
         self.even: Vector = even.astype(np.float32)
-        nothing = np.zeros_like(stiffness)
-        self.steep = cliques(nothing, stiffness, self._lines, material.blanket)[0].astype(
-            np.float32
-        )
+        found = cliques(np.zeros_like(stiffness), stiffness[0], self._lines, material.blanket)
+        self.steep = found.curvature.astype(np.float32)
         self.diagonal = self.steep if material.blanket else np.ones_like(self.steep)
 
     def _pinned(self, held: HeldPlanes) -> HeldPlanes:
@@ -101,13 +64,13 @@ class ArraySeilerLevel(ArrayLevel):
 
     def apply(self, direction: Vector, image: Vector) -> None:
         """Image = A direction."""
-        image[...] = -pull(direction, self.stiffness, self._lines, bool(self.blanket))
+        image[...] = -pull(direction, self.stiffness[0], self._lines, bool(self.blanket))
         image[self.inverse == 0] = 0
 
 
-def pull(d: Real, stiffness: Real, lines: Real, blanket: bool) -> Float64Array:
+def pull(d: Real, m: Real, lines: Float64Array, blanket: bool) -> Float64Array:
     """- A d everywhere."""
-    curvature, slope, _ = cliques(d, stiffness, lines, blanket)
+    curvature, slope, _ = cliques(d, m, lines, blanket)
     return slope if blanket else slope / np.maximum(curvature, 1e-30)
 
 
@@ -127,7 +90,7 @@ class ArraySeilerModel(ArrayModel):
         stiffness = np.zeros((2, *(size + 4 for size in m.shape)))
         stiffness[0, 2:-2, 2:-2] = m
         np.divide(1.0, stiffness[0], out=stiffness[1], where=stiffness[0] > 0)
-        self._stiffness, even = stiffness, np.zeros(stiffness.shape[1:])
+        self._m, even = stiffness[0], np.zeros(stiffness.shape[1:])
         self.levels = []
         for number, grid in enumerate(grids(m.shape)):
             if number > 0:
@@ -145,11 +108,11 @@ class ArraySeilerModel(ArrayModel):
             assert self.material.blanket
             pulls: Planes = self.material.pull(d, low)
             return pulls
-        return pull(d, self._stiffness, self._lines, self.material.blanket)
+        return pull(d, self._m, self._lines, self.material.blanket)
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The cliques' share of U_total, and the norm of all pulls."""
-        curvature, slope, energy = cliques(d, self._stiffness, self._lines, self.material.blanket)
+        curvature, slope, energy = cliques(d, self._m, self._lines, self.material.blanket)
         pulls = slope if self.material.blanket else slope / np.maximum(curvature, 1e-30)
         return float(energy.sum()) / (2 if self.material.blanket else 1), float(
             np.linalg.norm(pulls)
@@ -158,8 +121,8 @@ class ArraySeilerModel(ArrayModel):
     @property
     def steepness(self) -> Planes:
         """The second derivative of each site's energy; 0 where no clique pulls."""
-        nothing = np.zeros_like(self._stiffness)
-        found = cliques(nothing, self._stiffness, self._lines, self.material.blanket).curvature
+        nothing = np.zeros((2, *self._m.shape))
+        found = cliques(nothing, self._m, self._lines, self.material.blanket).curvature
         return found if self.material.blanket else 2 * found
 
     def forget(self) -> None:
