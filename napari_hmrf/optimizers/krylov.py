@@ -114,11 +114,12 @@ class ConjugateGradients:
             steepest = self._cycle.run(rest)
             if entrained is None:
                 level.project(steepest)
-            else:
-                entrained.deflate(level.planes(steepest))
             most, slope = level.weigh(steepest, rest)
             turn = slope if before is None else level.ratio(slope, before)
-            level.turn(steepest, direction, turn)
+            if entrained is None:
+                level.turn(steepest, direction, turn)
+            else:
+                most = max(most, entrained.turn(steepest, direction, turn))
             curvature = level.apply(direction, image)
             level.project(image)
             length = level.ratio(slope, curvature)

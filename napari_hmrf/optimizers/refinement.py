@@ -141,9 +141,12 @@ class Refinement:
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
         model = self._model
-        sure = model.mild and model.material.compressible and model.bodies is None
+        moves = found.entrained
+        # What bodies do on their own is seen for certain, but not what lies between close ones.
+        sees_bodies = model.bodies is None or (moves is not None and not moves.close)
+        sure = model.mild and model.material.compressible and sees_bodies
         doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
-        if found.entrained is not None and found.entrained.close:
+        if moves is not None and moves.close:
             doubt *= _MARGIN
         while True:
             step: Step | None = None

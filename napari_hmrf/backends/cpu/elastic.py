@@ -43,7 +43,7 @@ def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
 
 
 @alone
-def _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
+def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
@@ -57,7 +57,7 @@ def apply(d, lame, inverse, shape, spans, out, row_totals, count):
     """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
-        _apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
+        apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
 
 
 @alone

@@ -167,16 +167,11 @@ class CpuElasticLevel(CpuLevel):
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
-        elastic.apply(
-            direction,
-            self.lame,
-            self.moving,
-            self.shape,
-            self.reach,
-            image,
-            self._rows,
-            self.parts,
-        )
+        about = direction, self.lame, self.moving, self.shape, self.reach, image, self._rows
+        if self.together is None:
+            elastic.apply(*about, self.parts)
+        else:  # a small level: waking other threads takes longer
+            elastic.apply_part(*about, 0, len(self.reach))
         return float(self._rows.sum())
 
 
@@ -302,7 +297,6 @@ class CpuElasticModel(HostModel):
         if self._entrained.shape[0] < shape[0]:
             self._entrained = np.zeros(shape, dtype=np.float32)
         memory = self._entrained[: shape[0]]
-        memory.fill(0)
         return entrain(self.bodies, self.levels[: number + 1], small, steps, coarsest, memory)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from napari_hmrf.backends.bodies import Bodies
 from napari_hmrf.backends.cpu import vectors
+from napari_hmrf.backends.cpu.entrained import CpuEntrained
 from napari_hmrf.backends.cpu.level import Vector
-from napari_hmrf.backends.entrained import Entrained
 from napari_hmrf.backends.linear import Steps
 
 # Cycles on the small level. How tissue follows need not be known well: deflation is exact with any
@@ -28,7 +28,7 @@ def entrain(
     steps: Steps,
     coarsest: Steps,
     memory: Vector,
-) -> Entrained | None:
+) -> CpuEntrained | None:
     """Return the fields of all free motions; None if there are none.
 
     Parameters
@@ -41,13 +41,14 @@ def entrain(
     steps, coarsest : Steps
         Of smoothing.
     memory : ndarray, shape (2 * motions, 2, H + 4, W + 4)
-        Zeros, where fields and forces go.
+        Where fields and forces go.
     """
     finest, above, number = levels[0], levels[-2:0:-1], len(levels) - 1
     shape = levels[-1].inverse.shape
     around = [_around(i, j, number, shape) for i, j, _ in bodies.motions]
     close = bool((np.sum(around, axis=0) > 1).any())
     fields, forces = np.split(memory, 2)
+    lengths: Vector = np.zeros(len(fields), dtype=np.float32)
     count = 0
     between = [level.vector() for level in above]
     for (i, _, motions), touched in zip(bodies.motions, around, strict=True):
@@ -56,7 +57,8 @@ def entrain(
         at_row, at_col = np.nonzero(touched)
         for motion in motions:
             field, force = fields[count], forces[count]
-            count += 1
+            field.fill(0)
+            force.fill(0)
             d: Vector = np.zeros(shape, dtype=np.float32)
             d[:, at_row, at_col] = motion.of((at_row - 2) << number, (at_col - 2) << number)
             for _ in range(_CYCLES):
@@ -64,6 +66,7 @@ def entrain(
                     small.apply(d, small.load)
                     small.finish(steps, coarsest)
                     d -= small.correction
+            lengths[count] = max(np.abs(d).max(), np.abs(motion.moved).max())
             for level, finer in zip(above, between, strict=True):
                 finer.fill(0)
                 vectors.interpolate(d, finer, level.inverse)
@@ -76,11 +79,13 @@ def entrain(
                 finest.load = force
                 finest.relax(steps, from_zero=True)
                 np.subtract(field, finest.correction, out=field)
+                lengths[count] = np.abs(field).max()
                 finest.apply(field, force)
             bodies.project(force)
+            count += 1
     for level, vector in zip(above, between, strict=True):
         level.free(vector)
-    return Entrained(fields, forces, close) if count else None
+    return CpuEntrained(fields, forces, lengths, close) if count else None
 
 
 def _around(
