@@ -44,6 +44,7 @@ def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
 
 @alone
 def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
+    """As `apply`, of the rows from the first to before the last."""
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
