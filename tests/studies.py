@@ -353,7 +353,7 @@ def every_brush_on_painted_tissue():
 
 
 def pieces_that_nobody_holds():
-    """Two pieces of tissue and a speck, of which one piece is pulled and held; the edge is free."""
+    """Two pieces of tissue and specks, of which one piece is pulled and held; the edge is free."""
     viewer = ViewerModel()
     shape = (46, 56)
     stiffness = np.zeros(shape, np.float32)
@@ -361,6 +361,7 @@ def pieces_that_nobody_holds():
     stiffness[12:20, 10:18] = np.inf
     stiffness[10:30, 36:52] = 5
     stiffness[40, 20] = 2
+    stiffness[40:42, 30:32] = 2
     return Study(
         viewer,
         image=viewer.add_image(np.where(stiffness > 0, 200, 100).astype(np.uint8), name="CT"),
