@@ -10,7 +10,7 @@ LOOPS ?= 5000
 SHADERS ?= 500
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report demo test format lint types benchmarks live trust hard report screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test format lint types lines benchmarks live dragging trust hard report screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -21,6 +21,8 @@ help:
 	@echo "make types        check the types"
 	@echo "make benchmarks   print the tables of the paper, measured here"
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
+	@echo "make lines        count the lines of code, folder by folder"
+	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
@@ -55,12 +57,18 @@ lint: setup
 types: setup
 	@$(RUN) -m mypy
 
+lines:
+	@$(PYTHON) scripts/lines.py
+
 benchmarks: setup
 	@$(RUN) benchmarks/run.py
 
 live: setup-for-windows
 	@$(RUN) benchmarks/live.py
 	@$(HEADLESS) $(RUN) benchmarks/live.py --napari
+
+dragging: setup-for-windows
+	@$(HEADLESS) $(RUN) benchmarks/dragging.py $(if $(AGAINST),--against $(AGAINST))
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --seed $(SEED) $(if $(PAGE),--page $(PAGE))

@@ -14,7 +14,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import napari
@@ -43,7 +43,17 @@ _TURN = 2.0
 
 
 class Window:
-    """A window with a picture of tissue, and somebody who drags it."""
+    """A window with a picture of tissue, and somebody who drags it.
+
+    Attributes
+    ----------
+    late : list of float
+        Of the last drag: the seconds from each movement to its picture on the screen.
+    costs : dict of str to list of float
+        Of the last drag: the seconds that each stage took.
+    moves : int
+        Of the last drag: the movements that the window came to.
+    """
 
     def __init__(self, size: int, kind: str) -> None:
         self._size, self._kind = size, kind
@@ -76,14 +86,26 @@ class Window:
         self._event_time = 0.0
         self._seen: object = None
         self._composing = 0.0
+        self.moves = 0
+        self._widget.seen.connect(self._on_seen)
+        self._native.frameSwapped.connect(self._on_swapped)
+        self._native.aboutToCompose.connect(self._on_compose)
 
     @property
     def canvas_size(self) -> tuple[int, int]:
         """Width and height of what is drawn, in pixels."""
         return self._native.width(), self._native.height()
 
-    def drag(self, seconds: float) -> tuple[float, int, list[float], list[float]]:
+    def drag(
+        self, seconds: float, meanwhile: AbstractContextManager[Any] | None = None
+    ) -> tuple[float, int, list[float], list[float]]:
         """Drag for some time.
+
+        Parameters
+        ----------
+        seconds : float
+        meanwhile : context manager, optional
+            Entered while the mouse moves, and neither when it is pressed nor when it is released.
 
         Returns
         -------
@@ -97,10 +119,8 @@ class Window:
             The times at a stretch in which it answered nothing.
         """
         self.start()
-        self._widget.seen.connect(self._on_seen)
-        self._widget.history.changed.connect(self._on_drawing)
-        self._native.frameSwapped.connect(self._on_swapped)
-        self._native.aboutToCompose.connect(self._on_compose)
+        drawn = self._widget.history.changed
+        drawn.connect(self._on_drawing)
         mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
         questions = _Poster(lambda asked: None, _ASKING)
         with self._timed():
@@ -108,14 +128,16 @@ class Window:
             self.wait(0.5)
             self._clear()
             begun = self._begun = time.perf_counter()
-            mouse.start()
-            questions.start()
-            self.wait(seconds)
-            mouse.stop()
-            questions.stop()
+            with meanwhile or nullcontext():
+                mouse.start()
+                questions.start()
+                self.wait(seconds)
+                mouse.stop()
+                questions.stop()
             took = time.perf_counter() - begun
             self._send(QEvent.Type.MouseButtonRelease, self._place(took), _LEFT)
             self.settle()
+        drawn.disconnect(self._on_drawing)
         return took, mouse.posted, questions.waits, questions.blocks
 
     def start(self) -> None:
@@ -142,6 +164,11 @@ class Window:
         self.settle()
         return took
 
+    def undo(self) -> None:
+        """Take the last drag back, so that the next finds the tissue as it was."""
+        self._widget.undo()
+        self.settle()
+
     def settle(self) -> None:
         """Wait until nothing is on its way."""
         self.wait(0.3)
@@ -164,7 +191,7 @@ class Window:
     def _clear(self) -> None:
         for kept in (*self.costs.values(), self.late):
             kept.clear()
-        self._seen = None
+        self._seen, self.moves = None, 0
 
     def _place(self, seconds: float) -> tuple[float, float]:
         """Where the hand is: a patch is led in a circle, as in `live.py`."""
@@ -186,6 +213,7 @@ class Window:
 
     def _on_mouse(self, moved: float) -> None:
         self._event_time = moved
+        self.moves += 1
         self._send(QEvent.Type.MouseMove, self._place(moved - self._begun), _LEFT)
 
     def _on_drawing(self, drawing: object) -> None:

@@ -11,10 +11,14 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 from compiling import compile_most, compile_once
+from hypothesis import settings
 from patience import LONG, LONG_MS
 
 from napari_hmrf.backends.thread import compute_thread
 
+# However slow a machine is, what is claimed of tissue is so.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 # Whoever needs a loop compiles it: no test is to depend on what another process has done by then.
 os.environ["NAPARI_HMRF_COMPILE"] = "here"
 

@@ -19,6 +19,11 @@ class Person:
         self._qtbot = qtbot
         self._canvas = viewer.window._qt_viewer.canvas
 
+    @property
+    def canvas(self):
+        """What the image is drawn on."""
+        return self._canvas.native
+
     def where(self, row, col):
         view = self._canvas.view
         x, y = (view.transform * view.scene.transform).map([col, row])[:2]

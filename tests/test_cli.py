@@ -276,4 +276,4 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     assert widget.solution.displacement.shape == (48, 48, 2)
     prior = widget.solution.provenance.parameters["prior"]
     assert (prior["name"], prior["poisson"], prior["plane"]) == ("ElasticPrior", 0.3, "strain")
-    assert {"image", "labels", "vectors"} <= {layer._type_string for layer in viewer.layers}
+    assert {"Image", "Labels", "Vectors"} <= {type(layer).__name__ for layer in viewer.layers}

@@ -54,6 +54,21 @@ def test_tissue_that_is_meant_is_no_scrap():
     assert not scraps(tissue, np.zeros_like(held)).any()
 
 
+@pytest.mark.parametrize(("pixels", "meant"), [(9, False), (10, True)])
+def test_what_is_observed_of_a_hundredth_of_all_tissue_is_meant(pixels, meant):
+    tissue = np.zeros((40, 40), dtype=bool)
+    tissue[:33, :30] = True
+    tissue[36:38, 10:15] = True
+    if pixels < 10:
+        tissue[37, 14] = False
+        tissue[0, 30] = True  # all tissue together is the same
+    assert tissue.sum() == 1000
+    held = np.zeros((40, 40, 2), dtype=bool)
+    held[:33, 0] = True
+    held[36, 10] = True  # about this pixel the piece could turn
+    assert scraps(tissue, held)[36, 10] != meant
+
+
 def test_a_scrap_that_is_taken_hold_of_is_one_no_more():
     tissue, held = block_and_specks()
     assert scraps(tissue, held)[21, 2]

@@ -1,0 +1,304 @@
+"""How far tissue lags behind the hand: the time from a movement of the mouse to its picture.
+
+    python benchmarks/dragging.py [size ...] [--only window | --only solver]
+    python benchmarks/dragging.py --against FOLDER_OF_ANOTHER_CHECKOUT
+
+For each size, by default 300, 600 and 1200 pixels, a patch of the sample brain is led about in
+circles: without a window, to the picture in memory, and in a napari window with *Grab and pull*, to
+the picture on the screen. Printed are the median and the 95th percentile, and of the window what
+its thread does for each movement: how often this package's code looks at the data and the metadata
+of layers, and how many arrays as large as the image it makes.
+
+With another checkout both are measured in one run, by two processes that take turns of some
+seconds, so that what else the machine does meets both alike; the ratio of each pair of turns is
+what counts. The other checkout is measured by its own `benchmarks/dragging.py`, if it has one, and
+so by what is known there of its window. Where the machine is busy, processor time says more than
+what the clock says. Options: `--turns 5`, `--seconds 2`, `--kind tissue` (or another of `live.py`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SIZES = (300, 600, 1200)
+WAYS = ("solver", "window")
+ROOT = Path(__file__).resolve().parent.parent
+#: Before each line that a worker means for who asked it; libraries print, too.
+_ANSWER = "dragging: "
+_EVENTS = 60.0
+#: So many places are named at which large arrays are made.
+_PLACES = 6
+
+#: What a turn brings: {"late": seconds, "moves": int, "cpu": seconds} and more.
+Turn = dict[str, Any]
+
+
+class Clock:
+    """Processor time while it is entered: of this thread, and of all of them."""
+
+    def __enter__(self) -> Clock:
+        self._begun = time.thread_time(), time.process_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.thread = time.thread_time() - self._begun[0]
+        self.all = time.process_time() - self._begun[1]
+
+
+def drag_solver(
+    size: int, _: str
+) -> tuple[Callable[[float], Turn], Callable[[float], Turn] | None]:
+    """Without a window: what drags for so many seconds."""
+    import live
+
+    drag = live.Drag(size)
+    for angle in (0.0, 0.1):  # kernels are compiled and loaded before the clock starts
+        drag.move(angle)
+        drag.live.wait()
+
+    def turn(seconds: float) -> Turn:
+        drag.live.forget()
+        drag.move(0.0)
+        drag.live.wait()
+        for kept in (drag.shown, drag.late, *drag.costs.values()):
+            kept.clear()
+        moves, begun, pause = 0, time.perf_counter(), threading.Event()
+        with Clock() as clock:
+            while (now := time.perf_counter() - begun) < seconds:
+                drag.move(now)
+                moves += 1
+                pause.wait(max(0.0, moves / _EVENTS - (time.perf_counter() - begun)))
+            drag.live.wait()
+        return {"late": drag.late, "moves": moves, "thread": clock.thread, "cpu": clock.all}
+
+    return turn, None
+
+
+def drag_window(
+    size: int, kind: str
+) -> tuple[Callable[[float], Turn], Callable[[float], Turn] | None]:
+    """In a window: what drags for so many seconds, and what counts meanwhile."""
+    import live_window
+    from counting import Counts, counted
+
+    window = live_window.Window(size, kind)
+    window.start()
+    window.first()
+
+    def turn(seconds: float, meanwhile: Any = None) -> Turn:
+        clock = Clock()
+        window.drag(seconds, meanwhile or clock)
+        told: Turn = {"late": [*window.late], "moves": window.moves}
+        if meanwhile is None:
+            told |= {"thread": clock.thread, "cpu": clock.all}
+        window.undo()
+        return told
+
+    def count(seconds: float) -> Turn:
+        counts = Counts()
+        told = turn(seconds, counted(size * size, counts))
+        return {**told, **vars(counts)}
+
+    return turn, count
+
+
+def work(way: str, size: int, kind: str) -> int:
+    """Drag whenever a line asks for it, until there are no more."""
+    turn, count = {"solver": drag_solver, "window": drag_window}[way](size, kind)
+    turn(1.0)
+    _tell({"ready": True})
+    for line in sys.stdin:
+        asked = json.loads(line)
+        if asked["count"] and count is not None:
+            _tell(count(asked["seconds"]))
+        else:
+            _tell(turn(asked["seconds"]))
+    os._exit(0)  # Qt and its windows need no farewell
+
+
+def _tell(told: Turn) -> None:
+    print(_ANSWER + json.dumps(told), flush=True)
+
+
+class Worker:
+    """A process that drags in a checkout, whenever it is asked to.
+
+    Parameters
+    ----------
+    checkout : Path
+    way : {"solver", "window"}
+    size : int
+    kind : str
+        Of what is dragged in the window: one of `live_window.KINDS`.
+    """
+
+    def __init__(self, checkout: Path, way: str, size: int, kind: str) -> None:
+        own = checkout / "benchmarks" / "dragging.py"
+        script = own if own.exists() else Path(__file__).resolve()
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(checkout),
+            "NAPARI_HMRF_COMPILE": "here",
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, str(script), "--worker", way, str(size), kind],
+            cwd=checkout,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._answer()
+
+    def drag(self, seconds: float, count: bool = False) -> Turn:
+        """Drag for so many seconds."""
+        assert self._process.stdin is not None
+        print(
+            json.dumps({"seconds": seconds, "count": count}), file=self._process.stdin, flush=True
+        )
+        return self._answer()
+
+    def end(self) -> None:
+        """Have it end."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+    def _answer(self) -> Turn:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith(_ANSWER):
+                told: Turn = json.loads(line.removeprefix(_ANSWER))
+                return told
+        raise SystemExit(f"a worker ended without an answer: exit code {self._process.wait()}")
+
+
+def compare(
+    way: str, size: int, kind: str, checkouts: list[Path], turns: int, seconds: float
+) -> str:
+    """Have each checkout drag in turn; what is to be printed."""
+    workers = [Worker(checkout, way, size, kind) for checkout in checkouts]
+    told: list[list[Turn]] = [[] for _ in workers]
+    for number in range(turns):
+        order = range(len(workers)) if number % 2 == 0 else reversed(range(len(workers)))
+        for each in order:
+            told[each].append(workers[each].drag(seconds))
+    counts = [worker.drag(seconds, count=True) for worker in workers if way == "window"]
+    for worker in workers:
+        worker.end()
+    where = f"in a window, {kind}" if way == "window" else "without a window"
+    lines = [f"{size} x {size}, {where}"]
+    names = ("this", "other")[: len(workers)]
+    for name, found in zip(names, told, strict=True):
+        late = [lag for turn in found for lag in turn["late"]]
+        middle, high = _middle_and_high(late)
+        moves, thread, cpu = (
+            sum(turn[key] for turn in found) for key in ("moves", "thread", "cpu")
+        )
+        rate, asked = len(late) / (turns * seconds), moves / (turns * seconds)
+        thread, cpu = (1e3 * time / max(len(late), 1) for time in (thread, cpu))
+        lag = f"median {middle:6.1f} ms, 95 % below {high:6.1f}"
+        lines.append(
+            f"    {name:6}from movement to picture: {lag}; {rate:.1f} / s of {asked:.0f} movements"
+        )
+        lines.append(
+            f"{'':10}processor time of a picture: {thread:.1f} ms of the hand's thread, "
+            f"{cpu:.1f} of all"
+        )
+    if len(told) > 1:
+        pairs = [
+            [mine / its for mine, its in zip(_figures(one), _figures(two), strict=True)]
+            for one, two in zip(*told, strict=True)
+        ]
+        parts = ("median", "95 %", "time of the hand's thread", "time of all threads")
+        lines.append(f"    this / other, median of {turns} turns (least to most):")
+        lines += [
+            f"      {part:30}{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+            for part, ratios in zip(parts, zip(*pairs, strict=True), strict=True)
+        ]
+    for name, counted in zip(names, counts, strict=False):
+        lines += _counted(name, counted)
+    return "\n".join(lines)
+
+
+def _figures(turn: Turn) -> list[float]:
+    """What is compared of a turn."""
+    pictures = max(len(turn["late"]), 1)
+    return [*_middle_and_high(turn["late"]), turn["thread"] / pictures, turn["cpu"] / pictures]
+
+
+def _counted(name: str, counted: Turn) -> list[str]:
+    """What the window's thread did for each movement, in words."""
+    moves = max(counted["moves"], 1)
+    looks = {
+        what: f"{sum(counted[what].values()) / moves:.1f} of {len(counted[what])} layers"
+        for what in ("data", "metadata")
+    }
+    arrays, megabytes = counted["arrays"], counted["megabytes"] / moves
+    seen = f"looks at data {looks['data']}, at metadata {looks['metadata']}"
+    made = f"{sum(arrays.values()) / moves:.2f} arrays as large as the image ({megabytes:.1f} MB)"
+    lines = [f"    {name:6}window's thread, for each movement: {seen}; {made}"]
+    most = sorted(arrays.items(), key=lambda item: -item[1])[:_PLACES]
+    lines += [f"{'':10}{count / moves:5.2f} in {place}" for place, count in most]
+    return lines
+
+
+def _middle_and_high(seconds: list[float]) -> tuple[float, float]:
+    if not seconds:
+        return float("nan"), float("nan")
+    middle, high = 1e3 * np.percentile(seconds, (50, 95))
+    return float(middle), float(high)
+
+
+def main(arguments: list[str]) -> int:
+    """Print the figures of each size."""
+    parser = argparse.ArgumentParser(description="The time from a movement to its picture.")
+    parser.add_argument("sizes", nargs="*", type=int, metavar="size", default=SIZES)
+    parser.add_argument("--only", choices=WAYS)
+    parser.add_argument("--against", type=Path, metavar="FOLDER")
+    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--kind", default="grey", help="as those of `live.py --napari`")
+    parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.worker:
+        way, size, kind = options.worker
+        return work(way, int(size), kind)
+    ways = (options.only,) if options.only else WAYS
+    if "window" in ways and not _has_display():
+        if shutil.which("xvfb-run") is None:
+            print("No display, and no xvfb-run to make one: sudo apt-get install xvfb xauth")
+            return 1
+        script = ROOT / "scripts" / "headless.sh"
+        return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])
+    checkouts = [ROOT]
+    if options.against is not None:
+        if not (options.against / "napari_hmrf").is_dir():
+            parser.error(f"{options.against} is no checkout of this repository")
+        checkouts.append(options.against.resolve())
+    for size in options.sizes:
+        for way in ways:
+            asked = (way, size, options.kind, checkouts, options.turns, options.seconds)
+            print(compare(*asked), flush=True)
+    return 0
+
+
+def _has_display() -> bool:
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return sys.platform != "linux" or bool(shown)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,440 @@
+"""What people can do in the window, by the words they read there: no test looks behind them."""
+
+import numpy as np
+import pytest
+from patience import LONG_MS
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QFileDialog, QTabBar
+from screen import Screen
+
+from napari_hmrf.annotation import Material
+from napari_hmrf.contributions import open_solution, save_solution
+from napari_hmrf.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.material_files import load_materials
+from napari_hmrf.warp import warp
+from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.widgets.grab.dock import GrabAndPull
+from napari_hmrf.widgets.look.dock import LookAtResult
+
+GEL = "gel"
+
+
+@pytest.fixture
+def viewer():
+    from napari.components import ViewerModel
+
+    return ViewerModel()
+
+
+@pytest.fixture
+def deform(viewer, qtbot):
+    """*Deform tissue*, and what is seen of it."""
+    dock = DeformTissue(viewer)
+    qtbot.addWidget(dock.native)
+    dock.settings.device.value = "cpu"
+    dock.live = False
+    return dock, Screen(dock)
+
+
+@pytest.fixture
+def grab(viewer, qtbot, wait_for):
+    """*Grab and pull*, ready, beside a chequered image; `pulled` draws and waits."""
+    rows, cols = np.indices((48, 56))
+    viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
+    dock = GrabAndPull(viewer)
+    qtbot.addWidget(dock.native)
+    dock.start()
+    wait_for(lambda: not dock.busy)
+    return dock, Screen(dock)
+
+
+@pytest.fixture
+def pulled(wait_for):
+    """Draw marks, and wait for the tissue: where it goes."""
+
+    def draw(dock, *marks):
+        seen = []
+        dock.seen.connect(seen.append)
+        if marks:
+            dock.drawing = Drawing(marks)
+        wait_for(lambda: bool(seen) and not dock.busy)
+        dock.seen.disconnect(seen.append)
+        return seen[-1].solution.displacement
+
+    return draw
+
+
+@pytest.fixture
+def look(deform, viewer, small_sample, run, qtbot, wait_for):
+    """*Look at the result* of a block of gel that is pushed 3 px to the right."""
+    small_sample(viewer)
+    dock, screen = deform
+    screen.choose("elastic: as finite elements")
+    dock.outputs = ("image", "arrows")
+    run(dock)
+    found = LookAtResult(viewer)
+    qtbot.addWidget(found.native)
+    wait_for(lambda: found.idle)
+    return found, Screen(found)
+
+
+def layer(viewer, beginning):
+    (found,) = (each for each in viewer.layers if each.name.startswith(beginning))
+    return found
+
+
+# Docks
+
+
+def test_docks_open_as_tabs_in_one_place(make_napari_viewer, qtbot):
+    viewer = make_napari_viewer(show=True)
+    titles = ["Deform tissue", "Grab and pull", "Look at the result"]
+    for title in titles:
+        _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", title)
+        qtbot.waitUntil(dock.native.isVisible, timeout=LONG_MS)
+    tabs = [
+        [bar.tabText(each).partition(" (")[0] for each in range(bar.count())]
+        for bar in dock.native.window().findChildren(QTabBar)
+    ]
+    assert titles in tabs
+
+
+# Tissue
+
+
+def test_layers_to_paint_on_are_made_and_painted_by_a_click_on_a_row(deform, viewer):
+    dock, screen = deform
+    image = viewer.add_image(np.zeros((30, 40)), name="T1", scale=(0.5, 2.0))
+    screen.press("Make layers to paint on")
+    tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
+    for made in (tissue, boundary):
+        assert made.data.shape == image.data.shape
+        np.testing.assert_array_equal(made.scale, image.scale)
+    for row, painted in (("holds", boundary), ("tumour", tissue), ("grows", boundary)):
+        screen.click_row(row)
+        assert viewer.layers.selection.active is painted
+        assert painted.mode == "paint"
+        assert f"'{row}'" in screen.words
+    screen.press("Add tissue")
+    assert viewer.layers.selection.active is tissue
+    assert tissue.selected_label == dock.materials[-1].label
+
+
+def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
+    deform, viewer, small_sample
+):
+    dock, screen = deform
+    small_sample(viewer)
+    screen.cell(GEL, "Stiffness").setText("12,5")
+    assert dock.materials[1].stiffness == 12.5
+    for nonsense in ("stiff", "-3", "nan", "1e39", ""):
+        screen.cell(GEL, "Stiffness").setText(nonsense)
+        assert screen.cell(GEL, "Stiffness").text() == "12.5"
+        assert "kept 12.5" in screen.words
+    screen.cell(GEL, "Stiffness").setText("rigid")
+    assert dock.materials[1].is_rigid
+    assert "is rigid, which the paper's model cannot have" in screen.words
+    screen.press("Take the elastic model")
+    assert dock.model.is_elastic
+
+
+def test_the_background_is_made_no_tissue_and_taken_back_by_one_undo(deform, viewer, wait_for):
+    dock, screen = deform
+    picture = np.zeros((30, 40), np.uint8)
+    picture[8:22, 10:30] = 200
+    viewer.add_image(picture, name="CT")
+    screen.press("Make layers to paint on")
+    tissue, rows = viewer.layers["Tissue"], dock.materials
+    screen.press("Background is no tissue")
+    (void,) = set(dock.materials) - set(rows)
+    assert void.stiffness == 0
+    np.testing.assert_array_equal(tissue.data == void.label, picture == 0)
+    assert "background" in screen.button("Undo").toolTip()
+    screen.press("Undo")
+    wait_for(lambda: dock.materials == rows)
+    assert not tissue.data.any()
+
+
+def test_tissue_comes_from_brightness_by_one_button(deform, viewer):
+    dock, screen = deform
+    rows, cols = np.indices((24, 30))
+    inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
+    viewer.add_image(np.where(inside, 60 + 5 * cols, 2).astype(np.uint8), name="MR")
+    screen.press("Tissue from intensity")
+    stiffness = layer(viewer, "MR stiffness")
+    assert dock.tissue is stiffness
+    np.testing.assert_array_equal(stiffness.data > 0, inside)
+    assert (np.diff(stiffness.data[12, 5:25]) >= 0).all(), "the brighter, the stiffer"
+    screen.choose("smooth")
+    screen.choose("linear")
+    assert (dock.curve.between, dock.curve.logarithmic) == ("smooth", False)
+    np.testing.assert_array_equal(stiffness.data, dock.curve(viewer.layers["MR"].data))
+
+
+def test_materials_are_taken_from_layers_and_files_and_saved(
+    deform, viewer, small_sample, monkeypatch, tmp_path
+):
+    dock, screen = deform
+    small_sample(viewer)
+    tissue, before = dock.tissue, dock.materials
+    path = str(tmp_path / "table.json")
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (path, ""))
+    screen.entry("Materials", "Save to file").trigger()
+    assert load_materials(path).materials == before
+    viewer.add_labels(np.ones((20, 24), int), name="other")
+    dock.tissue = viewer.layers["other"]
+    dock.materials = (Material(1, "jelly", 7.0),)
+    dock.tissue = tissue
+    screen.entry("Materials", "Take from layer", "other").trigger()
+    assert dock.materials[1] == Material(1, "jelly", 7.0)
+    screen.entry("Materials", "Load from file").trigger()
+    assert dock.materials == before
+    screen.entry("Materials", "Liver 5.4").trigger()
+    assert dock.materials[1] == Material(1, "liver", 5.4, 0.49)
+    screen.entry("Materials", "Bone or implant").trigger()
+    assert dock.materials[-1].is_rigid
+
+
+def test_a_result_brings_the_materials_it_was_made_with(
+    deform, viewer, small_sample, run, tmp_path
+):
+    dock, _ = deform
+    small_sample(viewer)
+    arrows = run(dock).layers["arrows"]
+    (path,) = save_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
+    viewer.layers.clear()
+    small_sample(viewer)
+    dock.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
+    (again,) = open_solution(path)(path)
+    dock.take_materials(viewer.add_vectors(again[0], **again[1]))
+    assert dock.materials[1] == Material(1, GEL, 20.0)
+
+
+# What is known of the motion
+
+
+def test_a_preview_shows_what_paint_will_do(deform, viewer, small_sample, wait_for):
+    _, screen = deform
+    small_sample(viewer)
+    wait_for(lambda: "boundary preview" in viewer.layers)
+    preview = viewer.layers["boundary preview"]
+    assert (preview.data[:, 1] == (0, 3)).all()
+    screen.cell("2", "row").setText("2")
+    screen.cell("2", "col").setText("0")
+    wait_for(lambda: bool((preview.data[:, 1] == (2, 0)).all()))
+    screen.tick("Preview arrows while painting", False)
+    wait_for(lambda: "boundary preview" not in viewer.layers)
+
+
+@pytest.fixture
+def points(deform, viewer, small_sample):
+    """Two landmarks on the sample, chosen: where they are, and where they should be."""
+    dock, _ = deform
+    small_sample(viewer)
+    where = viewer.add_points([[8.0, 8.0], [14.0, 14.0]], name="is", size=1)
+    should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
+    dock.landmarks = (where, should)
+    return where, should
+
+
+def test_pairs_of_points_are_shown_by_arrows_and_a_missing_partner_is_said(
+    deform, points, viewer, wait_for
+):
+    where, should = points
+    dock, screen = deform
+    wait_for(lambda: "landmark preview" in viewer.layers)
+    np.testing.assert_allclose(viewer.layers["landmark preview"].data[0], [(8, 8), (2, 0)])
+    where.add([5.0, 5.0])
+    wait_for(lambda: dock.status.startswith("'ought' has 2 points, but 'is' has 3"))
+    assert dock.status in screen.words
+    should.add([6.0, 6.0])
+    wait_for(lambda: dock.status == "Press Deform.")
+
+
+def test_points_that_were_moved_and_added_are_taken_back(deform, points):
+    where, should = points
+    _, screen = deform
+    should.data = [[10.0, 9.5], [14.0, 15.0]]
+    where.add([5.0, 5.0])
+    screen.press("Undo")
+    assert len(where.data) == 2
+    screen.press("Undo")
+    np.testing.assert_array_equal(should.data, [[10, 8], [14, 15]])
+    assert not screen.button("Undo").isEnabled()
+    screen.press("Redo")
+    np.testing.assert_array_equal(should.data, [[10, 9.5], [14, 15]])
+
+
+# The result
+
+
+def test_the_energy_of_a_solve_is_drawn(deform, viewer, small_sample, run):
+    from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
+
+    dock, screen = deform
+    small_sample(viewer)
+    screen.press("Energy")
+    energy = run(dock).solution.energy
+    (canvas,) = dock.native.findChildren(FigureCanvasQTAgg)
+    drawn = max((line.get_ydata() for line in canvas.figure.axes[0].lines), key=len)
+    assert np.isin(drawn, energy).all()
+    assert drawn[-1] == energy[-1]
+
+
+def test_a_large_image_is_not_followed_unasked(viewer, qtbot):
+    dock = DeformTissue(viewer)
+    qtbot.addWidget(dock.native)
+    viewer.add_image(np.zeros((1200, 1200), np.uint8), name="MR")
+    assert dock.live
+    viewer.layers.clear()
+    viewer.add_image(np.zeros((1201, 1200), np.uint8), name="MR")
+    assert not dock.live
+    assert Screen(dock).button("Live").text() == "Live: off, slow at 1201 x 1200"
+
+
+# Pulling
+
+
+def test_a_click_holds_tissue_and_while_space_is_held_the_view_moves(pulling, settle):
+    person, widget = pulling
+    seen = person.where(0, 0)
+    person.drag((30, 30), (30, 30))
+    assert person.where(0, 0) == seen
+    QTest.keyPress(person.canvas, Qt.Key.Key_Space)
+    person.drag((50, 50), (54, 54))
+    QTest.keyRelease(person.canvas, Qt.Key.Key_Space)
+    assert person.where(0, 0) != seen
+    settle(widget)
+    (mark,) = widget.drawing.marks
+    assert mark.at == pytest.approx((30, 30), abs=1)
+    assert mark.by == pytest.approx((0, 0), abs=1e-9)
+
+
+def test_the_edge_of_the_tissue_is_held_unless_it_is_unticked(grab, pulled, wait_for):
+    dock, screen = grab
+    pull, hold = Arrow((24, 28), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)
+    moved = pulled(dock, pull, hold)
+    assert np.abs(moved[24, -1]).max() < 1e-6
+    screen.tick("hold the edge of the tissue", False)
+    assert pulled(dock)[24, -1, 1] > 1
+
+
+def test_a_painted_boundary_lies_under_what_is_pulled(grab, pulled, viewer, wait_for):
+    dock, _ = grab
+    walls = np.zeros((48, 56), np.uint8)
+    walls[:, 38:41] = 1
+    walls[24:30, 8:12] = 1
+    dock.boundary = viewer.add_labels(walls, name="Walls")
+    wait_for(lambda: not dock.busy)
+    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0), Arrow((27, 10), (2, 0), 4.0))
+    assert np.abs(moved[walls > 0][:, 1]).max() < 1e-4
+    assert moved[27, 10] == pytest.approx((2, 0), abs=1e-3), "what is drawn comes on top"
+    assert np.abs(moved[4:-4, 36]).max() > 0.05
+
+
+def test_all_that_is_drawn_is_removed_by_one_press_and_comes_back_by_undo(grab, pulled):
+    dock, screen = grab
+    pulled(dock, Arrow((24, 28), (0, 4), 4.0), Stroke("pin", (((10, 10), (10, 20)),), 2.0))
+    drawing = dock.drawing
+    screen.press("Remove all")
+    assert not dock.drawing.marks
+    assert not screen.button("Remove all").isEnabled()
+    screen.press("Undo")
+    assert dock.drawing == drawing
+
+
+def test_points_of_two_layers_are_taken_as_landmarks(grab, pulled, viewer):
+    dock, screen = grab
+    viewer.add_points([[20, 20], [30, 34]], name="is")
+    should = viewer.add_points([[23, 20]], name="ought")
+    dock.tool = "landmark"
+    screen.press("Take points as landmarks")
+    assert not dock.drawing.marks
+    assert "'ought' has 1 point, but 'is' has 2" in screen.words
+    should.add([30, 36])
+    screen.press("Take points as landmarks")
+    moved = pulled(dock)
+    assert moved[20, 20] == pytest.approx((3, 0), abs=0.02)
+    assert moved[30, 34] == pytest.approx((0, 2), abs=0.02)
+
+
+def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_for, tmp_path):
+    dock, _ = grab
+    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0))
+    wait_for(lambda: any(each.name.startswith("Displacement") for each in viewer.layers))
+    arrows = layer(viewer, "Displacement")
+    attributes = {"name": arrows.name, "metadata": arrows.metadata}
+    (path,) = save_solution(str(tmp_path / "pulled.npz"), arrows.data, attributes)
+    (again,) = open_solution(path)(path)
+    solution = again[1]["metadata"]["napari-hmrf"]["solution"]
+    np.testing.assert_array_equal(solution.displacement, moved)
+    assert Drawing.from_dict(solution.frame["drawing"]) == dock.drawing
+
+
+def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
+    deform, viewer, small_sample, qtbot, wait_for
+):
+    dock, screen = deform
+    small_sample(viewer)
+    screen.cell(GEL, "Stiffness").setText("33")
+    pull = GrabAndPull(viewer)
+    qtbot.addWidget(pull.native)
+    pull.start()
+    pull.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
+    screen.cell(GEL, "Stiffness").setText("44")
+    other = Screen(pull)
+    wait_for(lambda: "the stiffness of label 1" in other.button("Undo").toolTip())
+    other.press("Undo")
+    assert (dock.materials[1].stiffness, len(pull.drawing.marks)) == (33, 1)
+    assert "Took back: changed the stiffness of label 1" in screen.words
+    screen.press("Undo")
+    assert (dock.materials[1].stiffness, len(pull.drawing.marks)) == (33, 0)
+    screen.press("Undo")
+    assert dock.materials[1].stiffness == 20
+    assert "the stiffness of label 1" in other.button("Redo").toolTip()
+    other.press("Redo")
+    other.press("Redo")
+    assert (dock.materials[1].stiffness, len(pull.drawing.marks)) == (33, 1)
+
+
+# Looking
+
+
+def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
+    dock, screen = look
+    solution = layer(viewer, "MR arrows").metadata["napari-hmrf"]["solution"]
+    assert "100 %: tissue moved up to 3 px" in screen.words
+    screen.slider.setValue(50)
+    wait_for(lambda: dock.idle)
+    assert dock.percent == 50
+    half = warp(viewer.layers["MR"].data, solution.displacement / 2, tissue=solution.tissue)
+    shown = layer(viewer, "MR deformed").data
+    assert np.abs(shown[4:16, 4:20].astype(int) - half[4:16, 4:20]).max() <= 1
+    assert "50 %: tissue moved up to 1.5 px" in screen.words
+
+
+def test_the_deformation_is_played_until_it_is_stopped(look, viewer, wait_for):
+    dock, screen = look
+    moved = layer(viewer, "MR deformed")
+    whole = moved.data.copy()
+    screen.press("Play")
+    assert dock.playing
+    wait_for(lambda: dock.percent < 60)
+    screen.press("Pause")
+    assert not dock.playing
+    wait_for(lambda: dock.idle)
+    assert dock.percent < 100
+    assert not np.array_equal(moved.data, whole)
+    assert f"{dock.percent} %: tissue moved" in screen.words
+
+
+def test_before_is_seen_while_a_button_is_held(look, viewer):
+    _, screen = look
+    image, moved, arrows = viewer.layers["MR"], layer(viewer, "MR deformed"), layer(viewer, "MR a")
+    screen.hold("Hold: before")
+    assert (image.visible, moved.visible, arrows.visible) == (True, False, False)
+    screen.let_go("Hold: before")
+    assert moved.visible
+    assert arrows.visible
