@@ -6,7 +6,6 @@ read once.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import triangles
-from napari_hmrf.backends import loops
+from napari_hmrf.backends import compiler, loader, loops
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.problem import as_numbers
@@ -133,11 +132,10 @@ class Warper:
                 raise ProblemError(
                     name, f"has shape {array.shape}, but the pictures need {expected}."
                 )
-        if not loops.ready():
-            loops.compile_meanwhile()
+        if not loops.ready_for_pictures():
+            compiler.compile_meanwhile()
             return self._without_loops(d, mask, fraction)
-        # As for the solver's kernels: a core that waits must not burn.
-        os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+        loader.spare_cores()
         import numba
 
         from napari_hmrf.rasterise import rasterise_displaced

@@ -7,9 +7,10 @@ import sys
 import numpy as np
 import pytest
 from opengl_here import require_opengl
+from patience import LONG
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, phantom, solve, warp
-from napari_hmrf.backends import COMPILING, loops, open_backend
+from napari_hmrf.backends import COMPILING, compiler, kept, loader, loops, open_backend
 from napari_hmrf.backends.thread import compute_thread
 
 MODELS = {
@@ -35,10 +36,13 @@ def cold(monkeypatch, tmp_path):
             """Nothing runs."""
 
     monkeypatch.delenv("NAPARI_HMRF_COMPILE")
-    monkeypatch.setattr(loops, "_folder", lambda: tmp_path)
-    monkeypatch.setattr(loops._State, "in_use", False)
-    monkeypatch.setattr(loops._State, "compiler", None)
-    monkeypatch.setattr(loops, "_started", Compiler)
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(loops._State, "solver", loops._Part())
+    monkeypatch.setattr(loops._State, "pictures", loops._Part())
+    monkeypatch.setattr(loops._State, "alone", False)
+    monkeypatch.setattr(compiler._State, "compiler", None)
+    monkeypatch.setattr(compiler, "_started", Compiler)
+    monkeypatch.setattr(loader, "_loader", loader._Loader())
     return started
 
 
@@ -109,10 +113,13 @@ def test_a_rasteriser_in_software_is_taken_until_the_loops_are_compiled(cold):
     if reason == "a GPU is there":
         pytest.skip("this machine takes its GPU anyhow")
     assert (name, reason) == ("opengl", COMPILING)
-    assert cold == [[sys.executable, "-m", loops.COMPILER]]
+    assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     opened("auto")
     assert len(cold) == 1
-    loops.mark().touch()
+    kept.mark().touch()
+    with loader._loader.step:  # nothing is loaded yet
+        assert opened("auto") == ("opengl", COMPILING)
+    assert loader._loader.done.wait(LONG)
     name, reason = opened("auto")
     assert name == "cpu"
     assert reason.startswith("OpenGL here is software only")
@@ -125,35 +132,35 @@ def test_who_asks_for_loops_compiles_them_himself(cold):
 
 
 def test_one_process_compiles_at_a_time(cold, tmp_path):
-    assert loops.begin()
-    loops.end(compiled=False)
-    assert not loops.mark().exists()
+    assert compiler.begin()
+    compiler.end(compiled=False)
+    assert not kept.mark().exists()
     parent = os.getppid()
-    loops._compiler_file().write_text(f"{parent} {loops._begun(parent)}")
-    assert not loops.begin()
-    loops.compile_meanwhile()
+    compiler._compiler_file().write_text(f"{parent} {compiler._begun(parent)}")
+    assert not compiler.begin()
+    compiler.compile_meanwhile()
     assert cold == []
     # Another process has its number by now.
-    loops._compiler_file().write_text(f"{parent} 12345")
-    assert loops.begin()
-    loops._compiler_file().write_text("no number")
-    assert loops.begin()
-    loops.end(compiled=True)
-    assert loops.mark().exists()
-    assert not loops._compiler_file().exists()
+    compiler._compiler_file().write_text(f"{parent} 12345")
+    assert compiler.begin()
+    compiler._compiler_file().write_text("no number")
+    assert compiler.begin()
+    compiler.end(compiled=True)
+    assert kept.mark().exists()
+    assert not compiler._compiler_file().exists()
     assert loops.ready()
 
 
 def test_other_loops_have_another_mark(cold, monkeypatch):
-    first = loops.mark()
-    loops._key.cache_clear()
-    monkeypatch.setattr(loops, "sources", lambda: b"edited")
-    assert loops.mark() != first
-    loops._key.cache_clear()
+    first = kept.mark()
+    kept._key.cache_clear()
+    monkeypatch.setattr(kept, "sources", lambda: b"edited")
+    assert kept.mark() != first
+    kept._key.cache_clear()
 
 
 def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
-    monkeypatch.setattr(loops, "_folder", lambda: tmp_path / "file" / "folder")
-    assert not loops.begin()
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path / "file" / "folder")
+    assert not compiler.begin()
     assert not loops.ready()
