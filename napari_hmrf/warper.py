@@ -135,7 +135,7 @@ class Warper:
         if not loops.ready_for_pictures():
             compiler.compile_meanwhile()
             return self._without_loops(d, mask, fraction)
-        loader.spare_cores()
+        loader.before_numba()
         import numba
 
         from napari_hmrf.rasterise import rasterise_displaced

@@ -17,6 +17,7 @@ from test_live import pulled
 from napari_hmrf import ElasticPrior, LiveSolver, solve
 from napari_hmrf.backends import kept, loader
 from napari_hmrf.backends.opengl import is_software_renderer
+from napari_hmrf.backends.watch import LOOPS
 
 
 class Hand:
@@ -123,3 +124,23 @@ def test_what_is_kept_is_loaded_and_nothing_is_compiled_for_it():
     loaded, compiled = map(int, done.stdout.split())
     assert loaded > 10
     assert compiled == 0
+
+
+COUNTING = """
+from napari_hmrf import compiling
+from napari_hmrf.backends import watch
+from napari_hmrf.backends.thread import compute_thread
+for job in compiling.jobs():
+    compute_thread.submit(lambda: compiling.run(job, lambda stage: None)).result()
+    print(job.name, watch._there())
+"""
+
+
+def test_as_many_loops_are_announced_as_there_are():
+    done = subprocess.run(
+        [sys.executable, "-c", COUNTING], capture_output=True, text=True, check=True
+    )
+    found = {name: int(number) for name, number in map(str.split, done.stdout.splitlines())}
+    assert set(found) == set(LOOPS) - {""}
+    assert LOOPS["elastic"] == pytest.approx(found["elastic"], rel=0.25)
+    assert LOOPS[""] == pytest.approx(max(found.values()), rel=0.25)

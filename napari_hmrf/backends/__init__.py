@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal, get_args
 
-from napari_hmrf.backends import compiler, loops
+from napari_hmrf.backends import compiler, loader, loops
 from napari_hmrf.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError
@@ -58,11 +58,9 @@ def open_backend(
     BackendError
         What is missing, and how to get it.
     """
-    from napari_hmrf.backends.cpu import CpuBackend
-
     if name == "cpu":
         provide_loops()
-        return CpuBackend(checkpoint), "asked for"
+        return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
     from napari_hmrf.backends.opengl import OpenGLBackend, is_software_renderer
@@ -75,11 +73,19 @@ def open_backend(
         backend = OpenGLBackend(checkpoint)
     except BackendError as error:
         provide_loops()
-        return CpuBackend(checkpoint), f"no usable OpenGL ({error})"
+        return _compiled(checkpoint), f"no usable OpenGL ({error})"
     compiler.compile_meanwhile()
     if not is_software_renderer(backend.renderer):
         return backend, "a GPU is there"
     if not compiled:
         return backend, COMPILING
     backend.close()
-    return CpuBackend(checkpoint), f"OpenGL here is software only ({backend.renderer})"
+    return _compiled(checkpoint), f"OpenGL here is software only ({backend.renderer})"
+
+
+def _compiled(checkpoint: Checkpoint) -> Backend[Any]:
+    """Return the backend of loops."""
+    loader.before_numba()
+    from napari_hmrf.backends.cpu import CpuBackend
+
+    return CpuBackend(checkpoint)

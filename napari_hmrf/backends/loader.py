@@ -76,7 +76,7 @@ def begun() -> bool:
 
 def _steps() -> Iterator[str]:
     """Load one thing after the other; what it was."""
-    spare_cores()
+    before_numba()
     importlib.import_module("numba")
     yield "numba"
     for name in kept.modules():
@@ -88,13 +88,14 @@ def _steps() -> Iterator[str]:
             yield loop.py_func.__name__
 
 
-def spare_cores() -> None:
-    """Have cores that wait not burn; before numba is imported.
+def before_numba() -> None:
+    """Have numba find a folder to keep loops in, and cores that wait not burn.
 
     GNU OpenMP lets a thread that waits for the others burn its core for milliseconds unless told
     otherwise before it is loaded. Beside a window that wants a core, too, sweeps of 0.1 ms then
     take 10 ms; with a short wait they take 0.3 ms, and alone they lose nothing.
     """
+    kept.folder()
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 
 

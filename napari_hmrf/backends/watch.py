@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from napari_hmrf.backends.compiler import Stage
-from napari_hmrf.backends.loader import loops_there, spare_cores
+from napari_hmrf.backends.loader import before_numba, loops_there
 
 #: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
 LOOPS = {
@@ -32,11 +32,14 @@ class _State:
 
     #: How many loops it has compiled.
     compiled = 0
+    watched = False
 
 
 @contextmanager
 def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     """Say how far a job is, before each loop that this thread compiles.
+
+    Within a job that is watched this does nothing.
 
     Parameters
     ----------
@@ -45,7 +48,10 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     tell : callable
         Given a `Stage`; raises to have nothing more compiled.
     """
-    spare_cores()
+    if _State.watched:
+        yield
+        return
+    before_numba()
     from numba.core import event
 
     of = min(_there() + LOOPS[job], LOOPS[""])
@@ -70,8 +76,12 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
                 depth -= 1
                 _State.compiled += depth == 0
 
-    with event.install_listener("numba:compile", Watch()):
-        yield
+    _State.watched = True
+    try:
+        with event.install_listener("numba:compile", Watch()):
+            yield
+    finally:
+        _State.watched = False
 
 
 def _there() -> int:
