@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +29,10 @@ from napari_hmrf.warp import warp
 from napari_hmrf.warper import Picture, Warper
 
 _SIZE = 40
+
+
+class _Overtaken(Exception):
+    """Somebody waits for other loops; those that are compiled are kept."""
 
 
 class Job(NamedTuple):
@@ -106,6 +111,28 @@ def run(job: Job, tell: Callable[[Stage], object]) -> None:
         job.run()
 
 
+def _next(todo: list[Job]) -> None:
+    """Do what is wanted, or else the first, and take it off the list."""
+    while True:
+        wanted = compiler.wanted()
+        job = next((each for each in todo if each.name == wanted), todo[0])
+        if job.name != wanted:
+            compiler.give_way()
+
+        def tell(stage: Stage, job: Job = job) -> None:
+            compiler.tell(stage)
+            newer = compiler.wanted()
+            if newer != job.name and any(each.name == newer for each in todo):
+                raise _Overtaken
+
+        with suppress(_Overtaken):
+            compute_thread.submit(partial(run, job, tell)).result()
+            todo.remove(job)
+            if _kept():
+                kept.mark(job.name).touch()
+            return
+
+
 def main() -> int:
     """Compile; 0 if all of it is kept."""
     if not compiler.begin():
@@ -115,13 +142,9 @@ def main() -> int:
     try:
         todo = jobs()
         for number in range(1, len(todo) + 1):
-            wanted = compiler.wanted()
-            job = next((each for each in todo if each.name == wanted), todo[0])
-            todo.remove(job)
-            compute_thread.submit(partial(run, job, compiler.tell)).result()
+            _next(todo)
             if not _kept():
                 break
-            kept.mark(job.name).touch()
             print(f"{number} of {number + len(todo)}", flush=True)
         compiled = not todo
     finally:

@@ -12,10 +12,13 @@ import numpy as np
 from napari_hmrf.backends import Backend, compiler, host, loops
 from napari_hmrf.backends.compiler import Stage
 from napari_hmrf.backends.found import Beginning
+from napari_hmrf.backends.watch import LOOPS, watched
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 
+#: The job that brings all loops.
+EVERYTHING = ""
 _prepared: set[tuple[str | bool, ...]] = set()
 
 
@@ -37,11 +40,14 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
     Parameters
     ----------
     job : str
+        As `job_of` calls it, or `EVERYTHING`.
     report : callable
         Called several times a second; raises to wait no more.
     """
 
     def tell(stage: Stage) -> None:
+        if stage.of and job == EVERYTHING:
+            stage = stage._replace(of=LOOPS[job])
         report(Monitor(stage.words, stage.fraction))
 
     compiler.provide(job, tell)
@@ -88,6 +94,4 @@ def _watched(job: str, report: Callable[[Monitor], None]) -> AbstractContextMana
     """Say which loops this process compiles, if any."""
     if not loops.in_use():
         return nullcontext()
-    from napari_hmrf.backends.watch import watched
-
     return watched(job, lambda stage: report(Monitor(stage.words, stage.fraction)))

@@ -209,6 +209,45 @@ def test_cancel_is_answered_though_this_process_compiles_a_loop_to_its_end(monke
     assert compute_thread.delays(waiting) == ""
 
 
+def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
+    done = []
+
+    def job(name):
+        def run():
+            done.append(f"{name} begun")
+            if name == "schedule" and done.count("schedule begun") == 1:
+                compiler._wanted_file().write_text("converged")
+            current[0](compiler.Stage(name, 1, 2, 1.0))
+            done.append(name)
+
+        return compiling.Job(name, run)
+
+    current = [None]
+
+    def run(job, tell):
+        current[0] = tell
+        job.run()
+
+    monkeypatch.setattr(compiling, "run", run)
+    monkeypatch.setattr(compiler, "give_way", lambda: done.append("gives way"))
+    compiler._wanted_file().write_text("schedule")
+    todo = [job(name) for name in ("elastic", "schedule", "converged")]
+    while todo:
+        compiling._next(todo)
+    assert done == [
+        "schedule begun",
+        "converged begun",
+        "converged",
+        "gives way",
+        "elastic begun",
+        "elastic",
+        "gives way",
+        "schedule begun",
+        "schedule",
+    ]
+    assert kept.mark("converged").exists()
+
+
 def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, monkeypatch):
     class Missing:
         def __init__(self, *_):

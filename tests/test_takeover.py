@@ -14,10 +14,10 @@ from patience import LONG
 from test_cold import cold  # noqa: F401 - a fixture
 from test_live import pulled
 
-from napari_hmrf import ElasticPrior, LiveSolver, solve
+from napari_hmrf import Cancelled, ElasticPrior, LiveSolver, solve
 from napari_hmrf.backends import kept, loader
 from napari_hmrf.backends.opengl import is_software_renderer
-from napari_hmrf.backends.watch import LOOPS
+from napari_hmrf.backends.watch import LOOPS, watched
 
 
 class Hand:
@@ -144,3 +144,33 @@ def test_as_many_loops_are_announced_as_there_are():
     assert set(found) == set(LOOPS) - {""}
     assert LOOPS["elastic"] == pytest.approx(found["elastic"], rel=0.25)
     assert LOOPS[""] == pytest.approx(max(found.values()), rel=0.25)
+
+
+ONE = """
+import numba
+
+@numba.njit
+def {name}(x):
+    return x + 1
+"""
+
+
+def test_what_is_watched_stops_between_two_loops_when_told():
+    names: dict = {}
+    for name in ("first", "second"):
+        exec(ONE.format(name=name), names)
+    told = []
+
+    def tell(stage):
+        told.append(stage)
+        if len(told) == 2:
+            raise Cancelled
+
+    with watched("elastic", tell):
+        names["first"](1)
+        with pytest.raises(Cancelled):
+            names["second"](1)
+    assert [len(names[name].signatures) for name in ("first", "second")] == [1, 0]
+    assert names["second"](1) == 2
+    assert told[1].done == told[0].done + 1
+    assert told[1].pace > 0

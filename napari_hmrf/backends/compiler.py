@@ -150,10 +150,14 @@ def begin() -> bool:
         _stage_file().unlink(missing_ok=True)
     except OSError:
         return False
+    return True
+
+
+def give_way() -> None:
+    """Compile only while nobody needs the processor: from now on no one waits for it."""
     with suppress(psutil.Error, OSError):
         idle = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
         psutil.Process().nice(idle)
-    return True
 
 
 def wanted() -> str:
