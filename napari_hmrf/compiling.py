@@ -82,7 +82,7 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float]) -> None:
 
 def _pictures() -> None:
     still = np.zeros((9, 9, 2), np.float32)
-    for kind in (np.uint8, np.float32):
+    for kind in (np.uint8, np.float32, np.float64):
         image = np.zeros((9, 9), kind)
         warp(image, still)
         _follow(image, still)

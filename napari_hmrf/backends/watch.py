@@ -14,7 +14,7 @@ from napari_hmrf.backends.loader import before_numba, loops_there
 #: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
 LOOPS = {
     "elastic": 25,
-    "pictures": 7,
+    "pictures": 5,
     "schedule": 4,
     "converged": 29,
     "slipping": 25,
@@ -23,7 +23,7 @@ LOOPS = {
     "blanket-schedule": 4,
     "blanket-converged": 26,
     "exact-steps": 4,
-    "": 87,
+    "": 85,
 }
 
 
