@@ -39,7 +39,7 @@ CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
 CANCELLED = "Cancelled; nothing was changed."
-DRAWING = "Drawing the result; the first time on this machine compiles for that, too: some seconds."
+DRAWING = "Drawing the result; the first time after the start that takes some seconds."
 COMPILING = "Getting the kernels ready, as for the first time on this machine: some seconds."
 
 MODELS: dict[Model, str] = {
