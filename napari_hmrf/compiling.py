@@ -65,6 +65,7 @@ def jobs() -> list[Job]:
         solving("schedule", SeilerPrior(), schedule, square),
         solving("converged", SeilerPrior(), Multigrid(), square),
         solving("slipping", ElasticPrior(mapped, penalty=1.0), Multigrid(), square),
+        Job("rigid", lambda: _solve(ElasticPrior(0.3), Multigrid(), square, bone=True)),
         solving("schedule-oblong", SeilerPrior(), schedule, oblong),
         solving("converged-oblong", SeilerPrior(), Multigrid(), oblong),
         solving("blanket-schedule", blanket, schedule, square),
@@ -73,10 +74,13 @@ def jobs() -> list[Job]:
     ]
 
 
-def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float]) -> None:
+def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool = False) -> None:
     c = np.zeros((_SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
-    problem = Problem(c, c, np.ones((_SIZE, _SIZE)), spacing)
+    m = np.ones((_SIZE, _SIZE))
+    if bone:
+        m[18:23, 12:17] = np.inf
+    problem = Problem(c, c, m, spacing)
     solve(problem, prior, optimizer, backend="cpu")
 
 

@@ -18,12 +18,13 @@ LOOPS = {
     "schedule": 4,
     "converged": 29,
     "slipping": 25,
+    "rigid": 26,
     "schedule-oblong": 4,
     "converged-oblong": 29,
     "blanket-schedule": 4,
     "blanket-converged": 26,
     "exact-steps": 4,
-    "": 85,
+    "": 86,
 }
 
 
