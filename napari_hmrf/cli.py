@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -107,7 +108,9 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--backend",
         choices=BACKEND_NAMES,
-        help="default: the shaders (opengl), or the compiled loops (cpu) where there is no OpenGL",
+        default="auto",
+        help="default: what napari takes (%(default)s): the shaders on a GPU, else the loops for "
+        "the processor, which are compiled first, once on a machine",
     )
     demo.add_argument("--no-window", action="store_true", help="do not open napari")
     commands.add_parser("selftest", help="report what this runs on, and check it: for a bug report")
@@ -160,7 +163,7 @@ def _demo(options: argparse.Namespace) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()
     demonstration = demonstrate(
-        options.phantom, options.size, options.backend, progress.show, _tell, prior, optimizer
+        options.phantom, options.size, options.backend, progress.show, prior, optimizer
     )
     progress.end()
     print(demonstration.table(), flush=True)
@@ -177,12 +180,17 @@ def _demo(options: argparse.Namespace) -> int:
     return 0
 
 
+# Seconds between two lines of progress where they stay.
+_SELDOM = 10.0
+
+
 class _ProgressLine:
-    """Progress on stderr: one line that changes on a terminal, one message elsewhere."""
+    """Progress on stderr: one line that changes on a terminal, now and then a line elsewhere."""
 
     def __init__(self) -> None:
         self._live = sys.stderr.isatty()
         self._shown = 0
+        self._stage, self._told = "", 0.0
 
     def show(self, monitor: Monitor) -> None:
         line = f"{monitor.fraction:4.0%}  {monitor.message}"
@@ -190,9 +198,13 @@ class _ProgressLine:
             sys.stderr.write("\r" + line.ljust(self._shown))
             sys.stderr.flush()
             self._shown = len(line)
-        elif not self._shown:
+            return
+        stage, now = monitor.message.partition(" ")[0], time.monotonic()
+        if stage in ("compiling", "preparing") and (
+            stage != self._stage or now > self._told + _SELDOM
+        ):
             _tell(line.strip())
-            self._shown = len(line)
+            self._stage, self._told = stage, now
 
     def end(self) -> None:
         if self._live and self._shown:

@@ -1,22 +1,26 @@
 """Compile all loops for the processor, and keep them: ``python -m napari_hmrf.compiling``.
 
-Solves a small problem in every way there is, as only what is called is compiled. Prints how many of
-them are done.
+Solves a small problem in every way there is, as only what is called is compiled; what somebody
+waits for comes next. Prints how many of them are done.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends import loops
+from napari_hmrf.backends import compiler, kept, loops
+from napari_hmrf.backends.compiler import Stage
 from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends.watch import watched
 from napari_hmrf.optimizers import ICM, Multigrid
 from napari_hmrf.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.problem import Problem
@@ -27,37 +31,65 @@ from napari_hmrf.warper import Picture, Warper
 _SIZE = 40
 
 
-def jobs() -> list[Callable[[], Any]]:
+class _Overtaken(Exception):
+    """Somebody waits for other loops; those that are compiled are kept."""
+
+
+class Job(NamedTuple):
+    """Something that takes loops.
+
+    Attributes
+    ----------
+    name : str
+        As `backends.needed` calls it.
+    run : callable
+    """
+
+    name: str
+    run: Callable[[], Any]
+
+
+def jobs() -> list[Job]:
     """What brings the loops to disk, the ones that are asked for first at the beginning."""
     square, oblong = (1.0, 1.0), (2.0, 0.5)
     mapped = np.full((_SIZE, _SIZE), 0.3)
+    blanket = SeilerPrior(conditional="blanket")
+
+    def solving(name: str, prior: Any, optimizer: Any, spacing: tuple[float, float]) -> Job:
+        return Job(name, lambda: _solve(prior, optimizer, spacing))
+
+    schedule = ICM(iterations=2)
     return [
-        lambda: _solve(ElasticPrior(0.3), Multigrid(), square),
-        _pictures,
-        lambda: _solve(SeilerPrior(), ICM(iterations=2), square),
-        lambda: _solve(SeilerPrior(), Multigrid(), square),
-        lambda: _solve(ElasticPrior(mapped, penalty=1.0), Multigrid(), square),
-        lambda: _solve(SeilerPrior(), ICM(iterations=2), oblong),
-        lambda: _solve(SeilerPrior(), Multigrid(), oblong),
-        lambda: _solve(SeilerPrior(conditional="blanket"), ICM(iterations=2), square),
-        lambda: _solve(SeilerPrior(conditional="blanket"), Multigrid(), square),
-        lambda: _solve(SeilerPrior(), ICM(iterations=2, steps=None), square),
+        solving("elastic", ElasticPrior(0.3), Multigrid(), square),
+        Job(loops.PICTURES, _pictures),
+        solving("schedule", SeilerPrior(), schedule, square),
+        solving("converged", SeilerPrior(), Multigrid(), square),
+        solving("slipping", ElasticPrior(mapped, penalty=1.0), Multigrid(), square),
+        Job("rigid", lambda: _solve(ElasticPrior(0.3), Multigrid(), square, bone=True)),
+        solving("schedule-oblong", SeilerPrior(), schedule, oblong),
+        solving("converged-oblong", SeilerPrior(), Multigrid(), oblong),
+        solving("blanket-schedule", blanket, schedule, square),
+        solving("blanket-converged", blanket, Multigrid(), square),
+        solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
     ]
 
 
-def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float]) -> None:
+def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool = False) -> None:
     c = np.zeros((_SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
-    problem = Problem(c, c, np.ones((_SIZE, _SIZE)), spacing)
+    m = np.ones((_SIZE, _SIZE))
+    if bone:
+        m[18:23, 12:17] = np.inf
+    problem = Problem(c, c, m, spacing)
     solve(problem, prior, optimizer, backend="cpu")
 
 
 def _pictures() -> None:
     still = np.zeros((9, 9, 2), np.float32)
-    for kind in (np.uint8, np.float32):
+    for kind in (np.uint8, np.float32, np.float64):
         image = np.zeros((9, 9), kind)
         warp(image, still)
-        compute_thread.submit(partial(_follow, image, still)).result()
+        _follow(image, still)
 
 
 def _follow(image: npt.NDArray[Any], still: npt.NDArray[np.float32]) -> None:
@@ -77,19 +109,50 @@ def _kept() -> bool:
     return folder is not None and any(Path(folder).glob("*.nbi"))
 
 
+def run(job: Job, tell: Callable[[Stage], object]) -> None:
+    """Do a job on the compute thread itself, saying how far it is."""
+    with watched(job.name, tell):
+        job.run()
+
+
+def _next(todo: list[Job]) -> None:
+    """Do what is wanted, or else the first, and take it off the list."""
+    while True:
+        wanted = compiler.wanted()
+        job = next((each for each in todo if each.name == wanted), todo[0])
+        if job.name != wanted:
+            compiler.give_way()
+
+        def tell(stage: Stage, job: Job = job) -> None:
+            compiler.tell(stage)
+            newer = compiler.wanted()
+            if newer != job.name and any(each.name == newer for each in todo):
+                raise _Overtaken
+
+        with suppress(_Overtaken):
+            compute_thread.submit(partial(run, job, tell)).result()
+            todo.remove(job)
+            if _kept():
+                kept.mark(job.name).touch()
+            return
+
+
 def main() -> int:
     """Compile; 0 if all of it is kept."""
-    if not loops.begin():
+    if not compiler.begin():
         return 1
+    os.environ[loops.HERE] = "here"  # it must not wait for itself
     compiled = False
     try:
         todo = jobs()
-        for number, job in enumerate(todo, start=1):
-            job()
-            print(f"{number} of {len(todo)}", flush=True)
-        compiled = _kept()
+        for number in range(1, len(todo) + 1):
+            _next(todo)
+            if not _kept():
+                break
+            print(f"{number} of {number + len(todo)}", flush=True)
+        compiled = not todo
     finally:
-        loops.end(compiled)
+        compiler.end(compiled)
     return 0 if compiled else 1
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.deformation import count_folds
-from napari_hmrf.errors import BackendError
 from napari_hmrf.models import in_words
 from napari_hmrf.optimizers import Monitor, Optimizer
 from napari_hmrf.phantoms import Phantom, phantom, reference_displacement, sample
+from napari_hmrf.preparation import EVERYTHING, provide_loops
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.solution import Solution
 from napari_hmrf.solve import solve
@@ -77,9 +77,8 @@ class Demonstration:
 def demonstrate(
     name: str,
     size: int,
-    backend: str | None,
+    backend: str,
     progress: Callable[[Monitor], None],
-    notice: Callable[[str], None],
     prior: Prior | None = None,
     optimizer: Optimizer | None = None,
 ) -> Demonstration:
@@ -91,13 +90,10 @@ def demonstrate(
         One of `PHANTOM_NAMES`.
     size : int
         Pixels along each side.
-    backend : str or None
-        One of `BACKEND_NAMES`; None takes the shaders where they know the prior, and the compiled
-        loops where there is no OpenGL.
+    backend : str
+        One of `BACKEND_NAMES`; "auto" is what napari takes, once all loops are compiled.
     progress : callable
         Is given a `Monitor` now and then.
-    notice : callable
-        Is told, in words, if the shaders could not be taken.
     prior, optimizer : optional
         As for `solve`: by default the paper's.
 
@@ -109,15 +105,10 @@ def demonstrate(
         If the backend asked for cannot run.
     """
     subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
-    try:
-        solution = solve(
-            subject.problem, prior, optimizer, backend=backend or "opengl", progress=progress
-        )
-    except BackendError as error:
-        if backend is not None:
-            raise
-        notice(f"The shaders cannot run here: {error} Taking the compiled loops instead.")
-        solution = solve(subject.problem, prior, optimizer, backend="cpu", progress=progress)
+    if backend == "auto":
+        # Napari will find them, for whatever is done there.
+        provide_loops(EVERYTHING, progress)
+    solution = solve(subject.problem, prior, optimizer, backend=backend, progress=progress)
     return Demonstration(
         phantom=subject,
         solution=solution,

@@ -10,10 +10,11 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends.thread import STOPPED, compute_thread
 from napari_hmrf.earlier import Earlier
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.optimizers import Multigrid, Optimizer
@@ -91,6 +92,8 @@ class LiveSolver:
     progress : callable, optional
         Called with a `Monitor` on the compute thread: the first solve on a machine compiles for
         half a minute, and somebody is waiting.
+    doing : str
+        What others who wait for it are told: what it is, and how to stop it, as a clause.
 
     Examples
     --------
@@ -110,12 +113,15 @@ class LiveSolver:
         optimizer: Optimizer | None = None,
         backend: str = "auto",
         progress: Progress | None = None,
+        doing: str = "tissue that a script has follow its edits, which its close() stops",
     ) -> None:
         self.prior: Prior = prior or ElasticPrior()
         self._optimizer = optimizer or Multigrid(TOLERANCE)
         self._backend = backend
         self._deliver = deliver
         self._progress = progress
+        self._doing = doing
+        self._job: Future[None] | None = None
         self._changed = threading.Condition()
         self._number = 0
         self._waiting: _Request | None = None
@@ -192,6 +198,12 @@ class LiveSolver:
         with self._changed:
             return self._busy
 
+    @property
+    def delay(self) -> str:
+        """What an edit waits for before it is looked at, and how to stop that; "" if nothing."""
+        with self._changed:
+            return "" if self._job is None else compute_thread.delays(self._job)
+
     def __enter__(self) -> LiveSolver:
         return self
 
@@ -205,7 +217,10 @@ class LiveSolver:
             self._changed.notify_all()
         elif not self._busy:
             self._busy = True
-            compute_thread.submit(self._run)
+            dropped = self._dropped
+            self._job = compute_thread.submit(
+                self._run, lambda: STOPPED if dropped.is_set() else self._doing
+            )
 
     def _run(self) -> None:
         with self._changed:

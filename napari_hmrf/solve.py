@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import platform
 import queue
 import reprlib
@@ -11,18 +10,19 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from napari_hmrf.backends import COMPILING, Backend, host, loops, open_backend
-from napari_hmrf.backends.found import Beginning
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends import COMPILING, host, open_backend
+from napari_hmrf.backends.thread import STOPPED, compute_thread
 from napari_hmrf.beginning import Start, beginning
 from napari_hmrf.errors import BackendError, Cancelled
 from napari_hmrf.optimizers import ICM, Monitor, Multigrid, Optimizer
+from napari_hmrf.preparation import job_of, prepare, provide_loops
 from napari_hmrf.priors import Prior, SeilerPrior
 from napari_hmrf.problem import Problem
 from napari_hmrf.solution import Provenance, Solution
@@ -30,7 +30,11 @@ from napari_hmrf.solution import Provenance, Solution
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
-_prepared: set[tuple[str | bool, ...]] = set()
+
+#: What those who wait for it are told of a solve.
+_DOING = "a solve that a script asked for, which its cancel flag or Ctrl-C stops"
+# How often a caller looks whether to wait on, and how long the work has to stop, in seconds.
+_LOOK, _GRACE = 0.1, 0.25
 
 
 class CancelFlag(Protocol):
@@ -68,7 +72,7 @@ def solve(
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
-        Set it to stop; looked at several times a second.
+        Set it to stop; answered within half a second, whatever is being compiled.
     start : Solution or sequence of Solution, optional
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
         the problem multigrid then has less to do. Of several, with the combination that comes
@@ -111,18 +115,36 @@ def solve(
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
     job: Future[Solution] = compute_thread.submit(
-        lambda: run_here(problem, prior, optimizer, backend, tell, either, start)
+        lambda: run_here(problem, prior, optimizer, backend, tell, either, start),
+        lambda: STOPPED if either.is_set() else _DOING,
     )
     job.add_done_callback(lambda _: reports.put(None))
     try:
-        while (report := reports.get()) is not None:
+        while (report := _next(reports, cancel)) is not None:
             if progress is not None:
                 progress(report)
     except BaseException:
         # Ctrl-C, or an error in `progress`: the work must not go on behind the caller's back.
         interrupted.set()
+        job.cancel()
         raise
     return job.result()
+
+
+def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None) -> Monitor | None:
+    """Wait for the next report, but not for long once the work is to stop.
+
+    A loop that is being compiled is compiled to its end, for which nobody has to wait.
+    """
+    if cancel is None:
+        return reports.get()
+    for _ in iter(cancel.is_set, True):
+        with suppress(queue.Empty):
+            return reports.get(timeout=_LOOK)
+    try:
+        return reports.get(timeout=_GRACE)
+    except queue.Empty:
+        raise Cancelled from None
 
 
 def _check_arguments(
@@ -180,16 +202,18 @@ def run_here(
             raise Cancelled
 
     def report(monitor: Monitor) -> None:
+        compute_thread.stage = monitor.message
         checkpoint()
         if progress is not None:
             progress(monitor)
 
-    report(Monitor("preparing (the first run compiles its kernels, once)", 0.0))
+    report(Monitor("preparing", 0.0))
     started = time.perf_counter()
-    device, reason = open_backend(backend, checkpoint)
+    job = job_of(prior, optimizer, problem.spacing)
+    device, reason = open_backend(backend, checkpoint, lambda: provide_loops(job, report))
     try:
         _announce(device.renderer, reason)
-        _prepare(device, prior, optimizer, problem.spacing)
+        prepare(device, prior, optimizer, problem.spacing, report)
         ready = time.perf_counter()
         outcome = optimizer.run(problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
@@ -234,34 +258,6 @@ class _Either:
 
     def is_set(self) -> bool:
         return any(flag.is_set() for flag in self._flags)
-
-
-def _prepare(
-    device: Backend[Any], prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]
-) -> None:
-    """Compile what a schedule needs by running it on a small problem, once per process.
-
-    Small, but with levels between others, something to find, and more sites than would be solved
-    without a cycle. Square pixels have kernels of their own.
-    """
-    rehearsal = optimizer.rehearsal()
-    square = len(set(spacing)) == 1
-    key = (device.name, device.renderer, loops.in_use(), prior.kernels, repr(rehearsal), square)
-    if key in _prepared:
-        return
-    size = 40
-    y, c, m = np.zeros((size, size, 2)), np.zeros((size, size, 2)), np.ones((size, size))
-    c[0] = c[-1] = 1
-    y[-1] = 1
-    small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))
-    tissue = prior.rehearsal(small.shape)
-    found = rehearsal.run(small, tissue, device, lambda _: None).displacement
-    host.settle(found, small.tissue, small.unit)
-    if isinstance(rehearsal, Multigrid):
-        # As many as there are kernels for: two at once, and each of the others.
-        three = Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
-        rehearsal.run(small, tissue, device, lambda _: None, three)
-    _prepared.add(key)
 
 
 def _announce(renderer: str, reason: str) -> None:

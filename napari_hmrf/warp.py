@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import triangles
-from napari_hmrf.backends import loops
+from napari_hmrf.backends import compiler, loader, loops
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.problem import as_numbers
 from napari_hmrf.resample import as_image, resample
@@ -137,9 +137,10 @@ def _rasterised(
     moved: Float64Array, tissue: BoolArray
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
     """Invert the motion of sites by the loops, or by NumPy before these are compiled."""
-    if not loops.ready():
-        loops.compile_meanwhile()
+    if not loops.ready_for_pictures():
+        compiler.compile_meanwhile()
         return triangles.rasterise(moved, tissue)
+    loader.before_numba()
     # Numba takes half a second to import: only those who warp wait for it.
     from napari_hmrf.rasterise import rasterise
 

@@ -6,7 +6,6 @@ read once.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,17 +14,22 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import triangles
-from napari_hmrf.backends import loops
+from napari_hmrf.backends import compiler, loader, loops
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.problem import as_numbers
 from napari_hmrf.resample import as_image, check_order, checked_fill, filled_in, resample
 from napari_hmrf.warp import checked_sizes, moved_sites
 
-# What the compiled loops interpolate. Large integers do not fit a double; half precision is no
-# number to numba.
-_INTERPOLATED = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
-_COPIED = (*_INTERPOLATED, "bool", "float16", "int64", "uint64")
+# What the compiled loops know, so that there is nothing to compile for any other kind of image; and
+# what they take others for, which holds all their values. Large integers do not fit a double.
+_KNOWN = ("uint8", "float32", "float64")
+_INTERPOLATED = {
+    **{name: name for name in _KNOWN},
+    **dict.fromkeys(("int8", "uint16", "int16"), "float32"),
+    **dict.fromkeys(("uint32", "int32"), "float64"),
+}
+_COPIED = {**_INTERPOLATED, "bool": "uint8", "float16": "float32"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +137,14 @@ class Warper:
                 raise ProblemError(
                     name, f"has shape {array.shape}, but the pictures need {expected}."
                 )
-        if not loops.ready():
-            loops.compile_meanwhile()
+        if not loops.ready_for_pictures():
+            compiler.compile_meanwhile()
             return self._without_loops(d, mask, fraction)
-        # As for the solver's kernels: a core that waits must not burn.
-        os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+        # A solution's tissue is read-only, which to numba is a type of its own: here all is.
+        mask = mask.view()
+        mask.setflags(write=False)
+        d = _only_read(d)
+        loader.before_numba()
         import numba
 
         from napari_hmrf.rasterise import rasterise_displaced
@@ -174,17 +181,24 @@ class _Look:
         check_order(picture.order)
         self._order = 0 if image.dtype.kind == "b" else picture.order
         self._fill = checked_fill(picture.fill, image.dtype)
-        loops = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, ())
-        self._slow = image.dtype.name not in loops or not image.dtype.isnative
-        # What is only copied may be taken for integers of its size.
-        bits = {"bool": np.uint8, "float16": np.uint16}.get(image.dtype.name, image.dtype)
-        self._values = image.view(bits).reshape(*grid, -1)
+        loops = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
+        self._kind = loops.get(image.dtype.name, "")
+        # What is only copied may be taken for a number of its size, whatever that would be.
+        self._as_bits = self._order == 0 and image.dtype.name in ("int64", "uint64")
+        self._slow = not (self._kind or self._as_bits) or not image.dtype.isnative
+        self._values = self._taken(image).reshape(*grid, -1)
         self._smooth, self._gaps = self._values, False
         if self._order == 1 and not self._slow and image.dtype.kind == "f":
             channels = [filled_in(channel) for channel in np.moveaxis(self._values, -1, 0)]
             self._gaps = any(bad.any() for _, bad in channels)
             if self._gaps:
                 self._smooth = np.stack([smooth for smooth, _ in channels], axis=-1)
+
+    def _taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values as the loops take them."""
+        if self._slow:
+            return values
+        return values.view(np.float64) if self._as_bits else values.astype(self._kind, copy=False)
 
     def __call__(
         self,
@@ -198,18 +212,20 @@ class _Look:
 
         moved = np.empty_like(self._values)
         look_up(
-            self._values,
-            self._smooth,
+            _only_read(self._values),
+            _only_read(self._smooth),
             self._gaps,
             source,
             state,
             tissue,
             self._order == 0,
             self._image.dtype.kind != "f",
-            self._fill.view(self._values.dtype)[()],
+            self._taken(self._fill)[()],
             moved,
         )
-        return moved.view(self._image.dtype).reshape(self._image.shape)
+        kind = self._image.dtype
+        found = moved.view(kind) if self._as_bits else moved.astype(kind, copy=False)
+        return found.reshape(self._image.shape)
 
     def by_splines(
         self,
@@ -222,6 +238,13 @@ class _Look:
         source = source.copy()
         source[still] = np.argwhere(still)
         return resample(self._image, source, (state > 0) | still, self._order, self._fill.item())
+
+
+def _only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view that nobody writes to, as some images are: one type to numba."""
+    view = values.view()
+    view.setflags(write=False)
+    return view
 
 
 def _as_pictures(given: Picture | Sequence[Picture] | npt.ArrayLike) -> list[Picture]:

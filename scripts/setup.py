@@ -183,27 +183,88 @@ def provide_environment(newest):
         shutil.rmtree(VENV, ignore_errors=True)
         subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
     STAMP.unlink(missing_ok=True)
-    pip = [str(python_of_venv()), "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    pip = [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
     extras = "dev,report" if newest else "dev"
     install = [*pip, "install", "--editable", f"{ROOT}[{extras}]"]
     constrained = [*install, "--constraint", str(CONSTRAINTS)]
     if newest or not CONSTRAINTS.exists():
-        subprocess.check_call(install)
-    elif subprocess.call(constrained):
+        install_with_progress(install, check=True)
+    elif install_with_progress(constrained):
         say("The versions of constraints.txt cannot all be had here; taking the newest instead.")
-        subprocess.check_call(install)
+        install_with_progress(install, check=True)
     if newest:
         write_constraints(pip)
     STAMP.write_text(environment_key())
+
+
+def install_with_progress(command, check=False):
+    """Run pip, saying how far it is; its output is shown only if it fails. Its exit status."""
+    line, output = Line(), []
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    named = CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else ""
+    stages = Stages(named.count("=="))
+    with running:
+        for said in running.stdout:
+            output.append(said)
+            line.show(stages.after(said))
+    line.end()
+    if running.returncode:
+        say("".join(output))
+        if check:
+            raise subprocess.CalledProcessError(running.returncode, command)
+    return running.returncode
+
+
+class Stages:
+    """What pip is doing, in words, from what it says; of about so many packages."""
+
+    def __init__(self, expected):
+        self.expected, self.found, self.words = expected, 0, "downloading ..."
+
+    def after(self, said):
+        """The words after a line of pip's."""
+        first, *rest = said.split() or [""]
+        if first == "Collecting" and rest:
+            self.found += 1
+            of = f" of about {max(self.expected, self.found)}" if self.expected else ""
+            self.words = f"downloading package {self.found}{of} ({rest[0]})"
+        elif said.startswith("Installing collected packages"):
+            self.words = f"installing {said.count(',') + 1} packages (a minute or two)"
+        elif first == "Successfully":
+            self.words = "installed"
+        return self.words
+
+
+class Line:
+    """One line that changes on a terminal, and a line for each stage elsewhere."""
+
+    def __init__(self):
+        self.live, self.shown, self.stage = sys.stderr.isatty(), "", ""
+
+    def show(self, words):
+        """Say this now."""
+        if self.live:
+            if words != self.shown:
+                print("\r" + words.ljust(len(self.shown)), end="", file=sys.stderr, flush=True)
+            self.shown = words
+        elif words.split()[0] != self.stage:
+            self.stage = words.split()[0]
+            say(f"    {words}")
+
+    def end(self):
+        """Make way for other lines."""
+        if self.live and self.shown:
+            print("\r" + " " * len(self.shown) + "\r", end="", file=sys.stderr, flush=True)
 
 
 def provide_for_report():
     """Install what the report compares with; without it the report says what is missing."""
     if quiet([str(python_of_venv()), "-c", "import pyamg, SimpleITK"]):
         return
-    install = [str(python_of_venv()), "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    install = [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
     install += ["install", "--editable", f"{ROOT}[report]"]
-    if subprocess.call([*install, "--constraint", str(CONSTRAINTS)]) and subprocess.call(install):
+    constrained = [*install, "--constraint", str(CONSTRAINTS)]
+    if install_with_progress(constrained) and install_with_progress(install):
         say("The report will do without what could not be installed (above).")
 
 

@@ -11,7 +11,8 @@ from patience import LONG_MS
 import napari_hmrf
 from napari_hmrf import Solution, cli, selftest, solve
 from napari_hmrf.demo import demonstrate
-from napari_hmrf.errors import BackendError
+from napari_hmrf.optimizers import Monitor
+from napari_hmrf.preparation import EVERYTHING
 
 
 @pytest.fixture(autouse=True)
@@ -149,22 +150,34 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
     assert len(draw(solution).axes[0].images) == 1
 
 
-def test_without_opengl_the_demo_says_so_and_takes_the_loops(monkeypatch):
+@pytest.mark.parametrize(
+    ("backend", "expected"),
+    [("auto", [EVERYTHING, "auto"]), ("opengl", ["opengl"]), ("cpu", ["cpu"])],
+)
+def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
+    backend, expected, monkeypatch
+):
     import napari_hmrf.demo as module
 
-    def without_opengl(*given, backend, progress):
-        if backend == "opengl":
-            raise BackendError("no driver offers OpenGL.")
-        return solve(*given, backend=backend, progress=progress)
+    done = []
 
-    monkeypatch.setattr(module, "solve", without_opengl)
-    notices = []
-    shown = demonstrate("expansion", 32, None, lambda _: None, notices.append)
-    assert shown.solution.provenance.backend == "cpu"
-    assert len(notices) == 1
-    assert "no driver offers OpenGL" in notices[0]
-    with pytest.raises(BackendError, match="no driver"):
-        demonstrate("expansion", 32, "opengl", lambda _: None, notices.append)
+    def solved(*given, backend, progress):
+        done.append(backend)
+        return solve(*given, backend="cpu", progress=progress)
+
+    monkeypatch.setattr(module, "solve", solved)
+    monkeypatch.setattr(module, "provide_loops", lambda job, report: done.append(job))
+    demonstrate("expansion", 32, backend, lambda _: None)
+    assert done == expected
+
+
+def test_progress_where_lines_stay_is_a_line_for_each_stage(capsys):
+    line = cli._ProgressLine()
+    for message in ("compiling loops (1 of 9)", "compiling loops (2 of 9)", "preparing", "level 2"):
+        line.show(Monitor(message, 0.1))
+    line.end()
+    said = capsys.readouterr().err.splitlines()
+    assert said == ["10%  compiling loops (1 of 9)", "10%  preparing"]
 
 
 def test_progress_and_errors_are_not_mixed_with_the_table(tmp_path, capsys):

@@ -1,16 +1,37 @@
 """A fresh process whose caches are empty: shaders and NumPy until the loops are compiled."""
 
+import importlib.util
 import os
+import queue
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 from opengl_here import require_opengl
+from patience import LONG
 
-from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, phantom, solve, warp
-from napari_hmrf.backends import COMPILING, loops, open_backend
+from napari_hmrf import (
+    ICM,
+    BackendError,
+    Cancelled,
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    SeilerPrior,
+    compiling,
+    phantom,
+    solve,
+    warp,
+)
+from napari_hmrf.backends import COMPILING, compiler, kept, loader, loops, open_backend
 from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.preparation import job_of
+
+solving = sys.modules["napari_hmrf.solve"]
 
 MODELS = {
     "schedule": (SeilerPrior(), ICM()),
@@ -31,14 +52,20 @@ def cold(monkeypatch, tmp_path):
         def __init__(self, command):
             started.append(command)
 
+        def poll(self):
+            """It goes on for ever."""
+
         def terminate(self):
             """Nothing runs."""
 
     monkeypatch.delenv("NAPARI_HMRF_COMPILE")
-    monkeypatch.setattr(loops, "_folder", lambda: tmp_path)
-    monkeypatch.setattr(loops._State, "in_use", False)
-    monkeypatch.setattr(loops._State, "compiler", None)
-    monkeypatch.setattr(loops, "_started", Compiler)
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(loops._State, "solver", loops._Part())
+    monkeypatch.setattr(loops._State, "pictures", loops._Part())
+    monkeypatch.setattr(loops._State, "alone", False)
+    monkeypatch.setattr(compiler._State, "compiler", None)
+    monkeypatch.setattr(compiler, "_started", Compiler)
+    monkeypatch.setattr(loader, "_loader", loader._Loader())
     return started
 
 
@@ -109,51 +136,222 @@ def test_a_rasteriser_in_software_is_taken_until_the_loops_are_compiled(cold):
     if reason == "a GPU is there":
         pytest.skip("this machine takes its GPU anyhow")
     assert (name, reason) == ("opengl", COMPILING)
-    assert cold == [[sys.executable, "-m", loops.COMPILER]]
+    assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     opened("auto")
     assert len(cold) == 1
-    loops.mark().touch()
+    kept.mark().touch()
+    with loader._loader.step:  # nothing is loaded yet
+        assert opened("auto") == ("opengl", COMPILING)
+    assert loader._loader.done.wait(LONG)
     name, reason = opened("auto")
     assert name == "cpu"
     assert reason.startswith("OpenGL here is software only")
 
 
-def test_who_asks_for_loops_compiles_them_himself(cold):
-    assert opened("cpu") == ("cpu", "asked for")
-    assert loops.in_use()
-    assert cold == []
+class Waiting:
+    """Somebody who asks for loops by name, and is told how far these are."""
+
+    def __init__(self, prior, optimizer, backend="cpu"):
+        self.reports = queue.SimpleQueue()
+        self.cancel = threading.Event()
+        asked = PROBLEM, prior, optimizer, backend, self.reports.put, self.cancel
+        self.answer = ThreadPoolExecutor(1).submit(solve, *asked)
+
+    def is_told(self, beginning):
+        while not (report := self.reports.get(timeout=LONG)).message.startswith(beginning):
+            pass
+        return report
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they_are(model, cold):
+    prior, optimizer = MODELS[model]
+    somebody = Waiting(prior, optimizer)
+    somebody.is_told("starting to compile")
+    assert cold == [[sys.executable, "-m", compiler.COMPILER]]
+    job = compiler.wanted()
+    assert job == job_of(prior, optimizer, PROBLEM.spacing)
+    assert job in [each.name for each in compiling.jobs()]
+    compiler.tell(compiler.Stage(job, 3, 10, 2.5))
+    report = somebody.is_told("compiling")
+    assert report.message == "compiling loops (3 of 10), about 18 s left"
+    assert report.fraction == pytest.approx(0.3)
+    kept.mark(job).touch()
+    assert somebody.answer.result(LONG).provenance.backend == "cpu"
+
+
+def test_cancel_is_answered_while_loops_are_compiled_and_the_next_request_is_told_as_much(cold):
+    first = Waiting(*MODELS["elastic"])
+    first.is_told("starting to compile")
+    first.cancel.set()
+    with pytest.raises(Cancelled):
+        first.answer.result(LONG)
+    second = Waiting(*MODELS["schedule"])
+    second.is_told("starting to compile")
+    assert compiler.wanted() == "schedule"
+    kept.mark("schedule").touch()
+    second.answer.result(LONG)
+    assert len(cold) == 1
+
+
+def test_cancel_is_answered_though_this_process_compiles_a_loop_to_its_end(monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(solving, "prepare", lambda *_: (begun.set(), go_on.wait(LONG)))
+    somebody = Waiting(*MODELS["elastic"])
+    assert begun.wait(LONG)
+    somebody.cancel.set()
+    with pytest.raises(Cancelled):
+        somebody.answer.result(LONG)
+    waiting = compute_thread.submit(lambda: None)
+    assert compute_thread.delays(waiting).startswith("waiting for what was cancelled")
+    go_on.set()
+    waiting.result(LONG)
+    assert compute_thread.delays(waiting) == ""
+
+
+def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
+    done = []
+
+    def job(name):
+        def run():
+            done.append(f"{name} begun")
+            if name == "schedule" and done.count("schedule begun") == 1:
+                compiler._wanted_file().write_text("converged")
+            current[0](compiler.Stage(name, 1, 2, 1.0))
+            done.append(name)
+
+        return compiling.Job(name, run)
+
+    current = [None]
+
+    def run(job, tell):
+        current[0] = tell
+        job.run()
+
+    monkeypatch.setattr(compiling, "run", run)
+    monkeypatch.setattr(compiler, "give_way", lambda: done.append("gives way"))
+    compiler._wanted_file().write_text("schedule")
+    todo = [job(name) for name in ("elastic", "schedule", "converged")]
+    while todo:
+        compiling._next(todo)
+    assert done == [
+        "schedule begun",
+        "converged begun",
+        "converged",
+        "gives way",
+        "elastic begun",
+        "elastic",
+        "gives way",
+        "schedule begun",
+        "schedule",
+    ]
+    assert kept.mark("converged").exists()
+
+
+def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, monkeypatch):
+    class Missing:
+        def __init__(self, *_):
+            raise BackendError("no OpenGL here.")
+
+    monkeypatch.setattr("napari_hmrf.backends.opengl.OpenGLBackend", Missing)
+    somebody = Waiting(*MODELS["converged"], "auto")
+    somebody.is_told("starting to compile")
+    assert compiler.wanted() == "converged"
+    kept.mark("converged").touch()
+    assert "no OpenGL here" in somebody.answer.result(LONG).provenance.reason
+
+
+def test_where_no_other_process_can_compile_this_one_does(cold, monkeypatch):
+    monkeypatch.setattr(
+        compiler, "_started", lambda command: subprocess.Popen([sys.executable, "-c", ""])
+    )
+    assert Waiting(*MODELS["elastic"]).answer.result(LONG).provenance.backend == "cpu"
+    assert loops.compile_here()
 
 
 def test_one_process_compiles_at_a_time(cold, tmp_path):
-    assert loops.begin()
-    loops.end(compiled=False)
-    assert not loops.mark().exists()
+    assert compiler.begin()
+    compiler.end(compiled=False)
+    assert not kept.mark().exists()
     parent = os.getppid()
-    loops._compiler_file().write_text(f"{parent} {loops._begun(parent)}")
-    assert not loops.begin()
-    loops.compile_meanwhile()
+    compiler._compiler_file().write_text(f"{parent} {compiler._begun(parent)}")
+    assert not compiler.begin()
+    compiler.compile_meanwhile()
     assert cold == []
     # Another process has its number by now.
-    loops._compiler_file().write_text(f"{parent} 12345")
-    assert loops.begin()
-    loops._compiler_file().write_text("no number")
-    assert loops.begin()
-    loops.end(compiled=True)
-    assert loops.mark().exists()
-    assert not loops._compiler_file().exists()
+    compiler._compiler_file().write_text(f"{parent} 12345")
+    assert compiler.begin()
+    compiler._compiler_file().write_text("no number")
+    assert compiler.begin()
+    compiler.end(compiled=True)
+    assert kept.mark().exists()
+    assert not compiler._compiler_file().exists()
     assert loops.ready()
 
 
-def test_other_loops_have_another_mark(cold, monkeypatch):
-    first = loops.mark()
-    loops._key.cache_clear()
-    monkeypatch.setattr(loops, "sources", lambda: b"edited")
-    assert loops.mark() != first
-    loops._key.cache_clear()
+@pytest.fixture
+def forgotten():
+    """What is known of the files of loops is read again."""
+    caches = kept._key, kept.sources, kept.folder
+    for each in caches:
+        each.cache_clear()
+    yield
+    for each in caches:
+        each.cache_clear()
+
+
+@pytest.mark.parametrize("module", kept.modules())
+def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkeypatch):
+    before, read = kept.mark().name, Path.read_bytes
+    edited = Path(importlib.util.find_spec(module).origin)
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == edited))
+    kept._key.cache_clear()
+    kept.sources.cache_clear()
+    assert kept.mark().name != before
+
+
+def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
+    ask = "from napari_hmrf.backends import kept; print(kept.mark())"
+    marks = [
+        subprocess.run([sys.executable, *how, "-c", ask], capture_output=True, check=True).stdout
+        for how in ([], ["-OO"])
+    ]
+    assert marks[0] != marks[1]
+    assert all(each.strip().endswith(b".compiled") for each in marks)
+
+
+KEEPING = """
+import sys, tempfile
+from pathlib import Path
+from napari_hmrf.backends import kept, loader
+tempfile.tempdir = sys.argv[1]
+there = kept._writable
+kept._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)
+loader.before_numba()
+from numba.core import caching
+caching.CacheImpl._locator_classes[1:] = []  # what is beside the source, or at home
+sys.path.insert(0, sys.argv[1])
+import one
+print(one.more(1))
+print(any(kept.folder().rglob("*.nbi")) and kept.folder().stat().st_mode & 0o77 == 0)
+"""
+
+
+def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp_path):
+    source = "import numba\n@numba.njit(cache=True)\ndef more(x):\n    return x + 1\n"
+    (tmp_path / "one.py").write_text(source)
+    nowhere = str(tmp_path / "one.py" / "folder")
+    done = subprocess.run(
+        [sys.executable, "-c", KEEPING, tmp_path],
+        env={**os.environ, "NUMBA_CACHE_DIR": nowhere},
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == ["2", "True"], done.stderr
 
 
 def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
-    monkeypatch.setattr(loops, "_folder", lambda: tmp_path / "file" / "folder")
-    assert not loops.begin()
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path / "file" / "folder")
+    assert not compiler.begin()
     assert not loops.ready()

@@ -1,6 +1,5 @@
 """Tissue that is dragged: what is shown is the newest, and the window waits for nothing."""
 
-import sys
 import threading
 
 import numpy as np
@@ -9,6 +8,7 @@ from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf import preparation
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.colours import SELECTED
@@ -226,9 +226,7 @@ def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
 
     def compiled():
         kernels = look_up.signatures, rasterise_displaced.signatures
-        return [sorted(map(str, each)) for each in kernels], set(
-            sys.modules["napari_hmrf.solve"]._prepared
-        )
+        return [sorted(map(str, each)) for each in kernels], set(preparation._prepared)
 
     follower = Follower(lambda seen: None)
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
@@ -242,10 +240,13 @@ def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
     follower.release()
 
 
-def test_whoever_waits_for_the_compiler_is_told(open_window, settle, qtbot, solver_at_work):
+def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
+    open_window, settle, qtbot, solver_at_work
+):
     _, widget = open_window()
     widget.start()
-    qtbot.waitUntil(lambda: "Compiling" in widget.status, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: "Waiting for a computation" in widget.status, timeout=LONG_MS)
+    assert "only that can stop" in widget.status
     solver_at_work.set()
     settle(widget)
     assert widget.status.startswith("Drag tissue")

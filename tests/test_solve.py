@@ -216,8 +216,7 @@ from napari_hmrf import *
 from napari_hmrf.backends import cpu
 from napari_hmrf.backends import BATCH_SECONDS
 from napari_hmrf.backends.thread import compute_thread
-
-prepare = sys.modules["napari_hmrf.solve"]._prepare
+from napari_hmrf.preparation import prepare
 
 def made():
     names = [f"{cpu.__name__}.{each.name}" for each in pkgutil.iter_modules(cpu.__path__)]
@@ -233,7 +232,7 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
     for prior in (SeilerPrior(), ElasticPrior(), ElasticPrior(penalty=0.02), ElasticPrior(0.4 * m)):
         optimizer = ICM(iterations=2) if isinstance(prior, SeilerPrior) else Multigrid()
         compute_thread.submit(
-            lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing)
+            lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing, lambda _: None)
         ).result()
         before = made()
         found = solve(problem, prior, optimizer, backend="cpu")

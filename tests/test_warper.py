@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from napari_hmrf import ProblemError, warp
 from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.lookup import look_up
 from napari_hmrf.rasterise import rasterise, rasterise_displaced
 from napari_hmrf.warp import moved_sites
 from napari_hmrf.warper import Picture, Warper
@@ -121,6 +122,36 @@ def test_pictures_move_together():
     one, two = moved(Warper([Picture(image), Picture(labels, order=0)]), d)
     np.testing.assert_array_equal(one, warp(image, d))
     np.testing.assert_array_equal(two, warp(labels, d, order=0))
+
+
+@pytest.mark.parametrize("kind", ["int64", "uint64"])
+def test_labels_of_any_number_keep_it_to_the_last_bit(kind):
+    numbers = np.random.default_rng(3).integers(0, 256, (*SHAPE, 8), np.uint8)
+    labels, d = numbers.view(kind)[..., 0], rough_field(1, 3.0)
+    labels[:, ::2] = np.iinfo(kind).max  # as a real number, none
+    labels[::2] |= labels.dtype.type(0x7FF0 << 48)
+    (found,) = moved(Warper([Picture(labels, order=0)]), d)
+    np.testing.assert_array_equal(found, warp(labels, d, order=0))
+
+
+def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
+    def there():
+        return [set(loop.signatures) for loop in (look_up, rasterise_displaced)]
+
+    def move(kind, order, read_only):
+        image, still = np.ones((9, 9), kind), np.zeros((9, 9, 2), np.float32)
+        image.setflags(write=not read_only)
+        still.setflags(write=not read_only)
+        moved(Warper([Picture(image, order)]), still)
+
+    for kind in ("uint8", "float32", "float64"):
+        move(kind, 1, read_only=False)
+    before = there()
+    for kind in "?bBhHiIlLefd":
+        for order in (0, 1):
+            move(kind, order, read_only=False)
+            move(kind, order, read_only=True)
+    assert there() == before
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (7, 13)])

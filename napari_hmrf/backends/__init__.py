@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal, get_args
 
-from napari_hmrf.backends import loops
+from napari_hmrf.backends import compiler, loader, loops
 from napari_hmrf.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import BackendError
@@ -29,7 +30,9 @@ __all__ = [
 ]
 
 
-def open_backend(name: str, checkpoint: Checkpoint) -> tuple[Backend[Any], str]:
+def open_backend(
+    name: str, checkpoint: Checkpoint, provide_loops: Callable[[], None] = loops.use
+) -> tuple[Backend[Any], str]:
     """Make a backend ready; on the compute thread only.
 
     Parameters
@@ -40,6 +43,9 @@ def open_backend(name: str, checkpoint: Checkpoint) -> tuple[Backend[Any], str]:
         the loops are compiled, which it has another process do, it takes the rasteriser.
     checkpoint : callable
         Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
+    provide_loops : callable
+        Called before the loops are taken where they may not be compiled yet: has that done, and
+        waits for it. By default they are compiled as they are called.
 
     Returns
     -------
@@ -52,28 +58,34 @@ def open_backend(name: str, checkpoint: Checkpoint) -> tuple[Backend[Any], str]:
     BackendError
         What is missing, and how to get it.
     """
-    from napari_hmrf.backends.cpu import CpuBackend
-
     if name == "cpu":
-        loops.use()
-        return CpuBackend(checkpoint), "asked for"
+        provide_loops()
+        return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
     from napari_hmrf.backends.opengl import OpenGLBackend, is_software_renderer
 
     compiled = loops.ready()
     if name != "auto":
-        loops.compile_meanwhile()
+        compiler.compile_meanwhile()
         return OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None), "asked for"
     try:
         backend = OpenGLBackend(checkpoint)
     except BackendError as error:
-        loops.use()
-        return CpuBackend(checkpoint), f"no usable OpenGL ({error})"
-    loops.compile_meanwhile()
+        provide_loops()
+        return _compiled(checkpoint), f"no usable OpenGL ({error})"
+    compiler.compile_meanwhile()
     if not is_software_renderer(backend.renderer):
         return backend, "a GPU is there"
     if not compiled:
         return backend, COMPILING
     backend.close()
-    return CpuBackend(checkpoint), f"OpenGL here is software only ({backend.renderer})"
+    return _compiled(checkpoint), f"OpenGL here is software only ({backend.renderer})"
+
+
+def _compiled(checkpoint: Checkpoint) -> Backend[Any]:
+    """Return the backend of loops."""
+    loader.before_numba()
+    from napari_hmrf.backends.cpu import CpuBackend
+
+    return CpuBackend(checkpoint)

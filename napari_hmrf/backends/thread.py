@@ -22,7 +22,13 @@ from napari_hmrf.errors import BackendError
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
-_Job = tuple[Callable[[], Any], "Future[Any]"]
+#: What is going on, in words, and how to stop it; as it is when asked.
+Doing = str | Callable[[], str]
+_Job = tuple[Callable[[], Any], "Future[Any]", Doing]
+
+#: What those who wait are told of what was cancelled.
+STOPPED = "what was cancelled to come to its end, which happens by itself"
+_SOMETHING = "a computation that a script or another plugin asked for, which only that can stop"
 
 
 class ComputeThread:
@@ -38,9 +44,19 @@ class ComputeThread:
         self._thread: threading.Thread | None = None
         self._at_end: list[Callable[[], None]] = []
         self._working = False
+        self._doing: Doing = ""
+        #: How far the job that runs is, in words, if it says so.
+        self.stage = ""
 
-    def submit(self, job: Callable[[], T]) -> Future[T]:
+    def submit(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> Future[T]:
         """Queue a job; its future holds the result, or the error it raised.
+
+        Parameters
+        ----------
+        job : callable
+        doing : str or callable
+            What those who wait for it are told: what it is, and how to stop it. A clause that goes
+            on from "waiting for".
 
         Raises
         ------
@@ -60,8 +76,16 @@ class ComputeThread:
                     target=self._run, name="napari-hmrf compute", daemon=True
                 )
                 self._thread.start()
-            self._jobs.put((job, future))
+            self._jobs.put((job, future, doing))
         return future
+
+    def delays(self, future: Future[Any]) -> str:
+        """What a job waits for, and how to stop that, in words; "" once it runs."""
+        if future.running() or future.done():
+            return ""
+        doing = self._doing() if callable(self._doing) else self._doing
+        stage = self.stage and f" ({self.stage})"
+        return f"waiting for {doing}{stage}" if doing else "starting"
 
     def is_current(self) -> bool:
         """Whether the caller is on the compute thread itself."""
@@ -103,9 +127,9 @@ class ComputeThread:
                 if self._ended():
                     return
                 continue
-            job, future = item
+            job, future, doing = item
             if future.set_running_or_notify_cancel():
-                self._working = True
+                self._working, self._doing = True, doing
                 try:
                     result = job()
                 except BaseException as error:  # noqa: BLE001 - it belongs to the one who waits
@@ -117,7 +141,8 @@ class ComputeThread:
                     future.set_result(result)
                     del result
             # Nothing of a job outlives it here: its arrays would stay until the next one.
-            del item, job, future
+            self._doing = self.stage = ""
+            del item, job, future, doing
 
     def _ended(self) -> bool:
         """Release everything and make way for another thread, unless there is more to do."""

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends.thread import STOPPED, compute_thread
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.inputs import Snapshot, prepare
 from napari_hmrf.layers.naming import naming
@@ -19,6 +19,8 @@ from napari_hmrf.solution import Solution
 from napari_hmrf.solve import run_here
 
 Report = Callable[[Monitor], None]
+#: What those who wait for it are told.
+_DOING = "a deformation that 'Deform tissue' computes, which its Cancel stops"
 #: How far that is nobody knows: what moves the images may have to be compiled first.
 _DRAWING = Monitor("drawing the result", 0.0)
 
@@ -107,14 +109,15 @@ class Job:
             _checkpoint(cancel)()
             return work(progress.report, cancel)
 
-        self._future: Future[Done] = compute_thread.submit(run)
+        self._future: Future[Done] = compute_thread.submit(
+            run, lambda: STOPPED if cancel.is_set() else _DOING
+        )
 
     @property
     def monitor(self) -> Monitor:
         """The latest report."""
-        if not self._future.running() and not self._future.done():
-            return Monitor("waiting for another computation to end", 0.0)
-        return self._progress.latest
+        delay = compute_thread.delays(self._future)
+        return Monitor(delay, 0.0) if delay else self._progress.latest
 
     @property
     def done(self) -> bool:

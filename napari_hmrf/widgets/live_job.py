@@ -25,6 +25,9 @@ from napari_hmrf.warper import Picture, Warper
 from napari_hmrf.widgets.job import Done
 
 _log = logging.getLogger("napari_hmrf")
+# What those who wait for it are told.
+_DOING = "an edit that 'Deform tissue' follows, which its Cancel stops"
+_DRAWING = "the layers of a result of 'Deform tissue', which its next edit stops"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +79,11 @@ class LiveJob:
         self._optimizer = optimizer
         self._monitor = Monitor("starting", 0.0)
         self._live = LiveSolver(
-            self._deliver, optimizer=optimizer, backend=backend, progress=self._on_progress
+            self._deliver,
+            optimizer=optimizer,
+            backend=backend,
+            progress=self._on_progress,
+            doing=_DOING,
         )
         # Only the compute thread looks at these.
         self._read: tuple[Snapshot, Inputs | None] | None = None
@@ -91,7 +98,8 @@ class LiveJob:
     @property
     def monitor(self) -> Monitor:
         """What is going on."""
-        return self._monitor
+        delay = self._live.delay
+        return Monitor(delay, 0.0) if delay else self._monitor
 
     def submit(self, snapshot: Snapshot, prior: Prior) -> None:
         """Have this solved instead of whatever waits."""
@@ -99,7 +107,7 @@ class LiveJob:
 
     def complete(self, kinds: Collection[Kind]) -> None:
         """Have all layers drawn of the newest solution, unless there is a newer edit then."""
-        compute_thread.submit(lambda: self._complete(kinds))
+        compute_thread.submit(lambda: self._complete(kinds), _DRAWING)
 
     def forget(self) -> None:
         """Drop what waits, what is being solved and what was found."""

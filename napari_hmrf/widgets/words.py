@@ -39,8 +39,8 @@ CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
 CANCELLED = "Cancelled; nothing was changed."
-DRAWING = "Drawing the result; the first time on this machine compiles for that, too: some seconds."
-COMPILING = "Compiling, as for the first image of its kind on this machine: up to a minute."
+DRAWING = "Drawing the result; the first time after the start that takes some seconds."
+COMPILING = "Getting the kernels ready, as for the first time on this machine: some seconds."
 
 MODELS: dict[Model, str] = {
     "paper": "paper's: Markov random field",
@@ -188,7 +188,7 @@ def painting(layer: Any) -> str:
 def progress(monitor: Monitor, seconds: float) -> str:
     """What is going on, after so many seconds of it."""
     if monitor.message.startswith("preparing"):
-        return COMPILING if seconds > 1 else "Preparing ..."
+        return COMPILING if seconds >= 1 else "Preparing ..."
     if monitor.message.startswith("drawing") and seconds > 1:
         return DRAWING
     return f"{monitor.message[0].upper()}{monitor.message[1:]} ..."

@@ -45,12 +45,16 @@ class Opened:
     ctx : moderngl.Context
     finish : callable
         glFinish that lets other Python threads run while it waits; moderngl's own does not.
+    dispatch : callable
+        Given a program's number and how many work groups there are along each axis, runs it; other
+        Python threads run meanwhile, in which drivers may compile for the processor.
     way : str
         How it was made, in words.
     """
 
     ctx: Any
     finish: Callable[[], None]
+    dispatch: Callable[[int, int, int], None]
     way: str
 
     def release(self) -> None:
@@ -146,7 +150,8 @@ def _open(way: _Way) -> Opened:
         # moderngl keeps the newest context as everybody's default; ours is nobody else's.
         if store is not None:
             store.default_context = default
-    opened = Opened(ctx, _function(loader.load("glFinish")), way.name)
+    finish = _function(loader.load("glFinish"))
+    opened = Opened(ctx, finish, _dispatch(loader), way.name)
     if ctx.version_code < REQUIRED_VERSION:
         found = f"found OpenGL {ctx.info['GL_VERSION']} on {ctx.info['GL_RENDERER']}"
         opened.release()
@@ -164,11 +169,24 @@ def _loader(way: _Way) -> Any:
     return way.make(mode="standalone", glversion=REQUIRED_VERSION, **way.settings)
 
 
-def _function(address: int) -> Callable[[], None]:
-    """Return a C function without arguments; ctypes lets go of the interpreter while it runs."""
+def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
+    """Return what runs a compute shader; of no use where there are none."""
+    use, run = loader.load("glUseProgram"), loader.load("glDispatchCompute")
+    use_program = _function(use, ctypes.c_uint)
+    dispatch_compute = _function(run, *[ctypes.c_uint] * 3)
+
+    def dispatch(program: int, cols: int, rows: int) -> None:
+        use_program(program)
+        dispatch_compute(cols, rows, 1)
+
+    return dispatch
+
+
+def _function(address: int, *kinds: Any) -> Callable[..., None]:
+    """Return a C function; ctypes lets go of the interpreter while it runs."""
     if sys.platform == "win32":
-        return ctypes.WINFUNCTYPE(None)(address)
-    return ctypes.CFUNCTYPE(None)(address)
+        return ctypes.WINFUNCTYPE(None, *kinds)(address)
+    return ctypes.CFUNCTYPE(None, *kinds)(address)
 
 
 # What to do about an answer, the most telling first.

@@ -92,7 +92,9 @@ class Device:
         """Compile a kernel, or return it if it has been compiled before."""
         key = (name, stage, self.rows, *sorted((defines or {}).items()))
         if key not in self._programs:
-            self._programs[key] = compile_program(self.ctx, name, stage, defines, self.rows)
+            self._programs[key] = compile_program(
+                self.ctx, name, stage, defines, self.rows, self._opened.dispatch
+            )
             self.check(f"compiling {name}")
         return self._programs[key]
 

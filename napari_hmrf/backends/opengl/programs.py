@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -52,10 +53,22 @@ class Program(Protocol):
         ...
 
 
+# So many times it is run so that other threads go on; how long they have after each compiling.
+_FIRST_RUNS, _BREATH = 3, 0.005
+
+
 def compile_program(
-    ctx: Any, name: str, stage: Stage, defines: Mapping[str, int] | None = None, rows: int = 1
+    ctx: Any,
+    name: str,
+    stage: Stage,
+    defines: Mapping[str, int] | None = None,
+    rows: int = 1,
+    dispatch: Callable[[int, int, int], None] | None = None,
 ) -> Program:
     """Compile a kernel for a stage; the parameters are those of `source.compose`.
+
+    A driver without a GPU compiles each for the processor when it is first run, for so long that a
+    window would stand still: `dispatch` runs it without keeping the interpreter from others.
 
     Raises
     ------
@@ -73,11 +86,12 @@ def compile_program(
             f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
             f"report this with what follows\n{source.explain(str(error))}"
         ) from error
+    time.sleep(_BREATH)
     for unit, texture in enumerate((*KERNELS[name].inputs, "groups")):
         if texture in program:
             program[texture].value = unit
     if stage == "compute":
-        return _Compute(ctx, program, KERNELS[name].tissue)
+        return _Compute(ctx, program, KERNELS[name].tissue, dispatch)
     return _Fragment(ctx, program)
 
 
@@ -140,9 +154,17 @@ class _Fragment(_Compiled):
 class _Compute(_Compiled):
     """A compute shader: for a window, or for listed work groups if it is for tissue."""
 
-    def __init__(self, ctx: Any, program: Any, listed: bool) -> None:
+    def __init__(
+        self,
+        ctx: Any,
+        program: Any,
+        listed: bool,
+        dispatch: Callable[[int, int, int], None] | None,
+    ) -> None:
         super().__init__(ctx, program)
         self._listed = listed
+        self._dispatch = dispatch
+        self._first = 0 if dispatch is None else _FIRST_RUNS
 
     def run(
         self,
@@ -168,5 +190,9 @@ class _Compute(_Compiled):
             region.places.use(len(inputs))
             self._place("first", region.top)
             self._place("end", *reversed(region.grid))
-        self._program.run(cols, rows)
+        if self._first and self._dispatch is not None:
+            self._first -= 1
+            self._dispatch(self._program.glo, cols, rows)
+        else:
+            self._program.run(cols, rows)
         self._ctx.memory_barrier()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -11,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.backends.thread import STOPPED, compute_thread
 from napari_hmrf.drawing import Drawing, Rendering, Stroke
 from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.ground import Ground
@@ -19,6 +21,7 @@ from napari_hmrf.layers.outputs import RESTORED, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
 from napari_hmrf.live import LiveSolver, Update
 from napari_hmrf.loose import left_at_rest
+from napari_hmrf.optimizers import Monitor
 from napari_hmrf.priors import Prior
 from napari_hmrf.problem import Problem
 from napari_hmrf.resample import emptiness
@@ -32,6 +35,9 @@ from napari_hmrf.widgets.newest import Newest
 from napari_hmrf.widgets.words import sentence_of
 
 _log = logging.getLogger("napari_hmrf")
+# What those who wait for it are told.
+_FOLLOWING = "tissue that 'Grab and pull' moves, which letting go of it stops"
+_PREPARING = "what 'Grab and pull' gets ready, which closing that dock stops"
 
 
 class Follower:
@@ -66,7 +72,7 @@ class Follower:
     def stand_on(self, ground: Ground | None) -> None:
         """Follow drawings on another ground, or none; nothing of the one before is shown."""
         if self._scene is not None:
-            self._scene.live.close()
+            self._scene.leave()
         self._newest.forget()
         self._behind, self._next, self._still = False, None, None
         self._scene = None
@@ -104,6 +110,12 @@ class Follower:
             return False
         return self._behind or scene.live.busy or scene.done < scene.asked
 
+    @property
+    def monitor(self) -> Monitor:
+        """What is going on, or waited for."""
+        scene = self._scene
+        return Monitor("starting", 0.0) if scene is None else scene.monitor
+
     def release(self) -> None:
         """Follow nothing any more."""
         self.stand_on(None)
@@ -136,7 +148,12 @@ class _Scene:
 
     def __init__(self, ground: Ground, newest: Newest) -> None:
         self.ground = ground
-        self.live = LiveSolver(self._deliver, ground.prior)
+        self.live = LiveSolver(
+            self._deliver, ground.prior, progress=self._on_progress, doing=_FOLLOWING
+        )
+        self._left = threading.Event()
+        self._reached = Monitor("starting", 0.0)
+        self._first: Future[None] | None = None
         #: Jobs beside solving: those that the window's thread asked for, and those done here.
         self.asked = self.done = 0
         self._newest = newest
@@ -151,7 +168,19 @@ class _Scene:
         """Whether what is to be compiled may not be yet."""
         return self.done == 0
 
-    def ask(self, job: Callable[[], None], then: Callable[[], None] = lambda: None) -> None:
+    @property
+    def monitor(self) -> Monitor:
+        """What is going on, or waited for."""
+        delay = compute_thread.delays(self._first) if self._first is not None else ""
+        delay = delay or self.live.delay
+        return Monitor(delay, 0.0) if delay else self._reached
+
+    def leave(self) -> None:
+        """Follow nothing more, and get nothing more ready."""
+        self._left.set()
+        self.live.close()
+
+    def ask(self, job: Callable[[], None], then: Callable[[], None] = lambda: None) -> Future[None]:
         """Have a job done beside solving, in its turn."""
         self.asked += 1
 
@@ -162,13 +191,22 @@ class _Scene:
                 self.done += 1
                 then()
 
-        compute_thread.submit(run)
+        return compute_thread.submit(run, self._doing)
+
+    def _doing(self) -> str:
+        return STOPPED if self._left.is_set() else _PREPARING
+
+    def _on_progress(self, monitor: Monitor) -> None:
+        self._reached = monitor
 
     def rehearse(self) -> None:
         """Compile what the first drawing will need, and then what others may."""
         # Nothing is solved before this, so its answer, None, replaces nothing.
-        self.ask(lambda: rehearse(self.ground), lambda: self._newest.put(None))
-        compute_thread.submit(lambda: rehearse_the_rest(self.ground))
+        self._first = self.ask(
+            lambda: rehearse(self.ground, self._on_progress, self._left),
+            lambda: self._newest.put(None),
+        )
+        compute_thread.submit(lambda: rehearse_the_rest(self.ground, self._left), self._doing)
 
     def problem(self, drawing: Drawing) -> tuple[Problem, Prior]:
         if self._rendering is None:

@@ -23,12 +23,12 @@ from napari_hmrf.widgets.grab.seen import Seen
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 from napari_hmrf.widgets.grab.words import LATER, OFF, OPEN, PREPARING
 from napari_hmrf.widgets.timers import single_shot
-from napari_hmrf.widgets.words import COMPILING, in_short
+from napari_hmrf.widgets.words import in_short, progress
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
 _AHEAD = 150
-#: After so many milliseconds without a first answer something is being compiled.
+#: After so many milliseconds without a first answer it is said why, and again.
 _LONG = 1000
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
@@ -260,7 +260,8 @@ class Puller:
 
     def _on_long(self) -> None:
         if not self._working and self.ground is not None and self.follower.busy:
-            self.said.emit(f"{COMPILING} {LATER}")
+            self.said.emit(f"{progress(self.follower.monitor, _LONG / 1000)} {LATER}")
+            self._compiling.start()
 
     def _on_error(self, seen: Seen) -> None:
         assert seen.error is not None

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
 
+from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.live import TOLERANCE
 from napari_hmrf.optimizers import Multigrid
 from napari_hmrf.priors import ElasticPrior, Prior
 from napari_hmrf.problem import Problem
 from napari_hmrf.resample import emptiness
-from napari_hmrf.solve import run_here
+from napari_hmrf.solve import CancelFlag, Progress, run_here
 from napari_hmrf.warper import Picture, Warper
 
 _SIZE = 24
@@ -29,23 +29,27 @@ _moved: set[str] = set()
 _solved: set[tuple[str, bool]] = set()
 
 
-def rehearse(ground: Ground) -> None:
+def rehearse(ground: Ground, report: Progress | None, left: CancelFlag) -> None:
     """Solve something small, and move a corner of the picture; on the compute thread only."""
     picture = ground.pictures.image
     assert picture is not None
-    _solve(ground, ground.prior)
+    _solve(ground, ground.prior, report, left)
+    if left.is_set():
+        return
     _move(Picture(picture[:_SIZE, :_SIZE], fill=emptiness(picture)))
 
 
-def rehearse_the_rest(ground: Ground) -> None:
+def rehearse_the_rest(ground: Ground, left: CancelFlag) -> None:
     """The same with what not every drawing needs: holds that may slip, and paint."""
+    if left.is_set():
+        return
     prior = ground.prior
     if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
-        _solve(ground, replace(prior, penalty=1.0))
+        _solve(ground, replace(prior, penalty=1.0), None, left)
     _move(Picture(np.zeros((_SIZE, _SIZE), np.uint8), order=0))
 
 
-def _solve(ground: Ground, prior: Prior) -> None:
+def _solve(ground: Ground, prior: Prior, report: Progress | None, left: CancelFlag) -> None:
     spacing = ground.frame.spacing
     key = (prior.kernels, len(set(spacing)) == 1)
     if key in _solved:
@@ -55,9 +59,10 @@ def _solve(ground: Ground, prior: Prior) -> None:
     y[-1] = min(spacing)
     problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing)
     small = prior.rehearsal(problem.shape)
-    never = threading.Event()
     try:
-        run_here(problem, small, Multigrid(TOLERANCE), "auto", None, never)
+        run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
+    except Cancelled:
+        return
     except Exception:  # noqa: BLE001 - whoever draws is told of it
         _log.debug("a rehearsal failed", exc_info=True)
     _solved.add(key)

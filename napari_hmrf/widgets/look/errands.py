@@ -12,6 +12,8 @@ from napari_hmrf.widgets.timers import repeating
 
 #: How often the thread is asked whether it is done, in milliseconds.
 _POLL = 8
+# What those who wait for it are told.
+_DOING = "a picture for 'Look at the result', which takes a moment; closing that dock ends them"
 _log = logging.getLogger("napari_hmrf")
 
 
@@ -65,7 +67,7 @@ class Errands:
     def _submit(self) -> None:
         for kind in [kind for kind in self._waiting if kind not in self._under_way]:
             work, answer = self._waiting.pop(kind)
-            self._under_way[kind] = (compute_thread.submit(work), answer)
+            self._under_way[kind] = (compute_thread.submit(work, _DOING), answer)
 
     def _on_timer(self) -> None:
         ready = [kind for kind, (future, _) in self._under_way.items() if future.done()]
