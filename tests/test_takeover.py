@@ -70,7 +70,7 @@ def test_the_field_stays_where_it_is_when_the_loops_take_over(hand):
     kept.mark().touch()
     with loader._loader.step:
         meanwhile = hand.follow(2.0)
-    assert loader._loader.done.wait(LONG)
+    assert loader.loaded(LONG)
     after = hand.follow(3.0)
     assert [each.provenance.backend.partition(":")[0] for each in (before, meanwhile, after)] == [
         "opengl",
@@ -86,7 +86,7 @@ def test_no_pull_is_without_its_answer_while_the_loops_are_loaded(hand):
     for turn in range(12):
         hand.follow(0.6 + turn / 10)
         if turn == 6:
-            assert loader._loader.done.wait(LONG)
+            assert loader.loaded(LONG)
     assert all(update.error is None for update in hand.updates)
     assert {update.number for update in hand.updates} == set(range(1, 14))
     assert hand.updates[-1].solution.provenance.backend == "cpu"
@@ -98,7 +98,7 @@ def test_the_newest_of_many_pulls_wins_whoever_solves_it(hand):
     for turn in range(60):
         last = hand.pull(1 + turn / 30)
         if turn == 40:
-            assert loader._loader.done.wait(LONG)
+            assert loader.loaded(LONG)
     hand.rest()
     assert hand.updates[-1].number == last
     assert hand.updates[-1].final
@@ -108,8 +108,7 @@ def test_the_newest_of_many_pulls_wins_whoever_solves_it(hand):
 LOADING = """
 from napari_hmrf.backends import loader
 assert not loader.begun()
-loader.loaded()
-loader._loader.done.wait()
+loader.loaded(600)
 loops = loader.loops_there()
 print(sum(sum(loop.stats.cache_hits.values()) for loop in loops))
 print(sum(sum(loop.stats.cache_misses.values()) for loop in loops))

@@ -63,10 +63,10 @@ class _Loader:
             self.done.set()
 
 
-def loaded() -> bool:
-    """Whether all loops are in memory; if not, they will be."""
+def loaded(wait: float = 0.0) -> bool:
+    """Whether all loops are in memory, after so many seconds at most; if not, they will be."""
     _loader.start()
-    return _loader.done.is_set()
+    return _loader.done.wait(wait)
 
 
 def begun() -> bool:
