@@ -136,6 +136,9 @@ class Warper:
         if not loops.ready():
             loops.compile_meanwhile()
             return self._without_loops(d, mask, fraction)
+        # A solution's tissue is read-only, which to numba is a type of its own: here all is.
+        mask = mask.view()
+        mask.setflags(write=False)
         # As for the solver's kernels: a core that waits must not burn.
         os.environ.setdefault("GOMP_SPINCOUNT", "1000")
         import numba
