@@ -12,6 +12,10 @@ import math
 import numba
 import numpy as np
 
+# What only loops call, and what Python calls.
+_callee = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_kept = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
 # How far outside a triangle, in barycentric coordinates, a pixel still counts as on its edge.
 _EDGE = 1e-9
 # Twice the area, in pixels, below which a triangle has collapsed and covers nothing.
@@ -115,7 +119,7 @@ def _draw_cell(moved, source, state, first, past, row, col):
     return True
 
 
-@numba.njit
+@_callee
 def _stroke(moved, source, state, first, past, a_row, a_col, b_row, b_col):
     """Draw the moved line between two sites onto pixels still empty."""
     height, width = state.shape
@@ -138,7 +142,7 @@ def _stroke(moved, source, state, first, past, a_row, a_col, b_row, b_col):
                 source[row, col, 1] = a_col + part * (b_col - a_col)
 
 
-@numba.njit
+@_callee
 def _triangles(moved, tissue, source, state, reach, first, past):
     """Draw all triangles onto the rows of pixels from `first` to before `past`."""
     height, width = tissue.shape
@@ -186,7 +190,7 @@ def _triangles(moved, tissue, source, state, reach, first, past):
                         )  # fmt: skip
 
 
-@numba.njit
+@_callee
 def _outline(moved, tissue, source, state, reach, first, past):
     """Draw sites and the lines between outermost ones onto what is empty of these rows."""
     height, width = tissue.shape
@@ -223,7 +227,7 @@ def _outline(moved, tissue, source, state, reach, first, past):
                     _stroke(moved, source, state, first, past, row, col, below, col)
 
 
-@numba.njit
+@_callee
 def _reach(moved, tissue, row):
     """The first and the last row of pixels, as real numbers, that sites of a row moved to."""
     low = math.inf
@@ -235,7 +239,7 @@ def _reach(moved, tissue, row):
     return low, high
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(**_kept)
 def rasterise(moved, tissue):
     """Invert the motion of the sites, linear on each triangle of three neighbouring sites.
 
@@ -265,12 +269,13 @@ def rasterise(moved, tissue):
     reach = np.empty((height, 2))
     for row in range(height):
         reach[row] = _reach(moved, tissue, row)
-    _triangles(moved, tissue, source, state, reach, 0, height)
-    _outline(moved, tissue, source, state, reach, 0, height)
+    first = np.int64(0)  # a plain 0 would make functions of its own
+    _triangles(moved, tissue, source, state, reach, first, height)
+    _outline(moved, tissue, source, state, reach, first, height)
     return source, state
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@numba.njit(parallel=True, **_kept)
 def rasterise_displaced(
     displacement, spacing, fraction, tissue, bands, moved, reach, source, state
 ):
@@ -303,7 +308,8 @@ def rasterise_displaced(
     """
     height, width = tissue.shape
     fine = np.ones(height, np.bool_)
-    for row in numba.prange(height):
+    for number in numba.prange(height):
+        row = np.int64(number)  # so is the counter of a parallel loop, to some of them
         for col in range(width):
             # Void has no displacement, whatever is written there.
             by_row = fraction * displacement[row, col, 0] if tissue[row, col] else 0.0
@@ -316,7 +322,8 @@ def rasterise_displaced(
         reach[row] = _reach(moved, tissue, row)
     if not fine.all():
         return False
-    for band in numba.prange(bands):
+    for number in numba.prange(bands):
+        band = np.int64(number)
         first = band * height // bands
         past = (band + 1) * height // bands
         _triangles(moved, tissue, source, state, reach, first, past)

@@ -144,7 +144,11 @@ def _rasterised(
     # Numba takes half a second to import: only those who warp wait for it.
     from napari_hmrf.rasterise import rasterise
 
-    coordinates, state = rasterise(moved, tissue)
+    only_read = (
+        tissue.view()
+    )  # as the picture's loops have it, with which it shares what is compiled
+    only_read.setflags(write=False)
+    coordinates, state = rasterise(moved, only_read)
     return coordinates, state
 
 

@@ -62,11 +62,6 @@ def measure(rest: Planes, row_most: Values, row_squares: Values) -> None:
     row_squares[...] = np.einsum("kij,kij->i", inner, inner)
 
 
-def shrink(rest: Planes, scale: float, out: npt.NDArray[np.float32]) -> None:
-    """Out = rest / scale in single precision."""
-    np.divide(rest, scale, out=out, casting="same_kind")
-
-
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     """D += scale * correction."""
     d += np.float64(scale) * correction

@@ -159,7 +159,7 @@ class CpuBackend:
             stiffness.planes,
             observation.planes,
             stiffness.spans,
-            _weights(rule),
+            rule.weights.astype(np.float32),
             self._share(stiffness),
             row_totals,
         )

@@ -14,11 +14,12 @@ from napari_hmrf.backends.cpu.vectors import span
 
 
 @parallel
-def elements(m, poisson, each, strain, scale, lame):
+def elements(m, poisson, each, one, strain, scale, lame):
     """Lame's parameters of each element: of the means of its sites; 0 if one of them is void.
 
-    `poisson` is one value, or one for each site in `each`; lambda is that of plane stress or, if
-    `strain`, of plane strain. In double precision: of 1 - 2 nu little is left where nu is 0.499.
+    Poisson's ratio is `poisson` everywhere if there is `one`, else each site's in `each`; lambda is
+    that of plane stress or, if `strain`, of plane strain. In double precision: of 1 - 2 nu little
+    is left where nu is 0.499.
     """
     for i in prange(m.shape[0] - 1):
         for j in range(m.shape[1] - 1):
@@ -27,7 +28,7 @@ def elements(m, poisson, each, strain, scale, lame):
             if min(min(a, b), min(c, d)) > 0:
                 young = scale * ((a + b) + (c + d))
                 nu = poisson
-                if each is not None:
+                if not one:
                     above = float64(each[i, j]) + float64(each[i, j + 1])
                     below = float64(each[i + 1, j]) + float64(each[i + 1, j + 1])
                     nu = 0.25 * (above + below)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.backends.cpu.compiled import alone, parallel
+from napari_hmrf.backends.cpu.compiled import alone, callee, parallel
 from napari_hmrf.backends.cpu.forces import (
     left_of,
     left_over,
@@ -30,7 +30,7 @@ from napari_hmrf.backends.cpu.vectors import restrict_row, row_product
 # Loops over a row begin at max(0, ...): then the compiler knows that no index counts from the end.
 
 
-@alone
+@callee
 def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
@@ -61,7 +61,7 @@ def apply(d, lame, inverse, shape, spans, out, row_totals, count):
         apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
 
 
-@alone
+@callee
 def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
     load, lame, inverse, shape = tissue
     scale, ahead, back = pace
@@ -79,7 +79,7 @@ def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
         out_col[j] = d_col[j] + (col - back * out_col[j])
 
 
-@alone
+@callee
 def _smooth_part(d, tissue, weight, spans, out, pace, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
@@ -101,7 +101,7 @@ def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back
         _smooth_part(d, tissue, weight, spans, out, pace, first, last)
 
 
-@alone
+@callee
 def _start_row(load, inverse, scale, i, out):
     """The first step from zero: scale D^-1 load."""
     for component in range(2):
@@ -109,7 +109,7 @@ def _start_row(load, inverse, scale, i, out):
             out[component, j] = scale * inverse[component, i, j] * load[component, i, j]
 
 
-@alone
+@callee
 def _begin_part(tissue, weight, spans, out, start, pace, first, last):
     load, _, inverse, _ = tissue
     carry, nobody = np.zeros_like(load[:, 0]), np.zeros_like(load[:, 0])
@@ -133,7 +133,7 @@ def begin(load, lame, inverse, weight, shape, spans, out, start, scale, ahead, b
         _begin_part(tissue, weight, spans, out, start, pace, first, last)
 
 
-@alone
+@callee
 def _rest_row(d, tissue, weight, i, span, carry, out):
     load, lame, inverse, shape = tissue
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
@@ -148,7 +148,7 @@ def _rest_row(d, tissue, weight, i, span, carry, out):
         out[1, j] = col if inverse[1, i, j] > float32(0) else col - col
 
 
-@alone
+@callee
 def _leave_part(d, tissue, weight, spans, coarse, first, last):
     """Rows of the coarse level; the row above the first is wanted, and so the one above that."""
     carry = np.zeros_like(d[:, 0])

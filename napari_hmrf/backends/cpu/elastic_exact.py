@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.backends.cpu.compiled import alone, contracted_reduction, parallel
+from napari_hmrf.backends.cpu.compiled import callee, contracted_reduction, parallel
 from napari_hmrf.backends.cpu.forces import (
     force,
     left_of,
@@ -23,7 +23,7 @@ from napari_hmrf.backends.cpu.forces import (
 from napari_hmrf.backends.cpu.vectors import row_largest, row_product
 
 
-@alone
+@callee
 def _balance_row(d, load, tissue, i, span, carry, share, out_row, out_col):
     lame, inverse, shape = tissue
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
@@ -39,7 +39,7 @@ def _balance_row(d, load, tissue, i, span, carry, share, out_row, out_col):
         out_col[j] = col if inverse[1, i, j] > float32(0) else col - col
 
 
-@alone
+@callee
 def _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
     for i in range(max(first - 1, 0), last):
@@ -76,7 +76,7 @@ def _work_row(d, lame, shape, i, carry):
     return product, square
 
 
-@alone
+@callee
 def _work_part(d, lame, shape, row_products, row_squares, first, last):
     carry = np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):

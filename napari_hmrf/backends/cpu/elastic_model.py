@@ -253,17 +253,19 @@ class CpuElasticModel(HostModel):
         self._shape[:] = material.shape
         self._exact_shape = np.array(material.shape, dtype=np.float64)
         self._held = None
-        each = None if isinstance(material.poisson, float) else material.poisson
         m, most = material.m, stiffest(material.m)
         self._sites: list[BodySites] = []
         if material.rigid:
             self._sites = bodies_of(m)
             stand_in = HELD_STAND_IN if few(self._sites, m.shape) else CYCLE_STAND_IN
             m = np.where(np.isinf(m), np.float32(stand_in * most), m)
+            m.setflags(write=False)  # as a material's own: to numba another would be another type
+        one = isinstance(material.poisson, float)
         assembly.elements(
             m,
-            0.0 if each is not None else material.poisson,
-            each,
+            material.poisson if one else 0.0,
+            m if one else material.poisson,
+            one,
             material.strain,
             0.25 / most,
             self._exact_lame,

@@ -81,15 +81,6 @@ def _row_measure(rest, i):
 
 
 @strict_parallel
-def shrink(rest, scale, out):
-    """Out = rest / scale in single precision."""
-    for i in prange(rest.shape[1]):
-        for k in range(2):
-            for j in range(rest.shape[2]):
-                out[k, i, j] = np.float32(rest[k, i, j] / scale)
-
-
-@strict_parallel
 def add(d, correction, scale):
     """D += scale * correction."""
     for i in prange(d.shape[1]):

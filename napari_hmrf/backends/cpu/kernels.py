@@ -8,7 +8,8 @@ never from an assembled stencil: float32 cancellation would cost whole pixels in
 The loops over a row vectorise because they branch nowhere, count from zero (an index that might be
 negative would be wrapped around, Python's way) and live inside the parallel loop (where the
 compiler knows that the arrays do not overlap). Check that when you change them: the generated code
-must be full of ``<16 x float>`` or ``<8 x float>``.
+must be full of ``<16 x float>`` or ``<8 x float>``. The number of a row is signed, so that what is
+called with it is compiled once: the counter of a parallel loop is signed to some and not to others.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return"
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import float32, prange
+from numba import float32, int64, prange
 
 from napari_hmrf.backends.cpu.compiled import inline, parallel, reduction, shared, strict
 
@@ -26,7 +27,7 @@ _TINY = float32(1e-30)
 
 
 @inline
-def _ratios(stiffness, si, sj, ti, tj, ui, uj):
+def ratios(stiffness, si, sj, ti, tj, ui, uj):
     """m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
     inverse_s = stiffness[1, si, sj]
     inverse_u = stiffness[1, ui, uj]
@@ -36,7 +37,7 @@ def _ratios(stiffness, si, sj, ti, tj, ui, uj):
 
 
 @inline
-def _curvature(ratio_s, ratio_u):
+def middle_curvature(ratio_s, ratio_u):
     """Curvature of a clique's potential along its middle site's displacement."""
     steep_s = float32(1) + ratio_s
     steep_u = float32(1) + ratio_u
@@ -62,31 +63,31 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
     return -(ratio_u * (ratio_u * to_s + to_u) + (ratio_s * to_u + to_s))
 
 
-@inline
+@shared
 def square(d, stiffness, i, j):
     """Curvature, slope and energy of the four cliques around (i + 2, j + 2), for square pixels.
 
     There the vertical line carries the row component only, the horizontal line the col component.
     """
     si, sj, ui, uj = i + 1, j + 2, i + 3, j + 2
-    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
     b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
-    a0, b0, energy = exists * _curvature(s, u), exists * b, exists * e
+    a0, b0, energy = exists * middle_curvature(s, u), exists * b, exists * e
     si, sj, ui, uj = i + 2, j + 1, i + 2, j + 3
-    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
     b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
-    a1, b1, energy = exists * _curvature(s, u), exists * b, energy + exists * e
+    a1, b1, energy = exists * middle_curvature(s, u), exists * b, energy + exists * e
     si, sj, ui, uj = i + 1, j + 1, i + 3, j + 3
-    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
-    a = exists * _curvature(s, u)
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    a = exists * middle_curvature(s, u)
     a0, a1 = a0 + a, a1 + a
     b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
     b0, energy = b0 + exists * b, energy + exists * e
     b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
     b1, energy = b1 + exists * b, energy + exists * e
     si, sj, ui, uj = i + 1, j + 3, i + 3, j + 1
-    s, u, exists = _ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
-    a = exists * _curvature(s, u)
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    a = exists * middle_curvature(s, u)
     a0, a1 = a0 + a, a1 + a
     b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
     b0, energy = b0 + exists * b, energy + exists * e
@@ -96,41 +97,42 @@ def square(d, stiffness, i, j):
 
 
 @shared
-def _middle_line(d, stiffness, weights, line, si, sj, ti, tj, ui, uj):
+def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
     """Curvature, slope (per component) and energy of a weighted clique, from its middle."""
-    s, u, exists = _ratios(stiffness, si, sj, ti, tj, ui, uj)
-    w0, w1 = exists * weights[line, 0], exists * weights[line, 1]
-    a = _curvature(s, u)
+    s, u, exists = ratios(stiffness, si, sj, ti, tj, ui, uj)
+    w0, w1 = exists * weight_0, exists * weight_1
+    a = middle_curvature(s, u)
     b0, e0 = _middle(d, 0, s, u, si, sj, ti, tj, ui, uj)
     b1, e1 = _middle(d, 1, s, u, si, sj, ti, tj, ui, uj)
     return w0 * a, w1 * a, w0 * b0, w1 * b1, w0 * e0 + w1 * e1
 
 
-@inline
+@shared
 def weighted(d, stiffness, weights, i, j):
     """As `square`, for pixels of any shape."""
+    w = weights
     a0, a1, b0, b1, e = _middle_line(
-        d, stiffness, weights, 0, i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
+        d, stiffness, w[0, 0], w[0, 1], i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
     )
     p0, p1, q0, q1, r = _middle_line(
-        d, stiffness, weights, 1, i + 2, j + 1, i + 2, j + 2, i + 2, j + 3
-    )
-    a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
-    p0, p1, q0, q1, r = _middle_line(
-        d, stiffness, weights, 2, i + 1, j + 1, i + 2, j + 2, i + 3, j + 3
+        d, stiffness, w[1, 0], w[1, 1], i + 2, j + 1, i + 2, j + 2, i + 2, j + 3
     )
     a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
     p0, p1, q0, q1, r = _middle_line(
-        d, stiffness, weights, 3, i + 1, j + 3, i + 2, j + 2, i + 3, j + 1
+        d, stiffness, w[2, 0], w[2, 1], i + 1, j + 1, i + 2, j + 2, i + 3, j + 3
+    )
+    a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, w[3, 0], w[3, 1], i + 1, j + 3, i + 2, j + 2, i + 3, j + 1
     )
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
 
 
 @inline
-def _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj):
+def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
     """Curvature and slope (per component) of a weighted clique that (i, j) is the end of."""
-    s, u, exists = _ratios(stiffness, i, j, ti, tj, ui, uj)
-    w0, w1 = exists * weights[line, 0], exists * weights[line, 1]
+    s, u, exists = ratios(stiffness, i, j, ti, tj, ui, uj)
+    w0, w1 = exists * weight_0, exists * weight_1
     a = u * u + float32(1)
     b0 = _end(d, 0, s, u, i, j, ti, tj, ui, uj)
     b1 = _end(d, 1, s, u, i, j, ti, tj, ui, uj)
@@ -138,31 +140,32 @@ def _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj):
 
 
 @shared
-def _both_ends(d, stiffness, weights, line, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
+def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
     """The two cliques of one line that (i, j) is an end of: (i, j) - t - u and (i, j) - v - x."""
-    a0, a1, b0, b1 = _end_line(d, stiffness, weights, line, i, j, ti, tj, ui, uj)
-    p0, p1, q0, q1 = _end_line(d, stiffness, weights, line, i, j, vi, vj, xi, xj)
+    a0, a1, b0, b1 = _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj)
+    p0, p1, q0, q1 = _end_line(d, stiffness, weight_0, weight_1, i, j, vi, vj, xi, xj)
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1
 
 
-@inline
+@shared
 def around(d, stiffness, weights, i, j):
     """As `weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
-    a0, a1, b0, b1, e = weighted(d, stiffness, weights, i, j)
+    w, ti, tj = weights, i + 2, j + 2
+    a0, a1, b0, b1, e = weighted(d, stiffness, w, i, j)
     p0, p1, q0, q1 = _both_ends(
-        d, stiffness, weights, 0, i + 2, j + 2, i + 1, j + 2, i, j + 2, i + 3, j + 2, i + 4, j + 2
+        d, stiffness, w[0, 0], w[0, 1], ti, tj, i + 1, tj, i, tj, i + 3, tj, i + 4, tj
     )
     a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
     p0, p1, q0, q1 = _both_ends(
-        d, stiffness, weights, 1, i + 2, j + 2, i + 2, j + 1, i + 2, j, i + 2, j + 3, i + 2, j + 4
+        d, stiffness, w[1, 0], w[1, 1], ti, tj, ti, j + 1, ti, j, ti, j + 3, ti, j + 4
     )
     a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
     p0, p1, q0, q1 = _both_ends(
-        d, stiffness, weights, 2, i + 2, j + 2, i + 1, j + 1, i, j, i + 3, j + 3, i + 4, j + 4
+        d, stiffness, w[2, 0], w[2, 1], ti, tj, i + 1, j + 1, i, j, i + 3, j + 3, i + 4, j + 4
     )
     a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
     p0, p1, q0, q1 = _both_ends(
-        d, stiffness, weights, 3, i + 2, j + 2, i + 1, j + 3, i, j + 4, i + 3, j + 1, i + 4, j
+        d, stiffness, w[3, 0], w[3, 1], ti, tj, i + 1, j + 3, i, j + 4, i + 3, j + 1, i + 4, j
     )
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e
 
@@ -195,7 +198,7 @@ def _change(step, curvature, twice_slope, penalty, off, now):
     return min(prior + (penalty * abs(off - step) - now), float32(0))
 
 
-@inline
+@shared
 def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
     """A site's displacement after the best move of the candidate set."""
     p0, p1 = observation[2, i, j], observation[3, i, j]
@@ -269,7 +272,8 @@ def icm(
     then), and `steps` is None for the closed form: each combination is compiled without the
     others. `row_totals` gets U_total of `source`, row by row; `share` is scratch.
     """
-    for i in prange(source.shape[1] - 4):
+    for number in prange(source.shape[1] - 4):
+        i = int64(number)
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
@@ -290,15 +294,16 @@ def icm(
 
 @parallel
 def energy(source, stiffness, observation, spans, weights, share, row_totals):
-    """U_total of `source`, row by row, or of its cliques if nothing is observed (None)."""
-    for i in prange(source.shape[1] - 4):
+    """U_total of `source`, row by row, or of its cliques if nothing is observed (None).
+
+    Square pixels have weights here: nothing waits for an energy.
+    """
+    for number in prange(source.shape[1] - 4):
+        i = int64(number)
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
-            if weights is None:
-                _, _, _, _, prior = square(source, stiffness, i, j)
-            else:
-                _, _, _, _, prior = weighted(source, stiffness, weights, i, j)
+            _, _, _, _, prior = weighted(source, stiffness, weights, i, j)
             if observation is not None:
                 prior += _observed(source, observation, i + 2, j + 2)
             share[i, j] = prior

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.backends import host
-from napari_hmrf.backends.cpu import exact, kernels, seiler, vectors
+from napari_hmrf.backends.cpu import kernels, seiler, vectors
 from napari_hmrf.backends.cpu.level import CpuLevel, Vector, inside
 from napari_hmrf.backends.host_model import HostModel
 from napari_hmrf.backends.linear import HeldPlanes, Planes, Steps
@@ -34,16 +34,18 @@ class CpuSeilerLevel(CpuLevel):
     spans : ndarray, shape (H, 2)
         Where each row's moving sites begin and end.
     lines : ndarray, shape (4, 2), or None
-        What each line of cliques counts for each component, for the kernels.
+        What each line of cliques counts for each component, for the kernels that have another way
+        with square pixels.
     even : ndarray, shape (H + 4, W + 4)
         What makes a sum over the finer level's tissue around a site a mean; `seiler.coarsen`.
     """
 
     def __init__(
-        self, grid: tuple[int, ...], lines: Vector | None, blanket: bool, finest: bool
+        self, grid: tuple[int, ...], lines: Vector, square: bool, blanket: bool, finest: bool
     ) -> None:
         super().__init__(grid)
-        self.lines, self.blanket = lines, blanket or None
+        self.lines, self.blanket = None if square else lines, blanket or None
+        self._lines = lines
         self.stiffness, self.pins, self._curvature = (self.vector() for _ in range(3))
         self.even = self.vector()[0]
         self.weight = None if finest else self.vector()
@@ -56,14 +58,14 @@ class CpuSeilerLevel(CpuLevel):
 
     def settle(self) -> None:
         """Take in the stiffness."""
-        seiler.curvature(self.stiffness, self.lines, self.blanket, self._curvature)
+        seiler.curvature(self.stiffness, self._lines, bool(self.blanket), self._curvature)
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
         seiler.hold(
             self.stiffness,
             self._curvature,
-            self.blanket,
+            bool(self.blanket),
             held,
             self.inverse,
             self.pins,
@@ -76,7 +78,7 @@ class CpuSeilerLevel(CpuLevel):
         vectors.restrict(finer.pins, self.pins)
         seiler.spring(
             self._curvature,
-            self.blanket,
+            bool(self.blanket),
             self.pins,
             np.float32(MOST_PINS),
             np.float32(SPRING),
@@ -106,13 +108,23 @@ class CpuSeilerLevel(CpuLevel):
         for vector in (self.correction, self._other, self._step, self._rest):
             vector.fill(0)
 
+    @property
+    def _springs(self) -> tuple[Vector, np.float32]:
+        """The springs for kernels, and how often they count.
+
+        Where there are none, 0 times, and they are numbers that a kernel reads anyway.
+        """
+        if self.weight is None:
+            return self.inverse, np.float32(0)
+        return self.weight, np.float32(1)
+
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
         seiler.smooth(
             self.correction,
             self.load,
             self.stiffness,
             self.inverse,
-            self.weight,
+            *self._springs,
             self.lines,
             self.blanket,
             self.spans,
@@ -128,7 +140,7 @@ class CpuSeilerLevel(CpuLevel):
             self.load,
             self.stiffness,
             self.inverse,
-            self.weight,
+            *self._springs,
             self.lines,
             self.blanket,
             self.spans,
@@ -164,24 +176,25 @@ class CpuSeilerModel(HostModel):
         self.bounds = material.bounds
         self._held = None
         self._blanket = material.blanket or None
-        # Square pixels have kernels of their own.
-        lines = None if material.square and not material.blanket else material.lines
         # Blanket, what pulls is the slope of the energy; the kernels have half of it.
-        self._lines = 2 * material.lines if material.blanket else lines
+        self._lines = (2 if material.blanket else 1) * material.lines
+        square = material.square and not material.blanket
         m = material.m / np.float64(material.m.max())
         inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
         self.levels = []
         for number, grid in enumerate(grids(m.shape)):
             # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
             share = 0.25**number if material.blanket else 1.0
-            each = None if self._lines is None else (share * self._lines).astype(np.float32)
-            self.levels.append(CpuSeilerLevel(grid, each, material.blanket, finest=number == 0))
+            lines = (share * self._lines).astype(np.float32)
+            self.levels.append(CpuSeilerLevel(grid, lines, square, material.blanket, number == 0))
         finest = self.levels[0]
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
         self._exact_rest, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
         self._rest = np.zeros(self._stiffness.shape, dtype=np.float32)
+        height, width = finest.grid
+        self._whole = np.tile(np.array([0, width], dtype=np.int64), (height, 1))
         finest.settle()
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
@@ -197,18 +210,9 @@ class CpuSeilerModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, out = self.levels[0], self._exact_rest
-        seiler.residual(
-            d,
-            load,
-            self._stiffness,
-            finest.inverse,
-            None,
-            self._lines,
-            self._blanket,
-            finest.spans,
-            out,
-        )
-        exact.shrink(out, unit, self._rest)
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, finest.spans, out)
+        given = (d, 0.0) if load is None else (load, 1.0)
+        seiler.leave(out, *given, finest.inverse, unit, self._rest)
         most, norm = host.measure(out)
         return most / unit, norm / unit
 
@@ -218,23 +222,22 @@ class CpuSeilerModel(HostModel):
             pulls: Planes = self.material.pull(d, low)
             return pulls
         assert low is None  # the centred update is not refined with more digits
-        seiler.pull(d, self._stiffness, self._lines, self._blanket, self._pull)
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, self._whole, self._pull)
         return self._pull
 
     @property
     def steepness(self) -> Planes:
         """The second derivative of each site's energy; 0 where no clique pulls."""
         out = np.zeros(self._stiffness.shape)
-        seiler.curvature(self._stiffness, self._lines, self._blanket, out)
+        seiler.curvature(self._stiffness, self._lines, self.material.blanket, out)
         return out if self._blanket else 2 * out
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The cliques' share of U_total, and the norm of all pulls."""
         height, width = self.levels[0].grid
         rows = np.zeros(height)
-        whole = np.tile([0, width], (height, 1))
         share = np.empty((height, width))
-        kernels.energy(d, self._stiffness, None, whole, self._lines, share, rows)
+        kernels.energy(d, self._stiffness, None, self._whole, self._lines, share, rows)
         _, norm = host.measure(self.pull(d))
         return float(rows.sum()) / (2 if self._blanket else 1), norm
 

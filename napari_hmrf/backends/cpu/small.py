@@ -9,13 +9,15 @@ pulls and nothing moves.
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
+import numpy as np
 from numba import float32
 
 from napari_hmrf.backends.cpu import forces, vectors
 from napari_hmrf.backends.cpu.compiled import callee, strict
 
-# A level's arrays, in this order.
-INVERSE, LOAD, CORRECTION, OTHER, LAME, PINS, WEIGHT, REST = range(8)
+# A level's arrays, in this order. They are no numbers of Python's: each of those would have numba
+# make functions of its own.
+INVERSE, LOAD, CORRECTION, OTHER, LAME, PINS, WEIGHT, REST = np.arange(8)
 ARRAYS = 8
 
 # Where the first site lies, and the only row there is.

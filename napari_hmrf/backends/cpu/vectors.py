@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import float32, int32, int64, prange
 
-from napari_hmrf.backends.cpu.compiled import alone, inline, parallel, reduction, strict
+from napari_hmrf.backends.cpu.compiled import callee, inline, parallel, reduction, strict_callee
 
 
 @reduction
@@ -51,7 +51,7 @@ def smooth_first(load, inverse, step, d, scale):
             d[1, i + 2, j] = col
 
 
-@alone
+@callee
 def restrict_row(above, here, below, coarse):
     """`restrict` of one component, from three rows to one."""
     half = float32(0.5)
@@ -133,7 +133,7 @@ def product(a, b, row_totals):
         row_totals[i] = row_product(a, b, i + 2)
 
 
-@strict
+@strict_callee
 def row_largest(a: Any, row: int) -> Any:
     """The largest absolute value of one row, or no number if there is any.
 
