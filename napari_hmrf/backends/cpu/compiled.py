@@ -77,7 +77,8 @@ strict_callee = _callee()
 #: Sums that may be taken in any order.
 reduction = _callee(fastmath={"reassoc", "nsz"})
 contracted_reduction = _callee(fastmath=_ARITHMETIC | {"reassoc"})
-#: What Python calls: on one thread, or on all, with no liberties taken.
+#: What Python calls: on one thread; on one or on all, with no liberties taken.
+alone = _kept(fastmath=_ARITHMETIC)
 strict = _kept()
 strict_parallel = _kept(parallel=True)
 #: On all threads.
