@@ -19,8 +19,8 @@ import scipy.sparse as sp
 from report.assembly import assemble
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
-from napari_hmrf.coarsening import COARSEST, smoother_bounds
-from napari_hmrf.optimizers.cycle import STRETCHING, chebyshev
+from napari_hmrf.solver.coarse_levels import COARSEST, smoother_bounds
+from napari_hmrf.solver.optimizers.cycle import STRETCHING, chebyshev
 
 _FALL = 1e-6
 
@@ -92,9 +92,9 @@ def galerkin(problem: Problem, prior: ElasticPrior) -> tuple[int, float]:
 
 def same_model(problem: Problem, prior: ElasticPrior) -> int:
     """Cycles of the package's own V-cycle, on the same criterion."""
-    from napari_hmrf.backends import host
-    from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
-    from napari_hmrf.optimizers.cycle import Cycle
+    from napari_hmrf.solver.backends import host
+    from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+    from napari_hmrf.solver.optimizers.cycle import Cycle
 
     matrix, right = reduced_system(problem, prior)
     model = CpuElasticModel(prior.material(problem))

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf import BackendError, ElasticPrior, Multigrid, phantom, solve
-from napari_hmrf.backends import compute_thread, host
-from napari_hmrf.backends.opengl import OpenGLBackend
-from napari_hmrf.optimizers.cycle import Cycle
-from napari_hmrf.optimizers.krylov import ConjugateGradients
+from napari_hmrf.solver.backends import compute_thread, host
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
+from napari_hmrf.solver.optimizers.cycle import Cycle
+from napari_hmrf.solver.optimizers.krylov import ConjugateGradients
 
 STAGES = ("compute", "fragment")
 # Fields of 8 bytes a site that a cycle reads and writes, if none is read twice: on every level

@@ -130,7 +130,7 @@ def drag(size: int) -> None:
     """Drag a patch until the loops have taken over, here; print how long pictures stood still."""
     from live import Drag
 
-    from napari_hmrf.backends import kept, loader
+    from napari_hmrf.solver.backends import kept, loader
 
     mark = kept.mark()
     hidden = mark.with_suffix(".hidden")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import ICM, Problem, SeilerPrior
-from napari_hmrf.hierarchy import levels, nearest_pixels
+from napari_hmrf.solver.quadtree import levels, nearest_pixels
 
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 _f = np.float32

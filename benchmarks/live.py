@@ -31,10 +31,10 @@ import numpy as np
 import psutil
 
 from napari_hmrf import ElasticPrior, LiveSolver, Problem, phantom
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.drawing import Arrow, Canvas, Drawing, Rendering
-from napari_hmrf.live import Update
-from napari_hmrf.warper import Warper
+from napari_hmrf.field.live_warp import Warper
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.live_solver import Update
+from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Rendering
 
 #: Updates a second that are asked for on two quiet cores.
 GOALS = {300: 20, 1200: 5}

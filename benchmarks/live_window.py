@@ -24,9 +24,9 @@ from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
-from napari_hmrf.drawing import Rendering
+from napari_hmrf.field.live_warp import Warper
 from napari_hmrf.layers.ground import Ground
-from napari_hmrf.warper import Warper
+from napari_hmrf.tissue.drawing import Rendering
 from napari_hmrf.widgets.grab.arrows import ArrowsLayer
 from napari_hmrf.widgets.grab.live_layers import LiveLayers
 

@@ -19,7 +19,7 @@ import scipy.sparse.linalg as spl
 from fem import plane_stress_displacement, rmsd
 
 from napari_hmrf import Problem, phantom
-from napari_hmrf.priors import LINES, line_weights
+from napari_hmrf.solver.priors import LINES, line_weights
 
 BAR_LENGTHS = (8, 64, 256, 1200)
 PHANTOMS = ("expansion", "mass-effect")

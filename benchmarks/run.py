@@ -37,8 +37,8 @@ from napari_hmrf import (
     phantom,
     solve,
 )
-from napari_hmrf.optimizers import Optimizer
-from napari_hmrf.priors import Prior
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import Prior
 
 CONVERGED = ICM(iterations=50_000, steps=None, tolerance=1e-7)
 WARM_UP = 5

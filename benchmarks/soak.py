@@ -25,7 +25,7 @@ import numpy as np
 import psutil
 
 from napari_hmrf import BackendError, phantom, solve
-from napari_hmrf.backends import compute_thread
+from napari_hmrf.solver.backends import compute_thread
 
 ENERGIES = ("paper", "elastic")
 # Seconds that are enough to compile all kernels on a busy machine.

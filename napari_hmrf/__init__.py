@@ -10,13 +10,6 @@ Paint the inputs, or make them, then::
 Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.
 """
 
-from napari_hmrf.deformation import (
-    arrows,
-    count_folds,
-    deformation_grid,
-    jacobian_determinant,
-    magnitude,
-)
 from napari_hmrf.errors import (
     BackendError,
     Cancelled,
@@ -25,16 +18,29 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
-from napari_hmrf.live import LiveSolver
-from napari_hmrf.optimizers import ICM, Monitor, Multigrid
-from napari_hmrf.phantoms import PHANTOM_NAMES, Phantom, phantom, reference_displacement, sample
-from napari_hmrf.priors import ElasticPrior, SeilerPrior
-from napari_hmrf.problem import Problem
-from napari_hmrf.resample import resample
-from napari_hmrf.solution import Provenance, Solution, is_solution_file
-from napari_hmrf.solve import solve
-from napari_hmrf.warp import inverse_map, warp
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.field.deformation import (
+    arrows,
+    count_folds,
+    deformation_grid,
+    jacobian_determinant,
+    magnitude,
+)
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import resample
+from napari_hmrf.field.warp import inverse_map, warp
+from napari_hmrf.samples.phantoms import (
+    PHANTOM_NAMES,
+    Phantom,
+    phantom,
+    reference_displacement,
+    sample,
+)
+from napari_hmrf.solver.live_solver import LiveSolver
+from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
+from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
+from napari_hmrf.solver.solve import solve
 
 __version__ = "0.1.0"
 

@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 import napari_hmrf
-from napari_hmrf.annotation import USUAL_POISSON
-from napari_hmrf.backends import BACKEND_NAMES
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.models import Model
-from napari_hmrf.optimizers import Monitor, Multigrid
-from napari_hmrf.phantoms import PHANTOM_NAMES, SMALLEST
-from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
-from napari_hmrf.priors.elastic import POISSON_RANGE, Plane
+from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
+from napari_hmrf.solver.backends import BACKEND_NAMES
+from napari_hmrf.solver.optimizers import Monitor, Multigrid
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
+from napari_hmrf.study.models import Model
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 if TYPE_CHECKING:
-    from napari_hmrf.demo import Demonstration
+    from napari_hmrf.samples.demo import Demonstration
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -149,13 +149,13 @@ def _prior(options: argparse.Namespace) -> Prior:
 
 
 def _selftest() -> int:
-    from napari_hmrf.selftest import selftest
+    from napari_hmrf.samples.selftest import selftest
 
     return 0 if selftest(lambda line: print(line, flush=True)) else 1
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from napari_hmrf.demo import demonstrate, write_results
+    from napari_hmrf.samples.demo import demonstrate, write_results
 
     prior = _prior(options)
     optimizer = Multigrid() if options.converged else None

@@ -17,16 +17,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends import compiler, kept, loops
-from napari_hmrf.backends.compiler import Stage
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.backends.watch import watched
-from napari_hmrf.optimizers import ICM, Multigrid
-from napari_hmrf.priors import ElasticPrior, SeilerPrior
-from napari_hmrf.problem import Problem
-from napari_hmrf.solve import solve
-from napari_hmrf.warp import warp
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.warp import warp
+from napari_hmrf.solver.backends import compiler, kept, loops
+from napari_hmrf.solver.backends.compiler import Stage
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.backends.watch import watched
+from napari_hmrf.solver.optimizers import ICM, Multigrid
+from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solve import solve
 
 _SIZE = 40
 
@@ -103,7 +103,7 @@ def _follow(image: npt.NDArray[Any], still: npt.NDArray[np.float32]) -> None:
 
 def _kept() -> bool:
     """Whether numba could keep what it has compiled."""
-    from napari_hmrf.backends.cpu import exact
+    from napari_hmrf.solver.backends.cpu import exact
 
     folder = exact.measure.stats.cache_path
     return folder is not None and any(Path(folder).glob("*.nbi"))

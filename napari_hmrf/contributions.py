@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from napari_hmrf.phantoms import Phantom
+    from napari_hmrf.samples.phantoms import Phantom
 
 LayerData = tuple[Any, dict[str, Any], str]
 PathOrPaths = str | list[str]
@@ -28,7 +28,7 @@ def sample_bar() -> list[LayerData]:
 
 
 def _sample(name: str) -> list[LayerData]:
-    from napari_hmrf.phantoms import sample
+    from napari_hmrf.samples.phantoms import sample
 
     return phantom_layers(sample(name))
 
@@ -69,7 +69,7 @@ def phantom_layers(found: Phantom) -> list[LayerData]:
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
     """Offer to read a saved result; None for any other file."""
-    from napari_hmrf.solution import is_solution_file
+    from napari_hmrf.solver.solution import is_solution_file
 
     paths = [path] if isinstance(path, str) else path
     return _read if paths and all(is_solution_file(each) for each in paths) else None
@@ -80,7 +80,7 @@ def _read(path: PathOrPaths) -> list[LayerData]:
 
     from napari_hmrf.errors import FileFormatError
     from napari_hmrf.layers.outputs import RESTORED, result_layers
-    from napari_hmrf.solution import Solution
+    from napari_hmrf.solver.solution import Solution
 
     layers: list[LayerData] = []
     for each in [path] if isinstance(path, str) else path:
@@ -117,7 +117,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
         If the arrows are not a result of this package.
     """
     from napari_hmrf.layers.metadata import METADATA
-    from napari_hmrf.solution import Solution
+    from napari_hmrf.solver.solution import Solution
 
     known = attributes.get("metadata", {}).get(METADATA)
     solution = known.get("solution") if isinstance(known, dict) else None

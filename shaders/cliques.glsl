@@ -13,7 +13,7 @@
 // Border rule: a clique that leaves the image or touches void has both ratios 0 (ratios.glsl) and
 // counts for nothing, whatever the displacements given for it.
 
-// Weight of each line for the (row, col) component, no unit: `napari_hmrf.priors.line_weights`.
+// Weight of each line for the (row, col) component, no unit: `napari_hmrf.solver.priors.line_weights`.
 // Those of square pixels are given here, because the compiler leaves out what they make zero.
 #if SQUARE
 const vec2 weights[4] = vec2[4](vec2(1.0, 0.0), vec2(0.0, 1.0), vec2(1.0), vec2(1.0));

@@ -13,7 +13,7 @@
 // read outside of a texture is undefined, and asks `in_image` where outside must count as void.
 
 // The lines, from t to u (figure 2); s lies on the other side. Order and direction as in
-// `napari_hmrf.priors.LINES`.
+// `napari_hmrf.solver.priors.LINES`.
 const ivec2 VERTICAL = ivec2(0, 1);
 const ivec2 HORIZONTAL = ivec2(1, 0);
 const ivec2 DIAGONAL = ivec2(1, 1);

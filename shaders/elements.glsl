@@ -1,4 +1,4 @@
-// The forces of elastic elements, 2 x 2 blocks of sites (`napari_hmrf.priors.elastic`).
+// The forces of elastic elements, 2 x 2 blocks of sites (`napari_hmrf.solver.priors.elastic`).
 //
 // An element has the number of its first site (least row and col). Its displacement is seen as
 // three differences per component, D_r along rows, D_c along columns and the twist D_x; from each

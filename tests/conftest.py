@@ -14,7 +14,7 @@ from compiling import compile_most, compile_once
 from hypothesis import settings
 from patience import LONG, LONG_MS
 
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.solver.backends.thread import compute_thread
 
 # However slow a machine is, what is claimed of tissue is so.
 settings.register_profile("any machine", deadline=None)
@@ -122,8 +122,8 @@ def busy_thread():
 @pytest.fixture
 def small_sample():
     """Add a small painted example to a viewer: a block of tissue, held left and pushed right."""
-    from napari_hmrf.annotation import BoundaryRule, Material
     from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
+    from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
     def add(viewer, shape=(20, 24), **place):
         image = (np.indices(shape[-2:]).sum(axis=0) % 5 * 50).astype(np.uint8)
@@ -173,7 +173,7 @@ def wait_for(qtbot):
 @pytest.fixture
 def every_pass_a_batch(monkeypatch):
     """How often shaders look whether to go on does not depend on how busy the machine is."""
-    from napari_hmrf.backends.opengl import pace
+    from napari_hmrf.solver.backends.opengl import pace
 
     monkeypatch.setattr(pace, "BATCH_SECONDS", 0.0)
 
@@ -184,7 +184,7 @@ def made(monkeypatch):
     import moderngl
     from opengl_here import on_compute_thread, require_opengl
 
-    from napari_hmrf.backends.opengl.device import the_device
+    from napari_hmrf.solver.backends.opengl.device import the_device
 
     require_opengl()
     on_compute_thread(the_device)

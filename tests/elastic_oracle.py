@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from napari_hmrf.priors.elements import element_forces
+from napari_hmrf.solver.priors.elements import element_forces
 
 
 def stiffness_matrix(problem, prior):

@@ -8,10 +8,10 @@ import numpy as np
 from opengl_here import on_compute_thread
 
 from napari_hmrf import ElasticPrior, Problem
-from napari_hmrf.backends.cpu import CpuBackend
-from napari_hmrf.backends.opengl import OpenGLBackend
-from napari_hmrf.optimizers.cycle import Cycle
-from napari_hmrf.priors import Prior
+from napari_hmrf.solver.backends.cpu import CpuBackend
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
+from napari_hmrf.solver.optimizers.cycle import Cycle
+from napari_hmrf.solver.priors import Prior
 
 
 @dataclass

@@ -12,8 +12,8 @@ import pytest
 from patience import LONG
 
 from napari_hmrf import BackendError
-from napari_hmrf.backends import compute_thread
-from napari_hmrf.backends.opengl import describe
+from napari_hmrf.solver.backends import compute_thread
+from napari_hmrf.solver.backends.opengl import describe
 
 T = TypeVar("T")
 

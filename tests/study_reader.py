@@ -12,14 +12,14 @@ from napari.layers import Layer
 from studies import Study
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
-from napari_hmrf.drawing import Drawing
-from napari_hmrf.intensity import StiffnessCurve
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.inputs import Request, copy_layers, prepare
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, rows_of
 from napari_hmrf.layers.stiffness import stiffness_layer
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 
 class Read(NamedTuple):

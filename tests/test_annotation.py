@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from napari_hmrf.annotation import (
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     boundary_images,
@@ -12,8 +13,7 @@ from napari_hmrf.annotation import (
     stiffness_image,
     stiffness_in_words,
 )
-from napari_hmrf.errors import ProblemError
-from napari_hmrf.presets import PRESETS
+from napari_hmrf.tissue.material_presets import PRESETS
 
 TISSUES = [Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(7, "tumour", 40.0)]
 

@@ -17,13 +17,13 @@ from napari_hmrf import (
     FileFormatError,
     Provenance,
     Solution,
-    archive,
+    array_file,
+    atomic_write,
     is_solution_file,
     phantom,
     solve,
-    whole_file,
 )
-from napari_hmrf.optimizers.base import LevelRun
+from napari_hmrf.solver.optimizers.base import LevelRun
 
 MEMBERS = {"displacement.npy", "energy.npy", "header.npy", "tissue.npy"}
 
@@ -183,7 +183,7 @@ def disk_full(*_):
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
-    monkeypatch.setattr(whole_file.os, step, disk_full)
+    monkeypatch.setattr(atomic_write.os, step, disk_full)
     with pytest.raises(OSError, match=r"cannot save the file: No space left.*result\.npz"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
@@ -192,7 +192,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, mon
 
 
 def test_a_disk_that_does_not_keep_what_it_was_given_is_found_out(solution, path, monkeypatch):
-    monkeypatch.setattr(whole_file.Path, "read_bytes", lambda _: b"")
+    monkeypatch.setattr(atomic_write.Path, "read_bytes", lambda _: b"")
     with pytest.raises(OSError, match=r"'result\.npz'.*did not keep"):
         made_up((5, 5)).save(path)
     monkeypatch.undo()
@@ -215,12 +215,12 @@ def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
             raise PermissionError(errno.EACCES, "Permission denied")
         rename(*names)
 
-    monkeypatch.setattr(whole_file.os, "replace", held)
-    monkeypatch.setattr(whole_file.time, "sleep", lambda _: None)
+    monkeypatch.setattr(atomic_write.os, "replace", held)
+    monkeypatch.setattr(atomic_write.time, "sleep", lambda _: None)
     other = made_up((5, 5))
     other.save(path)
     assert_same(Solution.load(path), other)
-    monkeypatch.setattr(whole_file.os, "replace", always_held)
+    monkeypatch.setattr(atomic_write.os, "replace", always_held)
     with pytest.raises(PermissionError, match=r"cannot save the file: held.*result\.npz"):
         solution.save(path)
     assert_same(Solution.load(path), other)
@@ -298,7 +298,7 @@ def test_an_archive_whose_table_points_nowhere_is_refused(path):
 
 
 def test_a_disk_that_cannot_be_read_is_not_the_files_fault(path, monkeypatch):
-    monkeypatch.setattr(archive.zipfile, "ZipFile", disk_full)
+    monkeypatch.setattr(array_file.zipfile, "ZipFile", disk_full)
     with pytest.raises(OSError, match="No space"):
         Solution.load(path)
 

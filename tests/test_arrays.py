@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
-from napari_hmrf.backends.arrays import elastic, exact, seiler
-from napari_hmrf.backends.cpu import exact as compiled
-from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
-from napari_hmrf.backends.cpu.seiler_model import CpuSeilerModel
+from napari_hmrf.solver.backends.arrays import elastic, exact, seiler
+from napari_hmrf.solver.backends.cpu import exact as compiled
+from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 
 SHAPES = [((9, 12), (1.0, 1.0)), ((31, 17), (1.0, 2.5)), ((2, 40), (1.0, 1.0))]
 PRIORS = {
@@ -116,7 +116,7 @@ def test_a_solve_that_is_not_a_number_is_seen():
 
 
 def test_they_need_no_compiler():
-    code = "import sys; from napari_hmrf.backends.arrays import elastic, exact, seiler; "
+    code = "import sys; from napari_hmrf.solver.backends.arrays import elastic, exact, seiler; "
     code += "print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
-from napari_hmrf.beginning import beginning
+from napari_hmrf.solver.warm_start import beginning
 
 WITHIN = Multigrid(0.01)
 PRIOR = ElasticPrior()
@@ -138,7 +138,7 @@ def test_what_nobody_has_any_more_is_forgotten():
 
 
 def models_last():
-    from napari_hmrf.backends.cpu import elastic_model
+    from napari_hmrf.solver.backends.cpu import elastic_model
 
     return elastic_model._last[0]
 

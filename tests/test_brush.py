@@ -5,11 +5,11 @@ import pytest
 from napari.layers import Labels
 
 from napari_hmrf import ProblemError
-from napari_hmrf.drawing import Arrow, Canvas, Drawing, History, Landmark, Rendering, Stroke
-from napari_hmrf.drawing.brush import Brush, Paint
-from napari_hmrf.drawing.pairs import Pairs
-from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.painted import COLOURS, number_of, painted_colours
+from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, History, Landmark, Rendering, Stroke
+from napari_hmrf.tissue.drawing.brush import Brush, Paint
+from napari_hmrf.tissue.drawing.landmark_pairs import Pairs
+from napari_hmrf.tissue.drawing.pull import Grip
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)

@@ -8,11 +8,11 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QFileDialog, QTabBar
 from screen import Screen
 
-from napari_hmrf.annotation import Material
 from napari_hmrf.contributions import open_solution, save_solution
-from napari_hmrf.drawing import Arrow, Drawing, Stroke
-from napari_hmrf.material_files import load_materials
-from napari_hmrf.warp import warp
+from napari_hmrf.field.warp import warp
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.widgets.deform import DeformTissue
 from napari_hmrf.widgets.grab.dock import GrabAndPull
 from napari_hmrf.widgets.look.dock import LookAtResult

@@ -9,10 +9,11 @@ import pytest
 from patience import LONG_MS
 
 import napari_hmrf
-from napari_hmrf import Solution, cli, selftest, solve
-from napari_hmrf.demo import demonstrate
-from napari_hmrf.optimizers import Monitor
-from napari_hmrf.preparation import EVERYTHING
+from napari_hmrf import Solution, cli, solve
+from napari_hmrf.samples import selftest
+from napari_hmrf.samples.demo import demonstrate
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.preparation import EVERYTHING
 
 
 @pytest.fixture(autouse=True)
@@ -102,7 +103,8 @@ def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys
 
 
 def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
-    from napari_hmrf import Problem, pictures
+    from napari_hmrf import Problem
+    from napari_hmrf.io import figures
 
     m = np.ones((20, 30))
     y = np.zeros((20, 30, 2))
@@ -110,7 +112,7 @@ def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
     c = np.zeros_like(y)
     c[:, [0, -1]] = 1
     problem = Problem(y, c, m, spacing=(3.0, 1.0))
-    figure = pictures.boundary_picture(m, problem)
+    figure = figures.boundary_picture(m, problem)
     figure.draw_without_rendering()
     box = figure.axes[0].get_window_extent()
     assert box.height / box.width == pytest.approx(20 * 3 / 30, rel=1e-3)
@@ -119,11 +121,12 @@ def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
 def test_arrows_in_pictures_point_where_the_tissue_goes():
     from matplotlib.quiver import Quiver
 
-    from napari_hmrf import phantom, pictures
+    from napari_hmrf import phantom
+    from napari_hmrf.io import figures
 
     bar = phantom("bar", 48)
     solution = solve(bar.problem, backend="cpu")
-    figure = pictures.displacement_picture(bar.image, solution)
+    figure = figures.displacement_picture(bar.image, solution)
     (quiver,) = (artist for artist in figure.axes[0].collections if isinstance(artist, Quiver))
     for x, y, right, down in zip(quiver.X, quiver.Y, quiver.U, quiver.V, strict=True):
         row, col = int(y), int(x)
@@ -134,11 +137,12 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
 
 @pytest.mark.parametrize("kind", ["magnitude", "jacobian", "strain"])
 def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kind):
-    from napari_hmrf import phantom, pictures
+    from napari_hmrf import phantom
+    from napari_hmrf.io import figures
 
     bar = phantom("bar", 48)
     solution = solve(bar.problem, backend="cpu")
-    draw = getattr(pictures, f"{kind}_picture")
+    draw = getattr(figures, f"{kind}_picture")
     figure = draw(solution, image=bar.image)
     below, colours = figure.axes[0].images
     np.testing.assert_array_equal(below.get_array(), bar.image)
@@ -157,7 +161,7 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
 def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
     backend, expected, monkeypatch
 ):
-    import napari_hmrf.demo as module
+    import napari_hmrf.samples.demo as module
 
     done = []
 
@@ -199,7 +203,7 @@ def test_a_size_that_no_phantom_has_is_refused_before_any_work(tmp_path, size, c
 
 def test_a_folder_that_cannot_be_made_is_named_before_any_work(tmp_path, capsys, monkeypatch):
     (tmp_path / "out").write_text("a file is here")
-    monkeypatch.setattr("napari_hmrf.demo.solve", None)
+    monkeypatch.setattr("napari_hmrf.samples.demo.solve", None)
     assert demo(tmp_path) == 1
     assert str(tmp_path / "out") in capsys.readouterr().err
 

@@ -27,9 +27,9 @@ from napari_hmrf import (
     solve,
     warp,
 )
-from napari_hmrf.backends import COMPILING, compiler, kept, loader, loops, open_backend
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.preparation import job_of
+from napari_hmrf.solver.backends import COMPILING, compiler, kept, loader, loops, open_backend
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.preparation import job_of
 
 solving = sys.modules["napari_hmrf.solve"]
 
@@ -253,7 +253,7 @@ def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, mon
         def __init__(self, *_):
             raise BackendError("no OpenGL here.")
 
-    monkeypatch.setattr("napari_hmrf.backends.opengl.OpenGLBackend", Missing)
+    monkeypatch.setattr("napari_hmrf.solver.backends.opengl.OpenGLBackend", Missing)
     somebody = Waiting(*MODELS["converged"], "auto")
     somebody.is_told("starting to compile")
     assert compiler.wanted() == "converged"
@@ -311,7 +311,7 @@ def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkey
 
 
 def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
-    ask = "from napari_hmrf.backends import kept; print(kept.mark())"
+    ask = "from napari_hmrf.solver.backends import kept; print(kept.mark())"
     marks = [
         subprocess.run([sys.executable, *how, "-c", ask], capture_output=True, check=True).stdout
         for how in ([], ["-OO"])
@@ -323,7 +323,7 @@ def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
 KEEPING = """
 import sys, tempfile
 from pathlib import Path
-from napari_hmrf.backends import kept, loader
+from napari_hmrf.solver.backends import kept, loader
 tempfile.tempdir = sys.argv[1]
 there = kept._writable
 kept._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from napari_hmrf.backends.cpu import compiled
+from napari_hmrf.solver.backends.cpu import compiled
 
 CALLEE = """
 from compiled import inline, shared

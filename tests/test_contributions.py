@@ -20,8 +20,8 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.outputs import result_layers
-from napari_hmrf.optimizers import ICM
-from napari_hmrf.phantoms import sample
+from napari_hmrf.samples.phantoms import sample
+from napari_hmrf.solver.optimizers import ICM
 
 
 @pytest.fixture(scope="module")

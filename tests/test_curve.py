@@ -10,13 +10,13 @@ from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
 
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.intensity import StiffnessCurve
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.layers.stiffness import curve_of
-from napari_hmrf.material_files import load_materials
-from napari_hmrf.presets import PRESETS, Preset
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.material_tables import load_materials
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.widgets.curve.axes import CurveAxes
 from napari_hmrf.widgets.curve.editor import CurveEditor
 from napari_hmrf.widgets.grab.dock import GrabAndPull

@@ -5,10 +5,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
-from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
-from napari_hmrf.backends.cpu.seiler_model import CpuSeilerModel
-from napari_hmrf.backends.dissection import Singular
-from napari_hmrf.backends.factors import Factors
+from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
+from napari_hmrf.solver.backends.dissection import Singular
+from napari_hmrf.solver.backends.factors import Factors
 
 PRIORS = {
     "stress": ElasticPrior(0.4),

@@ -9,8 +9,8 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget, QLabel, QTabBar
 
-from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.widgets.commands import dock
 from napari_hmrf.widgets.deform import DeformTissue
 from napari_hmrf.widgets.grab.dock import GrabAndPull

@@ -8,9 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
-from napari_hmrf.drawing import Arrow, Canvas, Drawing, History, Hit, Landmark, Rendering, Stroke
-from napari_hmrf.optimizers import Multigrid
-from napari_hmrf.quantities import count_folds
+from napari_hmrf.field.strain import count_folds
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.tissue.drawing import (
+    Arrow,
+    Canvas,
+    Drawing,
+    History,
+    Hit,
+    Landmark,
+    Rendering,
+    Stroke,
+)
 
 SHAPE = (24, 30)
 SPACING = (1.0, 2.0)

@@ -20,10 +20,10 @@ from napari_hmrf import (
     phantom,
     solve,
 )
-from napari_hmrf.backends.cpu import elastic_model, forces
-from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
-from napari_hmrf.coarsening import smoother_bounds
-from napari_hmrf.priors.elements import element_forces
+from napari_hmrf.solver.backends.cpu import elastic_model, forces
+from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.solver.coarse_levels import smoother_bounds
+from napari_hmrf.solver.priors.elements import element_forces
 
 PLANES = ["stress", "strain"]
 

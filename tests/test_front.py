@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_hmrf.drawing import Arrow, Drawing
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.widgets.deform import DeformTissue
 from napari_hmrf.widgets.grab.dock import GrabAndPull
 from napari_hmrf.widgets.grab.words import START

@@ -7,9 +7,9 @@ from person import CTRL, SHIFT, by_name, only, settle_moves
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
-from napari_hmrf.annotation import Material
-from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 
 
 def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):

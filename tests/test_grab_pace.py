@@ -8,12 +8,12 @@ from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf import preparation
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.colours import SELECTED
 from napari_hmrf.layers.ground import read_ground
-from napari_hmrf.problem import Problem
+from napari_hmrf.solver import preparation
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.widgets.grab.follow import Follower
 
 
@@ -119,7 +119,7 @@ def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, qtbot,
 
 
 def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, qtbot, monkeypatch):
-    from napari_hmrf.warper import Warper
+    from napari_hmrf.field.live_warp import Warper
 
     with monkeypatch.context() as broken:
         broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
@@ -221,8 +221,8 @@ def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
 def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
     from napari.layers import Image
 
-    from napari_hmrf.lookup import look_up
-    from napari_hmrf.rasterise import rasterise_displaced
+    from napari_hmrf.field.interpolation import look_up
+    from napari_hmrf.field.triangle_raster import rasterise_displaced
 
     def compiled():
         kernels = look_up.signatures, rasterise_displaced.signatures

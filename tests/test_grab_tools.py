@@ -7,10 +7,10 @@ from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
-from napari_hmrf.annotation import Material
-from napari_hmrf.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.layers.painted import number_of
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L

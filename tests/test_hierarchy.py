@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from napari_hmrf.hierarchy import levels, nearest_pixels
+from napari_hmrf.solver.quadtree import levels, nearest_pixels
 
 
 def test_a_300_pixel_image_has_the_papers_ten_levels():

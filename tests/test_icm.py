@@ -10,7 +10,7 @@ from literal import solve_literally
 from oracle import centred_fixed_point, local_energy
 
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
-from napari_hmrf.hierarchy import levels
+from napari_hmrf.solver.quadtree import levels
 
 CONVERGED = ICM(iterations=20000, steps=None, tolerance=1e-9)
 

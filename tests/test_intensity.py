@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.intensity import StiffnessCurve, luminance, with_point
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance, with_point
 
 RAMP = StiffnessCurve(((0, 1), (100, 100)))
 

@@ -12,13 +12,13 @@ import pytest
 from opengl_here import on_compute_thread, require_opengl
 
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
-from napari_hmrf.backends import SiteRule
-from napari_hmrf.backends.cpu import CpuBackend
-from napari_hmrf.backends.opengl import OpenGLBackend, regions
-from napari_hmrf.backends.opengl.device import the_device
-from napari_hmrf.backends.opengl.fields import as_given, as_stored, pairs, singles
-from napari_hmrf.hierarchy import levels, nearest_pixels
-from napari_hmrf.priors import line_weights
+from napari_hmrf.solver.backends import SiteRule
+from napari_hmrf.solver.backends.cpu import CpuBackend
+from napari_hmrf.solver.backends.opengl import OpenGLBackend, regions
+from napari_hmrf.solver.backends.opengl.device import the_device
+from napari_hmrf.solver.backends.opengl.fields import as_given, as_stored, pairs, singles
+from napari_hmrf.solver.priors import line_weights
+from napari_hmrf.solver.quadtree import levels, nearest_pixels
 
 STEPS = (1.0, 0.1, 0.01, 0.001)
 PENALTY = 1e3

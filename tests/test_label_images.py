@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf.label_images import labels_present, values_at
+from napari_hmrf.tissue.labels import labels_present, values_at
 
 IMAGES = [
     np.array([[0, 3], [3, 250]], np.uint8),

@@ -11,10 +11,10 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.shared import shared
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.widgets.point_steps import PointSteps
 
 SHAPE = (40, 48)

@@ -5,10 +5,10 @@ import pytest
 from napari.layers import Image, Points
 
 from napari_hmrf import ProblemError
-from napari_hmrf.drawing import Landmark
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import LandmarkLayers, landmarks_of, read_landmarks
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.drawing import Landmark
 
 
 def landmarks(where, should, image=None, view=None, **place):

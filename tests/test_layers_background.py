@@ -6,7 +6,7 @@ import pytest
 from napari_hmrf.layers.background import air_that_is_tissue, background_of, between_air_and_tissue
 from napari_hmrf.layers.metadata import TISSUE, rows_of
 from napari_hmrf.layers.steps import steps_of
-from napari_hmrf.phantoms import sample
+from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.widgets.deform import DeformTissue
 
 

@@ -9,12 +9,12 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
 
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, copy_layers, prepare, read_layers
 from napari_hmrf.layers.view import View
-from napari_hmrf.priors import ElasticPrior
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 MATERIALS = (Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(2, "soft", 10.0))
 RULES = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 3.0)))

@@ -9,8 +9,8 @@ from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import ARROWS, KINDS, Pictures, result_layers
 from napari_hmrf.layers.view import View
-from napari_hmrf.optimizers.base import LevelRun
-from napari_hmrf.solution import Provenance, Solution
+from napari_hmrf.solver.optimizers.base import LevelRun
+from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (30, 40)
 

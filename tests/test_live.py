@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from patience import LONG
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
-from napari_hmrf import live as live_module
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.live import LiveSolver
+from napari_hmrf.solver import live_solver as live_module
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.live_solver import LiveSolver
 
 SIZE = 20
 

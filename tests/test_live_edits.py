@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from patience import LONG
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
-from napari_hmrf.annotation import (
+from napari_hmrf.solver.live_solver import LiveSolver
+from napari_hmrf.study.edits import Edits
+from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     boundary_images,
     poisson_image,
     stiffness_image,
 )
-from napari_hmrf.drawing import Arrow, Canvas, Drawing, Rendering, Stroke
-from napari_hmrf.edits import Edits
-from napari_hmrf.live import LiveSolver
+from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Rendering, Stroke
 
 SHAPE = (18, 20)
 ROWS, COLS = np.indices(SHAPE)

@@ -9,9 +9,9 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.widgets import live_mode
 
 LEFT, PLAIN = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier

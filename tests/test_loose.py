@@ -10,11 +10,11 @@ from napari.layers import Image
 from person import by_name
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
-from napari_hmrf.annotation import BoundaryRule
-from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
-from napari_hmrf.loose import left_at_rest, scraps
+from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.widgets.deform import DeformTissue
 
 

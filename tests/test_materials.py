@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from napari.layers import Image, Labels
 
-from napari_hmrf.annotation import RIGID, Material
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.layers.defaults import default_material
 from napari_hmrf.layers.metadata import (
@@ -20,9 +19,10 @@ from napari_hmrf.layers.metadata import (
     tissue_record,
     tissue_recorded,
 )
-from napari_hmrf.material_files import MaterialLibrary, load_materials, save_materials
-from napari_hmrf.presets import PRESETS, Preset, take_over
-from napari_hmrf.solution import Provenance
+from napari_hmrf.solver.solution import Provenance
+from napari_hmrf.tissue.boundary_rules import RIGID, Material
+from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
+from napari_hmrf.tissue.material_tables import MaterialLibrary, load_materials, save_materials
 
 LIVER = Preset(
     "Liver",

@@ -16,8 +16,8 @@ from napari_hmrf import (
     phantom,
     solve,
 )
-from napari_hmrf.backends import host
-from napari_hmrf.backends.cpu.seiler_model import CpuSeilerModel
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 
 READINGS = ["centred", "blanket"]
 

@@ -9,11 +9,11 @@ import sys
 import pytest
 from opengl_here import on_compute_thread, require_opengl
 
-from napari_hmrf.backends.opengl import describe
+from napari_hmrf.solver.backends.opengl import describe
 
 _OPEN = """
 from napari_hmrf import BackendError
-from napari_hmrf.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends import compute_thread, open_backend
 
 def job():
     backend, reason = open_backend("auto", lambda: None)
@@ -30,7 +30,7 @@ compute_thread.submit(job).result()
 _SOLVE = """
 import numpy as np
 from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, solve
-from napari_hmrf.backends.opengl import relaxing
+from napari_hmrf.solver.backends.opengl import relaxing
 
 relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
 random = np.random.default_rng(0)

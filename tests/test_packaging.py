@@ -24,7 +24,7 @@ from pathlib import Path
 
 import napari_hmrf
 from napari_hmrf import BackendError, solve
-from napari_hmrf.phantoms import PHANTOM_NAMES, phantom, reference_displacement, sample
+from napari_hmrf.samples.phantoms import PHANTOM_NAMES, phantom, reference_displacement, sample
 from napari_hmrf.resources import resource_folder
 
 package = Path(napari_hmrf.__file__).resolve().parent

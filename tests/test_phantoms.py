@@ -5,7 +5,7 @@ import pytest
 from fem import rmsd
 
 from napari_hmrf import ICM, PHANTOM_NAMES, phantom, reference_displacement, sample, solve
-from napari_hmrf.annotation import boundary_images, stiffness_image
+from napari_hmrf.tissue.boundary_rules import boundary_images, stiffness_image
 
 BRAINS = ("expansion", "mass-effect")
 SMALL_SIZES = (*range(16, 24), 31, 64)

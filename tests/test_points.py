@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Problem, solve
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.layers.moving import Motion
 from napari_hmrf.layers.point import Points
-from napari_hmrf.optimizers import ICM
-from napari_hmrf.warp import inverse_map
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.optimizers import ICM
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from oracle import cliques, local_energy, total_energy
 
 from napari_hmrf import Problem, SeilerPrior
-from napari_hmrf.priors import LINES, line_weights
+from napari_hmrf.solver.priors import LINES, line_weights
 
 
 def random_problem(shape=(7, 9), seed=0, void=True, **more):

@@ -92,7 +92,7 @@ import os
 import threading
 
 from napari_hmrf import BackendError, phantom, solve
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.solver.backends.thread import compute_thread
 
 problem = phantom("expansion", size=24).problem
 begun, go_on = threading.Event(), threading.Event()

@@ -7,14 +7,14 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf import Multigrid, ProblemError, solve
-from napari_hmrf.annotation import BoundaryRule, Material
-from napari_hmrf.drawing import Arrow, Drawing, History, Landmark, Rendering, Stroke
-from napari_hmrf.drawing.pull import Grip, Pull
+from napari_hmrf.field.inverse_point import origin
 from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
-from napari_hmrf.origin import origin
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing, History, Landmark, Rendering, Stroke
+from napari_hmrf.tissue.drawing.pull import Grip, Pull
 
 SPACING = (1.0, 2.0)
 

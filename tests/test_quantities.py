@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ProblemError, count_folds, jacobian_determinant, phantom
-from napari_hmrf.phantoms import reference_displacement
-from napari_hmrf.quantities import (
+from napari_hmrf.field.strain import (
     deformation_gradient,
     equivalent_strain,
     folds,
@@ -14,6 +13,7 @@ from napari_hmrf.quantities import (
     small_strain,
     strain_through_slice,
 )
+from napari_hmrf.samples.phantoms import reference_displacement
 
 SPACING = np.array([2.0, 0.5])
 #: Row component along rows and columns, then the column component.

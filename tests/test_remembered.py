@@ -2,7 +2,7 @@
 
 from qtpy.QtCore import QSettings
 
-from napari_hmrf.priors import SeilerPrior
+from napari_hmrf.solver.priors import SeilerPrior
 
 
 def another(qtbot, viewer=None):

@@ -22,6 +22,20 @@ HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl"
 HEAVY += ("numba", "matplotlib", "vispy", "pandas")
 HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
 
+#: Who imports from whom: from left to right.
+ROOMS = (
+    {"ui"},
+    {"layers"},
+    {"samples"},
+    {"io"},
+    {"study"},
+    {"tissue", "field"},
+    {"solver"},
+    LEAVES := {"array_file", "atomic_write", "errors", "resources"},
+)
+#: What people and other processes start.
+ENTRIES = {"__init__", "__main__", "cli", "compiling"}
+
 pytestmark = pytest.mark.skipif(
     not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"
 )
@@ -75,13 +89,10 @@ def part(module: Path) -> str:
 def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
     known = packages(imports(module))
     where = part(module)
-    beside_napari = where.startswith(("layers/", "widgets/")) or where in (
-        "contributions.py",
-        "cli.py",
-    )
-    if not where.startswith("backends/opengl/"):
+    beside_napari = where.startswith(("layers/", "ui/")) or where == "cli.py"
+    if not where.startswith("solver/backends/opengl/"):
         assert not known & {"moderngl", "glcontext"}
-    if not where.startswith("widgets/"):
+    if not where.startswith("ui/"):
         assert not known & {"qtpy", "superqt", "vispy"}
     if not beside_napari:
         assert not known & {"napari", "magicgui"}
@@ -89,13 +100,23 @@ def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
 
 
 @pytest.mark.parametrize("module", MODULES, ids=part)
-def test_the_solver_knows_nothing_of_what_uses_it(module):
-    where = part(module)
-    users = ("layers", "widgets", "contributions", "cli", "demo", "selftest", "pictures")
-    if where.partition("/")[0].removesuffix(".py") in (*users, "__main__"):
-        return
+def test_a_room_imports_only_from_rooms_further_down(module):
+    def height(room: str) -> int:
+        return next(n for n, level in enumerate(ROOMS) if room in level)
+
+    here = part(module).removesuffix(".py").split("/")[0]
     of_ours = {name.split(".")[1] for name in imports(module) if name.startswith("napari_hmrf.")}
-    assert not of_ours & set(users)
+    rooms = {name for name in of_ours if (PACKAGE / name).is_dir() or name in LEAVES}
+    assert (
+        here in ENTRIES
+        or {room for room in rooms - {here} if height(room) <= height(here)} == set()
+    )
+
+
+def test_no_file_name_occurs_twice():
+    twins = ("solver/priors/", "solver/backends/")
+    names = [each.name for each in MODULES if not part(each).startswith(twins)]
+    assert {name for name in names if names.count(name) > 1} == {"__init__.py"}
 
 
 def test_no_imports_go_round_in_a_circle_not_even_those_for_types():

@@ -18,10 +18,10 @@ from linear_levels import (
 from opengl_here import left, on_compute_thread, require_opengl
 
 from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, phantom, solve
-from napari_hmrf.backends.opengl import OpenGLBackend
-from napari_hmrf.backends.opengl.device import the_device
-from napari_hmrf.optimizers import refinement
-from napari_hmrf.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
+from napari_hmrf.solver.backends.opengl.device import the_device
+from napari_hmrf.solver.optimizers import refinement
+from napari_hmrf.solver.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
 
 #: Odd, even, two sites wide, small enough to be the only level.
 SHAPES = [(31, 37), (64, 48), (2, 9), (4, 5)]
@@ -225,7 +225,7 @@ def test_observations_that_slip_are_the_same_everywhere(stage, prior):
 
 
 def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
-    from napari_hmrf.backends import opengl
+    from napari_hmrf.solver.backends import opengl
 
     require_opengl()
     monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
@@ -314,7 +314,7 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
 
 
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
-    from napari_hmrf.backends.opengl import backend, regions
+    from napari_hmrf.solver.backends.opengl import backend, regions
 
     whole = solve(torn(20.0), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
     monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
@@ -344,7 +344,7 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     ],
 )
 def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
-    from napari_hmrf.backends.opengl import source
+    from napari_hmrf.solver.backends.opengl import source
 
     require_opengl("compute")
     text = source._text
@@ -396,7 +396,7 @@ def test_a_load_that_is_a_mean_stays_one_at_the_border_of_tissue(monkeypatch):
 
     loops, shaders = with_levels(None, given, job)
     assert_same(shaders, loops)
-    monkeypatch.setattr("napari_hmrf.backends.cpu.seiler.even_out", lambda *_: None)
+    monkeypatch.setattr("napari_hmrf.solver.backends.cpu.seiler.even_out", lambda *_: None)
     loops, shaders = with_levels(None, given, job)
     with pytest.raises(AssertionError):
         assert_same(shaders, loops)

@@ -7,9 +7,9 @@ import re
 import pytest
 
 from napari_hmrf import BackendError
-from napari_hmrf.backends.opengl import source
-from napari_hmrf.backends.opengl.source import KERNELS, STAGES, compose, vertices
 from napari_hmrf.resources import resource_folder
+from napari_hmrf.solver.backends.opengl import source
+from napari_hmrf.solver.backends.opengl.source import KERNELS, STAGES, compose, vertices
 
 FILES = sorted(resource_folder("shaders").glob("*.glsl"))
 SHARED = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
-from napari_hmrf.backends import host
-from napari_hmrf.backends.cpu.elastic_model import CpuElasticModel
-from napari_hmrf.held import free_motions
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.solver.rigid_modes import free_motions
 
 PENALTY = 1e-9
 

@@ -11,17 +11,10 @@ import pytest
 from patience import LONG
 from test_icm import frame_problem
 
-from napari_hmrf import (
-    ICM,
-    BackendError,
-    Cancelled,
-    ElasticPrior,
-    Multigrid,
-    solve,
-)
-from napari_hmrf.backends import BATCH_SECONDS
-from napari_hmrf.backends.thread import ComputeThread, compute_thread
-from napari_hmrf.solve import run_here
+from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Multigrid, solve
+from napari_hmrf.solver.backends import BATCH_SECONDS
+from napari_hmrf.solver.backends.thread import ComputeThread, compute_thread
+from napari_hmrf.solver.solve import run_here
 
 
 class After:
@@ -61,7 +54,7 @@ def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(
 
 
 def test_cancel_is_looked_at_after_work_of_a_twentieth_of_a_second(monkeypatch):
-    from napari_hmrf.backends.cpu import kernels
+    from napari_hmrf.solver.backends.cpu import kernels
 
     problem = frame_problem((400, 400))
     solve(problem, optimizer=ICM(iterations=1), backend="cpu")  # rehearsed, and not counted
@@ -213,10 +206,10 @@ import sys, pkgutil
 import numpy as np
 import napari_hmrf.solve
 from napari_hmrf import *
-from napari_hmrf.backends import cpu
-from napari_hmrf.backends import BATCH_SECONDS
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.preparation import prepare
+from napari_hmrf.solver.backends import cpu
+from napari_hmrf.solver.backends import BATCH_SECONDS
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.preparation import prepare
 
 def made():
     names = [f"{cpu.__name__}.{each.name}" for each in pkgutil.iter_modules(cpu.__path__)]
@@ -252,7 +245,7 @@ def test_kernels_are_made_before_the_clock_starts():
 
 def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
     monkeypatch.setattr(sys.modules["napari_hmrf.solve"], "_announced", set())
-    monkeypatch.setattr("napari_hmrf.backends.opengl.is_software_renderer", lambda _: True)
+    monkeypatch.setattr("napari_hmrf.solver.backends.opengl.is_software_renderer", lambda _: True)
     for _ in range(2):
         solve(frame_problem((6, 6)), backend="auto")
     told = [record for record in caplog.records if "solving on" in record.message]

@@ -6,9 +6,7 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.intensity import StiffnessCurve, luminance
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import BOUNDARY, described
 from napari_hmrf.layers.stiffness import (
@@ -21,6 +19,8 @@ from napari_hmrf.layers.stiffness import (
     update_stiffness,
 )
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
 CURVE = StiffnessCurve(((0, 1), (255, 100)), void_below=20, unit="kPa")
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import phantom, rasterise, solve, triangles
+from napari_hmrf import phantom, solve
+from napari_hmrf.field import triangle_arrays, triangle_raster
 
 
 def both(moved, tissue):
     """Both inverse maps are the same."""
     (one, state), (other, states) = (
-        module.rasterise(moved, tissue) for module in (rasterise, triangles)
+        module.rasterise(moved, tissue) for module in (triangle_raster, triangle_arrays)
     )
     np.testing.assert_array_equal(states, state)
     np.testing.assert_allclose(other[state > 0], one[state > 0], atol=1e-6)
@@ -48,6 +49,6 @@ def test_tissue_that_collapses_or_leaves_is_drawn_alike():
 
 
 def test_many_pixels_are_asked_a_part_at_a_time(monkeypatch):
-    monkeypatch.setattr(triangles, "_AT_ONCE", 50)
+    monkeypatch.setattr(triangle_arrays, "_AT_ONCE", 50)
     rng = np.random.default_rng(1)
     both(moved_by(rng.normal(size=(15, 12, 2))), rng.random((15, 12)) < 0.9)

@@ -6,10 +6,10 @@ from conftest import quick
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 
-from napari_hmrf.annotation import BoundaryRule
-from napari_hmrf.drawing import Arrow, Drawing
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
 from napari_hmrf.layers.steps import steps_of
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.widgets.grab.dock import GrabAndPull
 from napari_hmrf.widgets.grab.words import START
 

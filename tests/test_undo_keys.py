@@ -4,7 +4,7 @@ import pytest
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 
-from napari_hmrf.drawing import Arrow
+from napari_hmrf.tissue.drawing import Arrow
 
 Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ProblemError, inverse_map, phantom, reference_displacement, resample, warp
-from napari_hmrf.deformation import count_folds
-from napari_hmrf.warp import inverse_map_and_overlaps
+from napari_hmrf.field.deformation import count_folds
+from napari_hmrf.field.warp import inverse_map_and_overlaps
 
 
 def places(shape):

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf import ProblemError, warp
-from napari_hmrf.backends.thread import compute_thread
-from napari_hmrf.lookup import look_up
-from napari_hmrf.rasterise import rasterise, rasterise_displaced
-from napari_hmrf.warp import moved_sites
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.field.interpolation import look_up
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.triangle_raster import rasterise, rasterise_displaced
+from napari_hmrf.field.warp import moved_sites
+from napari_hmrf.solver.backends.thread import compute_thread
 
 SHAPE = (37, 45)
 

@@ -11,10 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_hmrf import phantom, pictures, solve, whole_file
-from napari_hmrf.material_files import save_materials
-from napari_hmrf.presets import PRESETS
-from napari_hmrf.whole_file import write_whole
+from napari_hmrf import atomic_write, phantom, solve
+from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.io import figures
+from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.widgets.look.saving import save_canvas
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
@@ -29,7 +30,7 @@ def materials(path):
 
 
 def figure(path):
-    pictures._saved(path.parent, {path.stem: pictures.energy_picture(_energies())})
+    figures._saved(path.parent, {path.stem: figures.energy_picture(_energies())})
 
 
 def _energies():
@@ -63,7 +64,7 @@ def test_a_full_disk_leaves_the_old_file_whole(writer, path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(whole_file.os, "fsync", full)
+    monkeypatch.setattr(atomic_write.os, "fsync", full)
     with pytest.raises(OSError, match=r"cannot save the file: No space left.*kept\.png"):
         writer(path)
     assert path.read_bytes() == b"what was there"
@@ -76,7 +77,7 @@ def test_a_full_disk_leaves_the_old_file_whole(writer, path, monkeypatch):
 LIMITED = """
 import errno, resource, sys
 from pathlib import Path
-from napari_hmrf.whole_file import write_whole
+from napari_hmrf.atomic_write import write_whole
 
 path = Path(sys.argv[1])
 write_whole(path, b"old" * 1000)
@@ -128,14 +129,14 @@ def test_nobody_else_can_read_a_private_file_while_it_is_replaced(path, monkeypa
     def look(_):
         seen.extend(stat.S_IMODE(each.stat().st_mode) for each in path.parent.iterdir())
 
-    monkeypatch.setattr(whole_file.os, "fsync", look)
+    monkeypatch.setattr(atomic_write.os, "fsync", look)
     write_whole(path, b"secret")
     assert set(seen) == {0o600}
 
 
 def test_a_file_that_may_not_be_written_is_not_replaced_either(path, monkeypatch):
     # Root may write to all files, so that only the system's answer can be played.
-    monkeypatch.setattr(whole_file.os, "access", lambda *_: False)
+    monkeypatch.setattr(atomic_write.os, "access", lambda *_: False)
     with pytest.raises(PermissionError, match=r"cannot save the file: .*kept\.png"):
         write_whole(path, b"new")
     assert path.read_bytes() == b"what was there"
@@ -166,6 +167,6 @@ def test_a_fifo_is_written_into_and_stays(writer, tmp_path):
 @posix
 def test_a_device_is_written_into():
     write_whole("/dev/null", b"anything")
-    assert whole_file.is_stream("/dev/null")
+    assert atomic_write.is_stream("/dev/null")
     with pytest.raises(OSError, match=r"cannot save the file: No space left.*full"):
         write_whole("/dev/full", b"anything")

@@ -14,10 +14,10 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import ICM, SeilerPrior
-from napari_hmrf.annotation import BoundaryRule, Material
-from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.presets import PRESETS
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.widgets.deform import DeformTissue
 
 
@@ -683,7 +683,7 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
 
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
-    from napari_hmrf.optimizers import Monitor
+    from napari_hmrf.solver.optimizers import Monitor
     from napari_hmrf.widgets.words import COMPILING, DRAWING, progress
 
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
@@ -699,7 +699,7 @@ def test_one_sweep_is_told_as_one():
     from types import SimpleNamespace
 
     from napari_hmrf import Problem, solve
-    from napari_hmrf.optimizers import ICM
+    from napari_hmrf.solver.optimizers import ICM
     from napari_hmrf.widgets.words import details
 
     y = np.zeros((8, 8, 2))
@@ -766,7 +766,7 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
 def test_cancel_stops_a_long_solve_long_before_its_end(
     docked, small_sample, run, wait_for, monkeypatch
 ):
-    from napari_hmrf.backends.cpu import kernels
+    from napari_hmrf.solver.backends.cpu import kernels
 
     swept, sweep = [], kernels.sweeps
 

@@ -6,10 +6,10 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels
 
-from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import result_layers
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.widgets.painting import labels_in
 from napari_hmrf.widgets.results import ResultLayers
 

@@ -14,17 +14,17 @@ from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
 
 from napari_hmrf import Problem, solve
-from napari_hmrf.annotation import BoundaryRule
-from napari_hmrf.colours import reach_of
 from napari_hmrf.contributions import open_solution
+from napari_hmrf.field.colormaps import reach_of
+from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.warp import warp
+from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.point import Probe
 from napari_hmrf.layers.quantity_layers import quantity_layer
-from napari_hmrf.optimizers import ICM
-from napari_hmrf.pictures import jacobian_picture, magnitude_picture, strain_picture
-from napari_hmrf.quantities import green_lagrange_strain
-from napari_hmrf.warp import warp
+from napari_hmrf.solver.optimizers import ICM
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.widgets.look.dock import LookAtResult
 from napari_hmrf.widgets.look.saving import save_canvas
 from napari_hmrf.widgets.look.words import at_point, how_far, stiffness_of

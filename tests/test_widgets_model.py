@@ -5,11 +5,11 @@ import pytest
 from napari.layers import Image
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.snapshot import Request
-from napari_hmrf.models import converges
-from napari_hmrf.presets import PRESETS
+from napari_hmrf.study.models import converges
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.widgets.words import READY, when_to_take
 
 POISSON = 3  # the column of the table of tissues

@@ -9,9 +9,9 @@ import numba
 import numpy as np
 
 from napari_hmrf import Problem, phantom
-from napari_hmrf.backends import compute_thread, open_backend
-from napari_hmrf.backends import host as on_host
-from napari_hmrf.optimizers.cycle import chebyshev
+from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends import host as on_host
+from napari_hmrf.solver.optimizers.cycle import chebyshev
 from report.contenders import PHANTOM, PRIOR, Measured
 from report.page import Section, duration
 

@@ -16,7 +16,7 @@ from napari_hmrf import (
     phantom,
     solve,
 )
-from napari_hmrf.priors.elastic import Plane
+from napari_hmrf.solver.priors.elastic import Plane
 from report import calculix
 from report.assembly import solve_directly
 from report.page import Section, Settings, Target

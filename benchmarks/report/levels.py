@@ -11,8 +11,8 @@ from literal import _prolong
 from readings import solve_exactly
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom
-from napari_hmrf.backends import compute_thread, open_backend
-from napari_hmrf.hierarchy import levels, nearest_pixels
+from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from report.page import Section, Settings
 from report.pictures import COLOURS, new_figure, save
 

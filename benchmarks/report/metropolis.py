@@ -13,16 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from readings import solve_exactly
 
-from napari_hmrf import (
-    ICM,
-    ElasticPrior,
-    Multigrid,
-    Problem,
-    SeilerPrior,
-    Solution,
-    phantom,
-    solve,
-)
+from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, phantom, solve
 from report.assembly import assemble, solve_directly
 from report.page import Section, Settings, Target
 from report.pictures import COLOURS, new_figure, save
@@ -155,7 +146,7 @@ def _residual_matrix(problem: Problem):
     """All terms of all cliques as rows of a matrix, over the components of all sites."""
     import scipy.sparse as sp
 
-    from napari_hmrf.priors import LINES
+    from napari_hmrf.solver.priors import LINES
 
     height, width = problem.shape
     m = problem.m.astype(np.float64)

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.annotation import Material
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import TISSUE
 from napari_hmrf.layers.naming import LayerError
@@ -17,6 +16,7 @@ from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.steps import Place
 from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.boundary_rules import Material
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
 _APART = 0.35

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.hierarchy import levels, nearest_pixels
-from napari_hmrf.models import converges
-from napari_hmrf.optimizers import Optimizer
-from napari_hmrf.priors import ElasticPrior, Prior
-from napari_hmrf.problem import Problem
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.quadtree import levels, nearest_pixels
+from napari_hmrf.study.models import converges
 
 # How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
 # of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.colours import DIVERGING, FOLDED, RISING, opacity
+from napari_hmrf.field.colormaps import DIVERGING, FOLDED, RISING, opacity
 
 #: Of the arrows that show what a boundary will do.
 PREVIEW = "magenta"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from napari_hmrf.annotation import BoundaryRule, Material
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 UNPAINTED = "everything unpainted"
 _STIFFNESS = 20.0

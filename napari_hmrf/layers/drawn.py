@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.drawing import Arrow, Drawing, Landmark
-from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.colours import DRAWN, SELECTED
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark
+from napari_hmrf.tissue.drawing.marks import Point
 
 FloatArray = npt.NDArray[np.float32]
 

@@ -16,7 +16,7 @@ from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.reading import copy_slice, plane_shape
 from napari_hmrf.layers.view import View, unit_factor, unit_symbol
-from napari_hmrf.solution import Solution
+from napari_hmrf.solver.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,13 +11,7 @@ import numpy.typing as npt
 
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.stored_place import stored_place
-from napari_hmrf.layers.transform import (
-    Matrix,
-    flat,
-    floats,
-    floats_or_rows,
-    rows,
-)
+from napari_hmrf.layers.transform import Matrix, flat, floats, floats_or_rows, rows
 from napari_hmrf.layers.view import View, slice_shown, sliders_of, unit_factor
 
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.

@@ -13,9 +13,6 @@ import numpy.typing as npt
 from napari.layers import Labels
 from scipy import ndimage
 
-from napari_hmrf.annotation import Material, boundary_images, poisson_image, stiffness_image
-from napari_hmrf.drawing import Canvas
-from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.defaults import default_material, default_rule
 from napari_hmrf.layers.drawn import NAME as ARROWS
@@ -28,11 +25,19 @@ from napari_hmrf.layers.palette import OTHER, Palette
 from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.snapshot import look_of
 from napari_hmrf.layers.view import View
-from napari_hmrf.loose import scraps
-from napari_hmrf.outlines import outer_rim
-from napari_hmrf.presets import Preset
-from napari_hmrf.priors import ElasticPrior, Prior
-from napari_hmrf.problem import Problem
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.unconnected import scraps
+from napari_hmrf.tissue.boundary_rules import (
+    Material,
+    boundary_images,
+    poisson_image,
+    stiffness_image,
+)
+from napari_hmrf.tissue.drawing import Canvas
+from napari_hmrf.tissue.labels import labels_present
+from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.normals import outer_rim
 
 FloatArray = npt.NDArray[np.float32]
 

@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.annotation import boundary_images, poisson_image, stiffness_image
-from napari_hmrf.drawing import Canvas, Drawing
-from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.caveats import caveats, lacks
 from napari_hmrf.layers.defaults import default_material, default_rule
@@ -21,10 +18,13 @@ from napari_hmrf.layers.naming import LayerError, Named, naming
 from napari_hmrf.layers.observations import arrow_observations
 from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.snapshot import Request, Snapshot, copy_layers
-from napari_hmrf.loose import left_at_rest, scraps
-from napari_hmrf.optimizers import ICM, Optimizer
-from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
-from napari_hmrf.problem import Problem
+from napari_hmrf.solver.optimizers import ICM, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.tissue.boundary_rules import boundary_images, poisson_image, stiffness_image
+from napari_hmrf.tissue.drawing import Canvas, Drawing
+from napari_hmrf.tissue.labels import labels_present
 
 __all__ = [
     "Inputs",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, Literal
 
-from napari_hmrf.annotation import BoundaryRule, Material, read_stiffness
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
 
 #: Where a layer's metadata hold what this package knows of it.
 METADATA = "napari-hmrf"

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import deformation_grid, pixels_between
+from napari_hmrf.field.deformation import deformation_grid, pixels_between
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import emptiness
 from napari_hmrf.layers.outputs import LINES
-from napari_hmrf.resample import emptiness
-from napari_hmrf.solution import Solution
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.solver.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)

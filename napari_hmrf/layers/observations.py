@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.annotation import BoundaryRule, boundary_images
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.apart import apart, one_per_cell
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.naming import naming
 from napari_hmrf.layers.reading import copy_slice
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 
 FloatArray = npt.NDArray[np.float32]
 

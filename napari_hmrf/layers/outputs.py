@@ -11,23 +11,23 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.deformation import (
+from napari_hmrf.field.deformation import (
     arrows,
     deformation_grid,
     magnitude,
     pixels_between,
     smallest_determinant,
 )
+from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers.apart import apart
 from napari_hmrf.layers.colours import ARROWS as ARROW_COLOUR
 from napari_hmrf.layers.colours import fold_colours
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.view import unit_symbol
-from napari_hmrf.models import in_words, short_name
-from napari_hmrf.resample import emptiness, resample
-from napari_hmrf.solution import Solution
-from napari_hmrf.warp import inverse_map_and_overlaps
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.models import in_words, short_name
 
 Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
 #: The layers there can be, in the order they are stacked, lowest first.

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.drawing import Canvas, Stroke
-from napari_hmrf.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
-from napari_hmrf.drawing.marks import Action
 from napari_hmrf.layers.colours import SELECTED
 from napari_hmrf.layers.drawn import Lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.palette import Palette
+from napari_hmrf.tissue.drawing import Canvas, Stroke
+from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
+from napari_hmrf.tissue.drawing.marks import Action
 
 FloatArray = npt.NDArray[np.float32]
 

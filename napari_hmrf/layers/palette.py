@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.annotation import RIGID, Material, poisson_image, stiffness_image
-from napari_hmrf.presets import PRESETS, Preset
-from napari_hmrf.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.tissue.boundary_rules import RIGID, Material, poisson_image, stiffness_image
+from napari_hmrf.tissue.material_presets import PRESETS, Preset
 
 FloatArray = npt.NDArray[np.float32]
 

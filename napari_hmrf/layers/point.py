@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.deformation import jacobian_determinant, smallest_determinant
-from napari_hmrf.solution import Solution
+from napari_hmrf.field.deformation import jacobian_determinant, smallest_determinant
+from napari_hmrf.solver.solution import Solution
 
 #: Steps of the search for where tissue came from; where tissue does not fold far fewer do.
 _STEPS = 40

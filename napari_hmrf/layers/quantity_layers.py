@@ -7,19 +7,19 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.colours import OPACITY, SMALLEST, area_limits, reach_of
-from napari_hmrf.deformation import smallest_determinant
-from napari_hmrf.layers.colours import quantity_colours
-from napari_hmrf.layers.found import FoundResult, facts_for
-from napari_hmrf.layers.outputs import LayerData
-from napari_hmrf.models import short_name
-from napari_hmrf.quantities import (
+from napari_hmrf.field.colormaps import OPACITY, SMALLEST, area_limits, reach_of
+from napari_hmrf.field.deformation import smallest_determinant
+from napari_hmrf.field.strain import (
     equivalent_strain,
     green_lagrange_strain,
     jacobian_determinant,
     magnitude,
     principal_strains,
 )
+from napari_hmrf.layers.colours import quantity_colours
+from napari_hmrf.layers.found import FoundResult, facts_for
+from napari_hmrf.layers.outputs import LayerData
+from napari_hmrf.study.models import short_name
 
 Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from psygnal import Signal
 
-from napari_hmrf.edits import Edits, Step
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
@@ -17,6 +16,7 @@ from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.tables import Table
 from napari_hmrf.layers.undo_keys import UndoKeys
 from napari_hmrf.layers.view import View, unit_factor
+from napari_hmrf.study.edits import Edits, Step
 
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
 DRAWING = "drawing"

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.intensity import StiffnessCurve, luminance
 from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.colours import stiffness_colours
 from napari_hmrf.layers.frame import Frame
@@ -19,6 +18,7 @@ from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.reading import copy_slice
 from napari_hmrf.layers.transform import place_of
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
 _ABOVE = 0.01

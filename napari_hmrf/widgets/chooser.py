@@ -7,9 +7,7 @@ from typing import Any
 
 from napari.layers import Labels, Vectors
 
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.intensity import StiffnessCurve
 from napari_hmrf.layers.background import background_filling
 from napari_hmrf.layers.front import image_in_front, painted_on
 from napari_hmrf.layers.inputs import Request
@@ -19,8 +17,10 @@ from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.outputs import Kind
 from napari_hmrf.layers.shared import shared
 from napari_hmrf.layers.view import View
-from napari_hmrf.material_files import load_materials, save_materials
-from napari_hmrf.presets import Preset
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.material_tables import load_materials, save_materials
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.face import Face
 from napari_hmrf.widgets.material_menu import materials_of
@@ -143,7 +143,7 @@ class Chooser(Dock):
         self._face.tissue.menu.take(materials)
 
     def save_materials(self, path: str | Path) -> Path:
-        """Save the table of tissues to a file; as `napari_hmrf.material_files.save_materials`."""
+        """Save the table of tissues to a file; as `material_tables.save_materials`."""
         return save_materials(path, self._face.tissue.table.contents)
 
     @property

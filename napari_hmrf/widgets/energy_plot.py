@@ -8,8 +8,8 @@ import numpy as np
 from qtpy.QtWidgets import QVBoxLayout, QWidget
 from superqt import QCollapsible
 
-from napari_hmrf.models import is_multigrid
-from napari_hmrf.solution import Solution
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.models import is_multigrid
 
 #: Height of the plot, in pixels.
 _HEIGHT = 170

@@ -8,15 +8,15 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from napari_hmrf.backends.thread import STOPPED, compute_thread
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.inputs import Snapshot, prepare
 from napari_hmrf.layers.naming import naming
 from napari_hmrf.layers.outputs import Kind, Outputs, result_layers
-from napari_hmrf.optimizers import Monitor, Optimizer
-from napari_hmrf.priors import Prior
-from napari_hmrf.solution import Solution
-from napari_hmrf.solve import run_here
+from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import run_here
 
 Report = Callable[[Monitor], None]
 #: What those who wait for it are told.

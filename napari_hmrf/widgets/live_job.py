@@ -10,18 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.thread import compute_thread
 from napari_hmrf.errors import Cancelled
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import emptiness
 from napari_hmrf.layers.inputs import Inputs, Snapshot, prepare
 from napari_hmrf.layers.naming import naming
 from napari_hmrf.layers.outputs import Kind, result_layers
-from napari_hmrf.live import LiveSolver, Update
-from napari_hmrf.optimizers import Monitor, Optimizer
-from napari_hmrf.priors import Prior
-from napari_hmrf.problem import Problem
-from napari_hmrf.resample import emptiness
-from napari_hmrf.solution import Solution
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.live_solver import LiveSolver, Update
+from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.widgets.job import Done
 
 _log = logging.getLogger("napari_hmrf")

@@ -10,11 +10,16 @@ from psygnal import Signal
 from qtpy.QtCore import QStandardPaths
 from qtpy.QtWidgets import QFileDialog, QInputDialog, QMenu, QPushButton
 
-from napari_hmrf.annotation import stiffness_in_words
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
-from napari_hmrf.material_files import ENDING, MaterialLibrary, load_materials, save_materials
-from napari_hmrf.presets import PRESETS, Preset
+from napari_hmrf.tissue.boundary_rules import stiffness_in_words
+from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.material_tables import (
+    ENDING,
+    MaterialLibrary,
+    load_materials,
+    save_materials,
+)
 from napari_hmrf.widgets.material_table import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"

@@ -8,16 +8,16 @@ from typing import Any
 from psygnal import Signal
 from qtpy.QtCore import Qt
 
-from napari_hmrf.annotation import (
+from napari_hmrf.layers.defaults import default_material
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
     RIGID,
     Material,
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.layers.defaults import default_material
-from napari_hmrf.presets import Preset, take_over
-from napari_hmrf.priors.elastic import POISSON_RANGE
+from napari_hmrf.tissue.material_presets import Preset, take_over
 from napari_hmrf.widgets.label_table import LabelTable, number, shown
 from napari_hmrf.widgets.words import ABOUT_POISSON
 

@@ -9,8 +9,8 @@ from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
 from napari.layers import Image
 from qtpy.QtWidgets import QSizePolicy
 
-from napari_hmrf.annotation import USUAL_POISSON, Material
-from napari_hmrf.priors.elastic import POISSON_RANGE
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.widgets.forms import Prose, align_labels
 from napari_hmrf.widgets.words import (
     ABOUT_POISSON,

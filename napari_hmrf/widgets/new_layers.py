@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.colours import boundary_colours
 from napari_hmrf.layers.defaults import UNPAINTED
 from napari_hmrf.layers.frame import Frame
@@ -17,7 +16,8 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.reading import fits
 from napari_hmrf.layers.transform import place_of
 from napari_hmrf.layers.view import View, layer_extents
-from napari_hmrf.presets import PRESETS
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS
 
 #: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
 _LARGEST = 2**30

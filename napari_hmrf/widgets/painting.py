@@ -12,11 +12,11 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.label_images import labels_present
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
 from napari_hmrf.layers.reading import copy_slice
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.widgets.label_table import LabelTable
 from napari_hmrf.widgets.timers import single_shot
 

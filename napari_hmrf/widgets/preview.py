@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Layer
 
-from napari_hmrf.annotation import BoundaryRule
 from napari_hmrf.layers.colours import PREVIEW
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import LandmarkLayers, read_landmarks
@@ -18,6 +17,7 @@ from napari_hmrf.layers.observations import PREVIEW_LARGEST, preview_arrows
 from napari_hmrf.layers.outputs import LayerData
 from napari_hmrf.layers.reading import plane_shape
 from napari_hmrf.layers.view import View, layer_extents
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 
 FloatArray = npt.NDArray[np.float32]

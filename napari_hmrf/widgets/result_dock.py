@@ -11,9 +11,9 @@ from napari_hmrf.layers.inputs import Snapshot
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.outputs import Outputs
 from napari_hmrf.layers.shared import shared
-from napari_hmrf.optimizers import Optimizer
-from napari_hmrf.priors import Prior
-from napari_hmrf.solution import Solution
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.widgets.chooser import Chooser
 from napari_hmrf.widgets.footer import Footer
 from napari_hmrf.widgets.job import Done

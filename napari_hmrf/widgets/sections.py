@@ -10,9 +10,9 @@ from napari.layers import Image, Labels, Vectors
 from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
-from napari_hmrf.annotation import BoundaryRule, Material
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.widgets.boundary_table import BoundaryTable
 from napari_hmrf.widgets.curve.tissue import TissueCurve
 from napari_hmrf.widgets.label_table import LabelTable

@@ -7,9 +7,9 @@ from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, SpinBox
 
-from napari_hmrf.backends import BACKEND_NAMES
-from napari_hmrf.optimizers import ICM, Multigrid, Optimizer
-from napari_hmrf.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.backends import BACKEND_NAMES
+from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.widgets.forms import Prose, align_labels
 from napari_hmrf.widgets.model import TissueModel
 

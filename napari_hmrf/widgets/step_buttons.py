@@ -7,8 +7,8 @@ from typing import Any, Protocol
 from magicgui.widgets import PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 
-from napari_hmrf.edits import Edits
 from napari_hmrf.layers.steps import ViewerSteps
+from napari_hmrf.study.edits import Edits
 
 _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))

@@ -12,9 +12,9 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.snapshot import Snapshot
 from napari_hmrf.layers.view import unit_symbol
-from napari_hmrf.models import Model, Schedule, in_words, is_multigrid
-from napari_hmrf.optimizers import Monitor
-from napari_hmrf.priors.elastic import Plane
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.models import Model, Schedule, in_words, is_multigrid
 from napari_hmrf.widgets.job import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."

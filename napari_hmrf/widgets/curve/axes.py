@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from napari_hmrf.intensity import Point, StiffnessCurve
+from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve
 
 #: Of a plot: how far the stiffnesses reach beyond those of the points, so that there is room to
 #: drag a point up.

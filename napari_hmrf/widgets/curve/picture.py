@@ -12,7 +12,7 @@ import numpy.typing as npt
 from qtpy.QtCore import QPointF, QRectF, Qt
 from qtpy.QtGui import QColor, QPainter, QPen, QPolygonF, QTextOption
 
-from napari_hmrf.intensity import Point, StiffnessCurve
+from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve
 from napari_hmrf.widgets.curve.axes import CurveAxes
 
 #: Around the plot: room for numbers.

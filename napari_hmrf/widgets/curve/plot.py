@@ -12,7 +12,7 @@ from qtpy.QtGui import QPainter
 from qtpy.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.intensity import Point, StiffnessCurve, with_point
+from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve, with_point
 from napari_hmrf.widgets.curve.picture import CurvePicture
 
 HEIGHT = 170

@@ -10,7 +10,6 @@ from napari.layers import Image, Layer
 from psygnal import Signal
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.intensity import STIFFNESSES, StiffnessCurve
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.naming import LayerError
 from napari_hmrf.layers.stiffness import (
@@ -22,6 +21,7 @@ from napari_hmrf.layers.stiffness import (
     update_stiffness,
 )
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.stiffness_curve import STIFFNESSES, StiffnessCurve
 from napari_hmrf.widgets.curve.editor import CurveEditor
 from napari_hmrf.widgets.timers import single_shot
 from napari_hmrf.widgets.words import in_short

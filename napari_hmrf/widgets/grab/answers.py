@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from napari_hmrf.drawing.marks import Point, Stroke
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.painted import touches
+from napari_hmrf.tissue.drawing.marks import Point, Stroke
 from napari_hmrf.widgets.grab.puller import Puller
 from napari_hmrf.widgets.grab.words import (
     BESIDE,

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from napari.layers import Layer
 
-from napari_hmrf.drawing import Drawing
-from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.drawn import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.widgets.grab.keys import Listener, bind_keys
 from napari_hmrf.widgets.grab.quick import Hush, overwrite, spare_compiling
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there

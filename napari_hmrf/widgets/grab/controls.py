@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from napari_hmrf.drawing import Drawing, History
+from napari_hmrf.tissue.drawing import Drawing, History
 from napari_hmrf.widgets.dock import Dock
 from napari_hmrf.widgets.forms import put_scrolled
 from napari_hmrf.widgets.grab.answers import Answers

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.drawing import Drawing, Stroke
-from napari_hmrf.drawing.hand import Hand
-from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.drawn import Lines
 from napari_hmrf.layers.front import image_covering_at
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import outline_of
 from napari_hmrf.layers.shared import shared
+from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.widgets.grab.arrows import ArrowsLayer
 from napari_hmrf.widgets.grab.keys import Listener
 from napari_hmrf.widgets.grab.live_layers import LiveLayers

@@ -6,13 +6,13 @@ from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox
 
-from napari_hmrf.annotation import Material, stiffness_in_words
-from napari_hmrf.drawing.brush import Paint
-from napari_hmrf.drawing.marks import Action
-from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.palette import Palette
-from napari_hmrf.presets import PRESETS
+from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
+from napari_hmrf.tissue.drawing.brush import Paint
+from napari_hmrf.tissue.drawing.marks import Action
+from napari_hmrf.tissue.drawing.pull import Grip
+from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.widgets.forms import LEAST_CONFIDENCE, confidence_slider
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 

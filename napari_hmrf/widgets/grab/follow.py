@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.backends.thread import STOPPED, compute_thread
-from napari_hmrf.drawing import Drawing, Rendering, Stroke
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import emptiness
 from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.outputs import RESTORED, result_layers
 from napari_hmrf.layers.painted import painted_marks, show_painted
-from napari_hmrf.live import LiveSolver, Update
-from napari_hmrf.loose import left_at_rest
-from napari_hmrf.optimizers import Monitor
-from napari_hmrf.priors import Prior
-from napari_hmrf.problem import Problem
-from napari_hmrf.resample import emptiness
-from napari_hmrf.solution import Solution
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+from napari_hmrf.solver.live_solver import LiveSolver, Update
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.unconnected import left_at_rest
+from napari_hmrf.tissue.drawing import Drawing, Rendering, Stroke
 from napari_hmrf.widgets.grab.rehearsal import rehearse, rehearse_the_rest
 from napari_hmrf.widgets.grab.repainted import Repainted
 from napari_hmrf.widgets.grab.seen import Painted, Seen

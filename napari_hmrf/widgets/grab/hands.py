@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from napari_hmrf.drawing import History
-from napari_hmrf.drawing.brush import Brush
-from napari_hmrf.drawing.hand import Hand
-from napari_hmrf.drawing.marks import Arrow, Landmark
-from napari_hmrf.drawing.pairs import Pairs
-from napari_hmrf.drawing.pull import Pull
+from napari_hmrf.tissue.drawing import History
+from napari_hmrf.tissue.drawing.brush import Brush
+from napari_hmrf.tissue.drawing.landmark_pairs import Pairs
+from napari_hmrf.tissue.drawing.marks import Arrow, Landmark
+from napari_hmrf.tissue.drawing.pull import Pull
+from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.widgets.grab.tools import BY_NAME, Tool
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from napari_hmrf.drawing import History
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.steps import DRAWING, Place, Slot, steps_of
+from napari_hmrf.tissue.drawing import History
 
 
 class Histories:

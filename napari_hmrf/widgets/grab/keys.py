@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.steps import Owner
 from napari_hmrf.layers.undo_keys import KEYS
+from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.widgets.grab.tools import TOOLS
 
 #: By how much a key makes the brush larger.

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Layer
 
-from napari_hmrf.drawing import Drawing, Stroke
-from napari_hmrf.drawing.canvas import common, distance_to
-from napari_hmrf.drawing.marks import Point
 from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.painted import number_of, painted_layer
+from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing.canvas import common, distance_to
+from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.widgets.grab.quick import overwrite
 from napari_hmrf.widgets.viewer_layers import same_selection, still_there, update_layer
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.drawing import Drawing, History, Stroke
-from napari_hmrf.drawing.brush import Paint
-from napari_hmrf.drawing.hand import Hand
-from napari_hmrf.drawing.pull import Grip
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.steps import ViewerSteps
+from napari_hmrf.tissue.drawing import Drawing, History, Stroke
+from napari_hmrf.tissue.drawing.brush import Paint
+from napari_hmrf.tissue.drawing.pull import Grip
+from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.widgets.grab.display import Display
 from napari_hmrf.widgets.grab.follow import Follower
 from napari_hmrf.widgets.grab.hands import Hands

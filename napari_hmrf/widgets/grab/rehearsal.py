@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from napari_hmrf.errors import Cancelled
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import emptiness
 from napari_hmrf.layers.ground import Ground
-from napari_hmrf.live import TOLERANCE
-from napari_hmrf.optimizers import Multigrid
-from napari_hmrf.priors import ElasticPrior, Prior
-from napari_hmrf.problem import Problem
-from napari_hmrf.resample import emptiness
-from napari_hmrf.solve import CancelFlag, Progress, run_here
-from napari_hmrf.warper import Picture, Warper
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
 
 _SIZE = 24
 _log = logging.getLogger("napari_hmrf")

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.drawing import Drawing
-from napari_hmrf.drawing.marks import Point
+from napari_hmrf.field.inverse_point import farthest_of, origin
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.outputs import Outputs
-from napari_hmrf.origin import farthest_of, origin
-from napari_hmrf.solution import Solution
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing.marks import Point
 
 
 class Painted(NamedTuple):

@@ -8,10 +8,10 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from napari_hmrf.drawing import Drawing, Landmark
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.landmarks import landmarks_of
 from napari_hmrf.layers.naming import LayerError
+from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.widgets.grab.badge import Badge
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.puller import Puller

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from napari_hmrf.drawing import Drawing
 from napari_hmrf.layers.front import image_in_front, painted_on
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.steps import Slot, steps_of
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.widgets.grab.form import GrabForm
 from napari_hmrf.widgets.grab.histories import drawn_on
 from napari_hmrf.widgets.listening import Listening

@@ -7,7 +7,6 @@ from typing import Any
 
 from napari.layers import Image
 
-from napari_hmrf.annotation import Material
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult, frame_in, place_at
 from napari_hmrf.layers.frame import Frame
@@ -16,6 +15,7 @@ from napari_hmrf.layers.naming import full_resolution
 from napari_hmrf.layers.point import Points, Probe
 from napari_hmrf.layers.quantity_layers import FloatArray, Quantity
 from napari_hmrf.layers.view import View
+from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.widgets.look.words import NO_TISSUE, at_point, stiffness_of, strain_of
 
 

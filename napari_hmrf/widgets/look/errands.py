@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-from napari_hmrf.backends.thread import compute_thread
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.widgets.timers import repeating
 
 #: How often the thread is asked whether it is done, in milliseconds.

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from napari_hmrf.whole_file import write_whole
+from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.widgets.brush_circle import no_circle
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from napari.layers import Labels
 
-from napari_hmrf.deformation import magnitude
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import (
     FoundResult,

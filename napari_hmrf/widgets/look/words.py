@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from napari_hmrf.annotation import RIGID, stiffness_in_words
 from napari_hmrf.layers.directions import Directions
 from napari_hmrf.layers.found import FoundResult
 from napari_hmrf.layers.point import Probe
 from napari_hmrf.layers.quantity_layers import QUANTITIES, Quantity
+from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 
 NO_RESULT = (
     "There is no result to look at yet. Press Deform in 'Deform tissue' (Plugins menu), or open a "

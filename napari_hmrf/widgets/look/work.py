@@ -47,6 +47,6 @@ def unmoved(result: FoundResult, source: Any, image: npt.NDArray[Any]) -> LayerD
 
 def figures_of(result: FoundResult, image: npt.NDArray[Any] | None, folder: Path) -> list[Path]:
     """Write the figures of a result into a folder."""
-    from napari_hmrf.pictures import save_result_pictures
+    from napari_hmrf.io.figures import save_result_pictures
 
     return save_result_pictures(folder, result.solution, image, result.unit)

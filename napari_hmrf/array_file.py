@@ -1,0 +1,290 @@
+"""A file of plain arrays and one text, written whole or not at all and read without trust.
+
+It is a NumPy archive (.npz) with a header in JSON. Nothing in it can run code. Before anything is
+read the archive's own table and each array's header are checked against what the format holds, so
+that a damaged, foreign or hostile file costs one clear error and no memory.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import math
+import os
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Generic, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.atomic_write import is_stream, write_whole
+from napari_hmrf.errors import FileFormatError
+
+T = TypeVar("T")
+Header = Mapping[str, Any]
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+#: No array may be larger, in bytes: two components on 16384 x 16384 sites.
+MAX_BYTES = 2 * 16384**2 * 4
+#: A field of one value packs 1000 to 1. Up to this size that is harmless, beyond it a trap.
+_HARMLESS_BYTES = 256 * 2**20
+_MAX_RATIO = 100
+
+_HEADER = "header"
+_HEADER_BYTES = 2**20
+_DEEPEST = 32
+
+# The beginning of an array in NumPy's format: https://numpy.org/neps/nep-0001-npy-format.html
+_NPY = b"\x93NUMPY"
+_NPY_HEADER = re.compile(
+    rb"\{'descr': '([<>|][biufcmMOSUV]\d{0,9})', 'fortran_order': (True|False), "
+    rb"'shape': \(([\d, ]{0,99})\), \} *\n"
+)
+
+# What zipfile, zlib, NumPy and JSON raise on bytes that are not what they claim to be.
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    NotImplementedError,
+    RecursionError,
+    RuntimeError,
+    MemoryError,
+)
+
+
+class Invalid(ValueError):
+    """The reason why a file is not of its format, in words for its user."""
+
+
+@dataclass(frozen=True)
+class Format(Generic[T]):
+    """What a kind of file holds.
+
+    Attributes
+    ----------
+    name : str
+        By which its files know themselves.
+    schema : int
+        Raised when a file could be misread by an older version; older files stay valid.
+    what : str
+        What it is to its user, for errors: "<file>: not a valid <what>: <reason>".
+    arrays : mapping of str to (dtype, int)
+        The dtype and number of axes of each array; no other may be there.
+    parse : callable
+        Makes the object of header and arrays; raises `Invalid` for what cannot be one.
+    """
+
+    name: str
+    schema: int
+    what: str
+    arrays: Mapping[str, tuple[np.dtype[Any], int]]
+    parse: Callable[[Header, Arrays], T]
+
+
+def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays: Arrays) -> Path:
+    """Write a file that is complete or not there.
+
+    As by `write_whole`: a file that was there before survives until the new one is complete.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Taken as it is; ".npz" is added only if the name has no suffix, and is no FIFO or device.
+    form : Format
+    header : mapping
+        Of JSON types; name and schema of the format are added.
+    arrays : mapping
+        Converted to the dtypes of the format.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    OSError
+        If the folder is missing or the file cannot be written (`FileNotFoundError`,
+        `PermissionError`...); the message names the file.
+    TypeError, ValueError
+        If it could not be read back: the header holds something that is not of a JSON type, or
+        the format refuses it.
+    """
+    target = Path(path)
+    if not is_stream(target):
+        target = Path(os.path.realpath(target))
+        if not target.suffix:
+            target = target.with_name(target.name + ".npz")
+    write_whole(target, _packed(form, header, arrays))
+    return target
+
+
+def read(path: str | os.PathLike[str], form: Format[T]) -> T:
+    """Read a file back.
+
+    Raises
+    ------
+    FileFormatError
+        If it is anything but a file of this format, or damaged.
+    OSError
+        If it cannot be opened (`FileNotFoundError`, `PermissionError`).
+    """
+
+    def refusal(reason: str) -> FileFormatError:
+        return FileFormatError(f"{Path(path).name}: not a valid {form.what}: {reason}")
+
+    if os.path.isdir(path):
+        raise refusal("it is a folder")
+    with open(path, "rb") as file:
+        try:
+            return _unpacked(file, form)
+        except Invalid as error:
+            raise refusal(str(error)) from None
+        except _DAMAGE:
+            raise refusal("it is damaged or incomplete") from None
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            # The archive's table points to before the beginning of the file.
+            raise refusal("it is damaged or incomplete") from None
+
+
+def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
+    """Tell, by reading little of it, whether a file says that it is of a format.
+
+    True too for one that is damaged elsewhere or written by a later version: `read` then says what
+    is wrong.
+    """
+    try:
+        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+            return bool(_header(archive)["format"] == form.name)
+    except (OSError, *_DAMAGE):
+        return False
+
+
+def _packed(form: Format[Any], header: Header, arrays: Arrays) -> bytes:
+    whole = {"format": form.name, "schema": form.schema, **header}
+    members: dict[str, Any] = {
+        name: np.asarray(arrays[name]).astype(kind) for name, (kind, _) in form.arrays.items()
+    }
+    file = io.BytesIO()
+    np.savez_compressed(file, header=np.array(json.dumps(whole, ensure_ascii=False)), **members)
+    content = file.getvalue()
+    try:
+        _unpacked(io.BytesIO(content), form)
+    except Invalid as error:  # what could not be read back must not replace what could
+        raise ValueError(f"this {form.what} cannot be saved: {error}") from None
+    return content
+
+
+def _unpacked(file: BinaryIO, form: Format[T]) -> T:
+    with zipfile.ZipFile(file) as archive:
+        header = _header(archive)
+        if header["format"] != form.name:
+            raise Invalid("it is another kind of file")
+        schema = header["schema"]
+        if not isinstance(schema, int) or schema < 1:
+            raise Invalid(f"its version is {schema!r}")
+        if schema > form.schema:
+            raise Invalid(
+                f"it was written by a later version (format {schema}, this one reads up to "
+                f"{form.schema}); update napari-hmrf"
+            )
+        _check_members(archive, form)
+        arrays = {name: _array(archive, name, *kind) for name, kind in form.arrays.items()}
+    return form.parse(header, arrays)
+
+
+def _header(archive: zipfile.ZipFile) -> Header:
+    """What the file says about itself: the one member that tells a foreign file from a damaged."""
+    if f"{_HEADER}.npy" not in archive.namelist():
+        raise Invalid("it is another kind of file")
+    header = json.loads(_array(archive, _HEADER, None, 0).item())
+    if not isinstance(header, dict) or "format" not in header:
+        raise Invalid("it is another kind of file")
+    if _is_deep(header):  # it could not be copied or saved again
+        raise Invalid(f"its header is nested more than {_DEEPEST} times")
+    return header
+
+
+def _is_deep(value: Any, levels: int = _DEEPEST) -> bool:
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels < 0 or any(_is_deep(part, levels - 1) for part in parts)
+
+
+def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
+    """No member may lack, be there twice, or be one that the format does not have."""
+    names = sorted(archive.namelist())
+    expected = sorted(f"{member}.npy" for member in (_HEADER, *form.arrays))
+    if names != expected:
+        missing, odd = set(expected) - set(names), set(names) - set(expected)
+        what = [f"lacks {name!r}" for name in sorted(missing)]
+        what += [f"holds {name!r}, which no {form.what} does" for name in sorted(odd)]
+        raise Invalid(f"it {what[0]}" if what else "it holds one thing twice")
+
+
+def _array(
+    archive: zipfile.ZipFile, member: str, dtype: np.dtype[Any] | None, ndim: int
+) -> npt.NDArray[Any]:
+    """One array, read only after its header said that it is what the format holds.
+
+    Without a `dtype` it must be text, of at most a mebibyte.
+    """
+    info = archive.getinfo(f"{member}.npy")
+    cap = MAX_BYTES if dtype is not None else _HEADER_BYTES
+    ratio = info.file_size / max(1, info.compress_size)
+    if info.file_size > cap or (info.file_size > _HARMLESS_BYTES and ratio > _MAX_RATIO):
+        raise Invalid(
+            f"its {member} claims {info.file_size} bytes from {info.compress_size}, more than "
+            "such a file may hold"
+        )
+    if info.header_offset + info.compress_size > archive.start_dir:
+        raise Invalid("it is damaged or incomplete")  # and memory would be taken for what it claims
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        # Others take memory in proportion to what they claim, before a byte of it is there.
+        raise Invalid(f"its {member} is packed in a way that only other programs do")
+    with archive.open(info) as stream:
+        found, order, shape, offset = _peek(stream)
+    right = found.kind == "U" if dtype is None else found == dtype
+    if not right or found.hasobject or len(shape) != ndim:
+        wanted = "text" if dtype is None else f"{dtype} on {ndim} axes"
+        raise Invalid(f"its {member} is {found} of shape {shape}, not {wanted}"[:200])
+    if found.itemsize * math.prod(shape) + offset != info.file_size:
+        raise Invalid(f"its {member} claims a shape of {shape}, which is not what it holds")
+    # Reading the member whole compares its checksum.
+    values = np.frombuffer(archive.read(info), found, offset=offset)
+    return values.reshape(shape, order=order).copy()
+
+
+def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:
+    """What an array claims: its dtype, order and shape, and where its values begin.
+
+    NumPy's own reader has Python parse what the file says, which can fail in more ways than it
+    tells, and warns. What NumPy writes of plain arrays is always of one form.
+    """
+    start = stream.read(len(_NPY) + 4)
+    version = tuple(start[len(_NPY) : -2])
+    if start.startswith(_NPY) and version != (1, 0):
+        raise Invalid(f"its arrays are of format {version}")
+    length = int.from_bytes(start[-2:], "little")
+    told = _NPY_HEADER.fullmatch(stream.read(length))
+    if not start.startswith(_NPY) or told is None:
+        raise Invalid("it is damaged or incomplete")
+    kind, by_columns, sizes = (each.decode() for each in told.groups())
+    shape = tuple(int(size) for size in sizes.split(",") if size)
+    return np.dtype(kind), "F" if by_columns == "True" else "C", shape, len(start) + length

@@ -1,0 +1,1 @@
+"""What a displacement does: moved pictures, strain, and where a point was."""

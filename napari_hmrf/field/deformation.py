@@ -1,0 +1,325 @@
+"""What a displacement says: how tissue grows or shrinks, where it folds, and pictures of it.
+
+Segments and arrows are in pixels, (row, col), as napari's Vectors layer takes them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
+from napari_hmrf.solver.problem import as_numbers
+
+FloatArray = npt.NDArray[np.float32]
+
+# Rows that are looked at together.
+_STRIP = 64
+# Lines that are farther apart than any image is large.
+_FAR = 2**31
+
+
+def magnitude(displacement: npt.ArrayLike) -> FloatArray:
+    """How far each site moves.
+
+    Parameters
+    ----------
+    displacement : array_like, shape (H, W, 2)
+        In the unit of `spacing`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        In the same unit.
+
+    Raises
+    ------
+    ProblemError
+        If it is of another shape, or of no numbers.
+    """
+    d = as_numbers("displacement", displacement)
+    if d.shape[-1:] != (2,):
+        raise ProblemError(
+            "displacement",
+            f"has shape {d.shape}, but (H, W, 2) is needed: one (row, col) vector per pixel.",
+        )
+    length: FloatArray = np.linalg.norm(d, axis=-1).astype(np.float32)
+    return length
+
+
+def jacobian_determinant(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """By which factor the area around each site changes: the determinant of d(X + d(X)) / dX.
+
+    1 is no change, below 1 shrinks, above 1 grows, 0 or below is folded. Differences are central,
+    and one-sided where a neighbour is missing; along an axis on which a site has no neighbour it
+    counts as unstrained.
+
+    Parameters
+    ----------
+    displacement : array_like, shape (H, W, 2)
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+    tissue : array_like of bool, shape (H, W), optional
+        By default everything. Differences are never taken across its border.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        NaN where there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    # The mean over the four quadrants around a site is the determinant of its central differences.
+    return _over_quadrants(lambda quadrants: np.add.reduce(quadrants) / 4, moved, mask)
+
+
+def count_folds(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> int:
+    """Count the sites at which tissue folds over itself or collapses.
+
+    Those where the determinant is 0 or below in any of the four quadrants around the site: central
+    differences alone would not see a site that jumps over its neighbour and back.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    return int((smallest_determinant(displacement, spacing, tissue) <= 0).sum())
+
+
+def smallest_determinant(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Find how near each site is to a fold: the smallest determinant of its four quadrants.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        0 or below where the tissue folds; NaN where there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    return _over_quadrants(np.minimum.reduce, moved, mask)
+
+
+def deformation_grid(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    every: int = 10,
+    tissue: npt.ArrayLike | None = None,
+    pieces: int = 5,
+) -> FloatArray:
+    """Draw a square grid that has moved with the tissue (figure 4).
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`; lines are drawn in tissue only.
+    every : int
+        Pixels between two lines; where pixels are not square, pixels of the shorter side, and so
+        many of the other as make the cells square, as nearly as whole pixels can.
+    pieces : int
+        Straight pieces of a line between two crossings, where there are pixels enough: fewer are
+        quicker to draw.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, 2), float32
+        Segments as (start, direction), each (row, col) in pixels.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    _check_count("every", every, "pixels")
+    _check_count("pieces", pieces, "pieces")
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    rows, cols = (min(max(1, round(every * min(spacing) / size)), _FAR) for size in spacing)
+    along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
+    along_rows = _lines(moved.swapaxes(0, 1), mask.T, cols, max(1, rows // pieces))
+    return np.concatenate([along_cols, along_rows]).astype(np.float32)
+
+
+def _check_count(name: str, count: int, of: str) -> None:
+    try:
+        right = count == int(count) and count >= 1
+    except (TypeError, ValueError, OverflowError):
+        right = False
+    if not right:
+        raise ProblemError(name, f"is {count!r}. Give a whole number of {of}, at least 1.")
+
+
+def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
+    """How far apart so many lines of `deformation_grid` are across the longer side of an image."""
+    longer = max(count * size for count, size in zip(shape, spacing, strict=True))
+    return max(1, round(longer / min(spacing) / lines))
+
+
+def arrows(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+    about: int = 1000,
+) -> FloatArray:
+    """Pick arrows that show the displacement without hiding the image.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `jacobian_determinant`; arrows are in tissue only.
+    about : int
+        How many arrows, roughly.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, 2), float32
+        Arrows as (start, direction), each (row, col) in pixels, at their true length. Always a list
+        of arrows, never a grid of them.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    wanted: Any = about
+    if not (isinstance(wanted, Real) and float(wanted) >= 1):
+        raise ProblemError("about", f"is {about!r}. Ask for at least one arrow.")
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    steps = _lattice(mask.sum() / about, spacing)
+    chosen = np.zeros_like(mask)
+    lines = tuple(
+        slice(min(step, size) // 2, None, step)
+        for step, size in zip(steps, mask.shape, strict=True)
+    )
+    chosen[lines] = mask[lines]
+    starts = np.argwhere(chosen)
+    if not len(starts):  # all tissue is thinner than a step
+        sites = np.argwhere(mask)
+        starts = sites[:: max(1, round(len(sites) / about))]
+    ends = moved[tuple(starts.T)]
+    return np.stack([starts, ends - starts], axis=1).astype(np.float32)
+
+
+def _lattice(sites: float, spacing: Sequence[float]) -> tuple[int, int]:
+    """Steps in (row, col) of a lattice that is square in the world, with so many sites a point."""
+    aspect = math.sqrt(spacing[1] / spacing[0])
+    row = max(1, round(math.sqrt(max(1.0, sites)) * aspect))
+    col = max(1, round(sites / row))
+    if col == 1:
+        row = max(1, round(sites))
+    return row, col
+
+
+def _over_quadrants(
+    reduced: Callable[[list[Float64Array]], Float64Array], moved: Float64Array, mask: BoolArray
+) -> FloatArray:
+    """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void.
+
+    Strip by strip, with a row of each neighbour: what lies between stays in the cache.
+    """
+    made = np.full(mask.shape, np.nan, dtype=np.float32)
+    for begin in range(0, len(mask), _STRIP):
+        first, last = max(begin - 1, 0), begin + _STRIP + 1
+        values = reduced(_quadrants(moved[first:last], mask[first:last]))
+        inner = slice(begin, begin + _STRIP)
+        np.copyto(made[inner], values[begin - first :][:_STRIP], where=mask[inner])
+    return made
+
+
+def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
+    """The determinant from one-sided differences in each quadrant around a site, (H, W) each.
+
+    In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
+    """
+    by_row = one_sided_differences(moved, mask, np.array([1.0, 0.0]))
+    by_col = one_sided_differences(moved.swapaxes(0, 1), mask.T, np.array([0.0, 1.0]))
+    by_col = [difference.swapaxes(0, 1) for difference in by_col]
+    return [
+        down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
+        for down in by_row
+        for along in by_col
+    ]
+
+
+def one_sided_differences(
+    moved: Float64Array, mask: BoolArray, unstrained: Float64Array
+) -> list[Float64Array]:
+    """Differences to the next and to the previous site along the first axis.
+
+    Each stands in for the other where that is missing, and `unstrained` for both.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (H, W, 2)
+        Of `moved_sites`: where every site has moved.
+    mask : ndarray of bool, shape (H, W)
+        The tissue; differences are never taken across its border.
+    unstrained : ndarray, shape (2,)
+        What a step along the axis is without any motion.
+
+    Returns
+    -------
+    list of two ndarrays, shape (H, W, 2)
+        To the next site, and from the previous one.
+    """
+    height = len(mask)
+    # Of site i: whether there is a next one, at i + 1, and a previous one, at i.
+    exists = np.zeros((height + 1, *mask.shape[1:], 1), dtype=bool)
+    exists[1:-1, :, 0] = mask[1:] & mask[:-1]
+    steps = np.empty((height + 1, *moved.shape[1:]))
+    np.subtract(moved[1:], moved[:-1], out=steps[1:-1])
+    steps[[0, -1]] = unstrained
+    np.copyto(steps, unstrained, where=~exists)
+    following = np.where(exists[1:], steps[1:], steps[:-1])
+    previous = np.where(exists[:-1], steps[:-1], steps[1:])
+    return [following, previous]
+
+
+def _lines(moved: Float64Array, mask: BoolArray, every: int, step: int) -> Float64Array:
+    """Every so many-th line along the second axis, as segments, where it runs in tissue."""
+    lines = slice((len(moved) - 1) % every // 2, None, every)
+    # Segments span a few sites, still far shorter than a mesh: fewer to draw.
+    place, there = moved[lines], mask[lines]
+    size = place.shape[1]
+    stops = np.unique(np.append(np.arange(0, size, step), size - 1))
+    starts, ends = stops[:-1], stops[1:]
+    missing = np.concatenate([np.zeros((len(there), 1), int), np.cumsum(~there, axis=1)], axis=1)
+    drawn = missing[:, ends + 1] == missing[:, starts]
+    start, end = place[:, starts][drawn], place[:, ends][drawn]
+    return np.stack([start, end - start], axis=1)

@@ -1,0 +1,255 @@
+"""Moving pictures with the tissue again and again, while it is edited or a slider is drawn.
+
+The same as `warp`, at a tenth of its time: memory is used again, all cores draw, and pictures are
+read once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field import triangle_arrays
+from napari_hmrf.field.resample import as_image, check_order, checked_fill, filled_in, resample
+from napari_hmrf.field.warp import checked_sizes, moved_sites
+from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.problem import as_numbers
+
+# What the compiled loops know, so that there is nothing to compile for any other kind of image; and
+# what they take others for, which holds all their values. Large integers do not fit a double.
+_KNOWN = ("uint8", "float32", "float64")
+_INTERPOLATED = {
+    **{name: name for name in _KNOWN},
+    **dict.fromkeys(("int8", "uint16", "int16"), "float32"),
+    **dict.fromkeys(("uint32", "int32"), "float64"),
+}
+_COPIED = {**_INTERPOLATED, "bool": "uint8", "float16": "float32"}
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An image to be moved, and how.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W) or (H, W, channels)
+        Grey, RGB or RGBA image, or labels (with ``order=0``). It is not copied: leave it alone.
+    order : int
+        As for `warp`. 0 and 1 are fast.
+    fill : float
+        What is seen where tissue has left and nothing came.
+    """
+
+    image: npt.ArrayLike
+    order: int = 1
+    fill: float = 0
+
+
+class Warper:
+    """Moves pictures of one grid.
+
+    Parameters
+    ----------
+    pictures : Picture, sequence of Picture, or array_like
+        All of one grid; a single image may be given as it is.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from napari_hmrf.solver.backends.thread import compute_thread
+    >>> right = np.broadcast_to(np.float32([0, 2]), (3, 4, 2))
+    >>> warper = Warper(np.arange(12).reshape(3, 4).astype(np.uint8))
+    >>> (half,) = compute_thread.submit(lambda: warper(right, fraction=0.5)).result()
+    >>> half[0].tolist()
+    [0, 0, 1, 2]
+    """
+
+    def __init__(
+        self,
+        pictures: Picture | Sequence[Picture] | npt.ArrayLike,
+        spacing: Sequence[float] = (1.0, 1.0),
+    ) -> None:
+        given = _as_pictures(pictures)
+        grid = as_numbers("image", given[0].image).shape[:2]
+        self._looks = [_Look(picture, grid) for picture in given]
+        rows, cols = checked_sizes(spacing)
+        self._spacing = (float(rows), float(cols))
+        self.shape = grid
+        self._everything = np.ones(grid, dtype=bool)
+        # A pixel nothing came to keeps its last source: it is not looked at, but must be a number.
+        self._moved, self._source = np.empty((*grid, 2)), np.zeros((*grid, 2))
+        self._reach, self._state = np.empty((grid[0], 2)), np.empty(grid, np.uint8)
+
+    def __call__(
+        self,
+        displacement: npt.ArrayLike,
+        tissue: npt.ArrayLike | None = None,
+        fraction: float = 1.0,
+    ) -> list[npt.NDArray[Any]]:
+        """Move the pictures; on the compute thread only, for the sake of numba's own threads.
+
+        Parameters
+        ----------
+        displacement : array_like, shape (H, W, 2)
+            Material displacement in (row, col) order, in the unit of `spacing`.
+        tissue : array_like of bool, shape (H, W), optional
+            What moves; by default everything.
+        fraction : float
+            How much of the displacement, usually 0 to 1.
+
+        Returns
+        -------
+        list of ndarray
+            What `warp` returns for ``fraction * displacement``, one for each picture; new arrays
+            each time.
+
+        Raises
+        ------
+        ProblemError
+            Naming the input at fault.
+        RuntimeError
+            On another thread.
+        """
+        if not compute_thread.is_current():
+            raise RuntimeError("a Warper is for jobs of the compute thread; call warp() instead")
+        d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
+        mask = self._everything
+        if tissue is not None:
+            mask = np.ascontiguousarray(as_numbers("tissue", tissue), dtype=bool)
+        for name, array, expected in (
+            ("displacement", d, (*self.shape, 2)),
+            ("tissue", mask, self.shape),
+        ):
+            if array.shape != expected:
+                raise ProblemError(
+                    name, f"has shape {array.shape}, but the pictures need {expected}."
+                )
+        if not loops.ready_for_pictures():
+            compiler.compile_meanwhile()
+            return self._without_loops(d, mask, fraction)
+        # A solution's tissue is read-only, which to numba is a type of its own: here all is.
+        mask = mask.view()
+        mask.setflags(write=False)
+        d = _only_read(d)
+        loader.before_numba()
+        import numba
+
+        from napari_hmrf.field.triangle_raster import rasterise_displaced
+
+        finite = rasterise_displaced(
+            d,
+            self._spacing,
+            float(fraction),
+            mask,
+            numba.get_num_threads(),
+            self._moved,
+            self._reach,
+            self._source,
+            self._state,
+        )
+        if not finite:
+            raise ProblemError("displacement", "is NaN or infinite at some pixel of the tissue.")
+        return [look(self._source, self._state, mask) for look in self._looks]
+
+    def _without_loops(
+        self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
+    ) -> list[npt.NDArray[Any]]:
+        """Move the pictures by NumPy and SciPy."""
+        moved, _ = moved_sites(fraction * d.astype(np.float64), self._spacing, mask)
+        source, state = triangle_arrays.rasterise(moved, mask)
+        return [look.by_splines(source, state, mask) for look in self._looks]
+
+
+class _Look:
+    """A picture, checked and made ready to be looked up."""
+
+    def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
+        self._image = image = np.ascontiguousarray(as_image(picture.image, grid))
+        check_order(picture.order)
+        self._order = 0 if image.dtype.kind == "b" else picture.order
+        self._fill = checked_fill(picture.fill, image.dtype)
+        loops = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
+        self._kind = loops.get(image.dtype.name, "")
+        # What is only copied may be taken for a number of its size, whatever that would be.
+        self._as_bits = self._order == 0 and image.dtype.name in ("int64", "uint64")
+        self._slow = not (self._kind or self._as_bits) or not image.dtype.isnative
+        self._values = self._taken(image).reshape(*grid, -1)
+        self._smooth, self._gaps = self._values, False
+        if self._order == 1 and not self._slow and image.dtype.kind == "f":
+            channels = [filled_in(channel) for channel in np.moveaxis(self._values, -1, 0)]
+            self._gaps = any(bad.any() for _, bad in channels)
+            if self._gaps:
+                self._smooth = np.stack([smooth for smooth, _ in channels], axis=-1)
+
+    def _taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values as the loops take them."""
+        if self._slow:
+            return values
+        return values.view(np.float64) if self._as_bits else values.astype(self._kind, copy=False)
+
+    def __call__(
+        self,
+        source: npt.NDArray[np.float64],
+        state: npt.NDArray[np.uint8],
+        tissue: npt.NDArray[np.bool_],
+    ) -> npt.NDArray[Any]:
+        if self._slow:
+            return self.by_splines(source, state, tissue)
+        from napari_hmrf.field.interpolation import look_up
+
+        moved = np.empty_like(self._values)
+        look_up(
+            _only_read(self._values),
+            _only_read(self._smooth),
+            self._gaps,
+            source,
+            state,
+            tissue,
+            self._order == 0,
+            self._image.dtype.kind != "f",
+            self._taken(self._fill)[()],
+            moved,
+        )
+        kind = self._image.dtype
+        found = moved.view(kind) if self._as_bits else moved.astype(kind, copy=False)
+        return found.reshape(self._image.shape)
+
+    def by_splines(
+        self,
+        source: npt.NDArray[np.float64],
+        state: npt.NDArray[np.uint8],
+        tissue: npt.NDArray[np.bool_],
+    ) -> npt.NDArray[Any]:
+        """Look it up with SciPy, which takes any type and order."""
+        still = ~tissue & (state == 0)
+        source = source.copy()
+        source[still] = np.argwhere(still)
+        return resample(self._image, source, (state > 0) | still, self._order, self._fill.item())
+
+
+def _only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view that nobody writes to, as some images are: one type to numba."""
+    view = values.view()
+    view.setflags(write=False)
+    return view
+
+
+def _as_pictures(given: Picture | Sequence[Picture] | npt.ArrayLike) -> list[Picture]:
+    if isinstance(given, Picture):
+        return [given]
+    if isinstance(given, Sequence) and given and all(isinstance(one, Picture) for one in given):
+        return list(given)
+    return [Picture(as_numbers("image", given))]

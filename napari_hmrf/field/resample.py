@@ -1,0 +1,160 @@
+"""Looking an image up where its tissue came from."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.problem import as_numbers
+
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def resample(
+    image: npt.ArrayLike,
+    coordinates: npt.ArrayLike,
+    covered: npt.ArrayLike,
+    order: int = 1,
+    fill: float = 0,
+) -> npt.NDArray[Any]:
+    """Look an image up at the coordinates of an `inverse_map`.
+
+    A pixel that is NaN or infinite stays one pixel: it is left out of the interpolation around it.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W) or (H, W, channels)
+    coordinates, covered
+        From `inverse_map`.
+    order, fill
+        As in `warp`.
+
+    Returns
+    -------
+    ndarray
+        Of the shape and dtype of `image`.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    source = as_numbers("coordinates", coordinates).astype(np.float64, copy=False)
+    there = as_numbers("covered", covered).astype(bool, copy=False)
+    if source.shape != (*there.shape, 2) or there.ndim != 2:
+        raise ProblemError(
+            "coordinates",
+            f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
+        )
+    picture = as_image(image, there.shape)
+    check_order(order)
+    background = checked_fill(fill, picture.dtype)
+    rows, cols = np.moveaxis(source, -1, 0)
+    nearest = tuple(
+        np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
+        for at, size in zip((rows, cols), there.shape, strict=True)
+    )
+    if order == 0 or picture.dtype.kind == "b":
+        moved: npt.NDArray[Any] = picture[nearest]
+    elif picture.ndim == 2:
+        moved = _interpolated(picture, (rows, cols), nearest, order)
+    else:
+        channels = np.moveaxis(picture, -1, 0)
+        moved = np.stack(
+            [_interpolated(channel, (rows, cols), nearest, order) for channel in channels], axis=-1
+        )
+    moved[~there] = background
+    return moved
+
+
+def emptiness(picture: npt.NDArray[Any]) -> Any:
+    """What is seen where tissue has left: black, or the darkest there is (air in CT).
+
+    As Python's own number: a float cannot hold the largest integers.
+    """
+    finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
+    return 0 if picture.ndim == 3 or not finite.size else finite.min().item()
+
+
+def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
+    """An image of (H, W) or (H, W, channels) that fits a grid, or say what does not."""
+    picture = as_numbers("image", image)
+    if picture.ndim not in (2, 3) or picture.shape[:2] != tuple(grid):
+        raise ProblemError(
+            "image",
+            f"has shape {picture.shape}, but the displacement is on a grid of {tuple(grid)}. "
+            "Give an image (H, W) or (H, W, channels) on the same pixel grid.",
+        )
+    return picture
+
+
+def check_order(order: int) -> None:
+    """Say what is wrong with the order of a spline."""
+    if order not in (0, 1, 2, 3, 4, 5):
+        raise ProblemError("order", f"is {order!r}. Take 0 (nearest), 1 (linear) or up to 5.")
+
+
+def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
+    """The fill as one of the image's own values, or say that it is none."""
+    try:
+        # Integers are compared as such: as floats the largest are one too large.
+        whole = dtype.kind in "iu" and isinstance(fill, int | np.integer)
+        value = fill if whole else float(fill)
+        low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
+        if dtype.kind in "iu":
+            low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
+        fits = dtype.kind == "f" or (low <= value <= high and value == int(value))
+    except (TypeError, ValueError, OverflowError):
+        fits = False
+    if not fits:
+        raise ProblemError("fill", f"is {fill!r}, which an image of type {dtype} cannot hold.")
+    return np.asarray(fill).astype(dtype)
+
+
+def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
+    """Put a neighbour's value for each that is NaN or infinite: 0 times NaN would be NaN.
+
+    Returns
+    -------
+    values : ndarray, shape (H, W)
+        Those given, where all are good, or none.
+    bad : ndarray, shape (H, W), bool
+        Which were not finite.
+    """
+    bad = ~np.isfinite(values)
+    if bad.any() and not bad.all():
+        neighbour = scipy.ndimage.distance_transform_edt(
+            bad, return_distances=False, return_indices=True
+        )
+        values = values[tuple(neighbour)]
+    return values, bad
+
+
+def _interpolated(
+    channel: npt.NDArray[Any],
+    at: tuple[Float64Array, Float64Array],
+    nearest: tuple[npt.NDArray[np.intp], ...],
+    order: int,
+) -> npt.NDArray[Any]:
+    """One channel at real-valued coordinates, in its own dtype."""
+    values = channel if channel.dtype in (np.float32, np.float64) else channel.astype(np.float64)
+    values, bad = filled_in(values)
+    moved: npt.NDArray[Any] = scipy.ndimage.map_coordinates(values, at, order=order, mode="nearest")
+    if channel.dtype.kind == "f":
+        moved = moved.astype(channel.dtype)
+        if bad.any():
+            moved = np.where(bad[nearest], channel[nearest], moved)
+        return moved
+    bounds = np.iinfo(channel.dtype)
+    # The largest 64-bit integers lie between two floats: the lower one is in range.
+    highest = float(bounds.max)
+    if int(highest) > bounds.max:
+        highest = math.nextafter(highest, 0)
+    whole: npt.NDArray[Any] = np.clip(np.rint(moved), bounds.min, highest).astype(channel.dtype)
+    return whole

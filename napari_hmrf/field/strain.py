@@ -1,0 +1,285 @@
+"""What a displacement does to the tissue, site by site: gradient, area, strain.
+
+All are *material*: a value at the site X is that of the tissue which lay at X before it moved, on
+the pixel grid of the displacement, whatever has become of its place. With the displacement d(X),
+its gradient H = dd/dX and the deformation gradient F = I + H they are
+
+    area ratio            J = det F                        1: unchanged, 0 or below: folded
+    small strain          e = (H + H^T) / 2                right for small motions without turning
+    Green-Lagrange strain E = (F^T F - I) / 2              right for any; 0 for whatever only turns
+
+Differences are central, one-sided where a neighbour is missing, never taken across the border of
+the tissue, and along an axis on which a site has no neighbour it counts as unstrained. They are
+those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order: [..., 0, 1] is how
+the row component changes along a column step. Strains have no unit (0.01 is one per cent), whatever
+that of the displacement, as long as `spacing` shares it. Where there is no tissue all are NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.deformation import (
+    FloatArray,
+    count_folds,
+    jacobian_determinant,
+    magnitude,
+    one_sided_differences,
+    smallest_determinant,
+)
+from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
+from napari_hmrf.solver.problem import as_numbers
+
+__all__ = [
+    "count_folds",
+    "deformation_gradient",
+    "equivalent_strain",
+    "folds",
+    "green_lagrange_strain",
+    "jacobian_determinant",
+    "magnitude",
+    "principal_strains",
+    "small_strain",
+    "strain_through_slice",
+]
+
+
+def deformation_gradient(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """How small pieces of tissue are stretched and turned: F = d(X + d(X)) / dX.
+
+    Parameters
+    ----------
+    displacement : array_like, shape (H, W, 2)
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+    tissue : array_like of bool, shape (H, W), optional
+        By default everything.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2, 2), float32
+        F[..., i, j] is the step in direction i of what was a unit step in direction j; NaN where
+        there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    gradient = _displacement_gradient(displacement, spacing, tissue) + np.eye(2)
+    return gradient.astype(np.float32)
+
+
+def folds(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> BoolArray:
+    """Where tissue folds over itself or collapses: the sites that `count_folds` counts.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `deformation_gradient`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), bool
+        Whether the determinant is 0 or below in any of the four quadrants around the site. That is
+        more than J <= 0, which a site that jumps over its neighbour and back escapes.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    folded: BoolArray = smallest_determinant(displacement, spacing, tissue) <= 0
+    return folded
+
+
+def small_strain(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Strain of linear elasticity, e = (H + H^T) / 2: what `ElasticPrior` knows.
+
+    Tissue that turns by an angle a seems to shrink by 1 - cos(a) in it; `green_lagrange_strain`
+    does not mind.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `deformation_gradient`.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2, 2), float32
+        Symmetric; [..., 0, 0] along rows' direction, [..., 1, 1] along columns', [..., 0, 1] half
+        the change of the angle between them. NaN where there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    gradient = _displacement_gradient(displacement, spacing, tissue)
+    return _symmetric(gradient).astype(np.float32)
+
+
+def green_lagrange_strain(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Strain of any deformation, E = (F^T F - I) / 2: nothing turned is strained by that.
+
+    A fibre along the unit vector a has become sqrt(1 + 2 a.E a) times as long.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `deformation_gradient`.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2, 2), float32
+        Symmetric, in the axes before the motion; NaN where there is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    gradient = _displacement_gradient(displacement, spacing, tissue)
+    # (F^T F - I) / 2 by way of H: small strains are not lost beside the ones of I.
+    product = np.einsum("...ki,...kj->...ij", gradient, gradient)
+    strain: FloatArray = (_symmetric(gradient) + product / 2).astype(np.float32)
+    return strain
+
+
+def principal_strains(strain: npt.ArrayLike) -> FloatArray:
+    """The largest and the smallest strain of any direction: the eigenvalues of a strain.
+
+    Parameters
+    ----------
+    strain : array_like, shape (..., 2, 2)
+        Symmetric, of `small_strain` or `green_lagrange_strain`.
+
+    Returns
+    -------
+    ndarray, shape (..., 2), float32
+        The larger (stretch) first; NaN where the strain is.
+
+    Raises
+    ------
+    ProblemError
+        If it is of another shape.
+    """
+    tensor = _as_strain(strain)
+    mean = (tensor[..., 0, 0] + tensor[..., 1, 1]) / 2
+    radius = np.hypot((tensor[..., 0, 0] - tensor[..., 1, 1]) / 2, tensor[..., 0, 1])
+    return np.stack([mean + radius, mean - radius], axis=-1).astype(np.float32)
+
+
+def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> FloatArray:
+    """One number for how much tissue is distorted: the equivalent strain of von Mises.
+
+    sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the part of the strain in space that changes shape
+    and not volume. A bar of incompressible tissue stretched by e along its axis has the value e;
+    a simple shear by g has g / sqrt(3).
+
+    Parameters
+    ----------
+    strain : array_like, shape (..., 2, 2)
+        Symmetric, in the plane of the image.
+    through : array_like, shape (...)
+        The strain across the plane, of which an image says nothing: 0 for a slice held between its
+        neighbours, `strain_through_slice` for one free to bulge. The shears across it count as 0.
+
+    Returns
+    -------
+    ndarray, shape (...), float32
+        Never negative; NaN where the strain is.
+
+    Raises
+    ------
+    ProblemError
+        If it is of another shape.
+    """
+    tensor = _as_strain(strain)
+    across = as_numbers("through", through).astype(np.float64)
+    third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
+    squares = (
+        (tensor[..., 0, 0] - third) ** 2
+        + (tensor[..., 1, 1] - third) ** 2
+        + (across - third) ** 2
+        + 2 * tensor[..., 0, 1] ** 2
+    )
+    equivalent: FloatArray = np.sqrt(2 / 3 * squares).astype(np.float32)
+    return equivalent
+
+
+def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> FloatArray:
+    """How much a thin slice, free to bulge (plane stress), thickens: -nu/(1 - nu) (e_rr + e_cc).
+
+    Parameters
+    ----------
+    strain : array_like, shape (..., 2, 2)
+        Small strain in the plane.
+    poisson : array_like, shape (...)
+        Poisson's ratio nu, below 0.5.
+
+    Returns
+    -------
+    ndarray, shape (...), float32
+        Negative where the slice becomes thinner.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    tensor = _as_strain(strain)
+    ratio = as_numbers("poisson", poisson).astype(np.float64)
+    if not ((ratio > -1) & (ratio < 0.5)).all():
+        raise ProblemError("poisson", "must be above -1 and below 0.5 everywhere.")
+    trace = tensor[..., 0, 0] + tensor[..., 1, 1]
+    return np.asarray(-ratio / (1 - ratio) * trace, dtype=np.float32)
+
+
+def _displacement_gradient(
+    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+) -> Float64Array:
+    """H[..., i, j] = dd_i / dX_j without a unit, (H, W, 2, 2); NaN where there is no tissue."""
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    gradient = np.empty((*mask.shape, 2, 2))
+    for axis, step in enumerate(np.eye(2)):
+        turned, within = moved.swapaxes(0, axis), mask.swapaxes(0, axis)
+        following, previous = one_sided_differences(turned, within, step)
+        gradient[..., axis] = ((following + previous) / 2 - step).swapaxes(0, axis)
+    sizes = np.asarray(spacing, dtype=np.float64)
+    gradient *= sizes[:, None] / sizes  # from pixels to lengths: rows and columns may differ
+    gradient[~mask] = np.nan
+    return gradient
+
+
+def _symmetric(tensor: Float64Array) -> Float64Array:
+    symmetric: Float64Array = (tensor + tensor.swapaxes(-1, -2)) / 2
+    return symmetric
+
+
+def _as_strain(strain: npt.ArrayLike) -> Float64Array:
+    tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
+    if tensor.shape[-2:] != (2, 2):
+        raise ProblemError("strain", f"has shape {tensor.shape}. Give (..., 2, 2), (row, col).")
+    return tensor

@@ -1,0 +1,232 @@
+"""Moving an image with its tissue.
+
+A displacement says where tissue goes: what is at X moves to X + d(X). The moved image I' therefore
+has I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image at
+X + d(X) would show the opposite motion.) Between the sites the motion is taken to be linear on
+triangles of three neighbouring sites; its inverse is then exact, however large the gradients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field import triangle_arrays
+from napari_hmrf.field.resample import as_image, resample
+from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.problem import as_numbers
+
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def warp(
+    image: npt.ArrayLike,
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    order: int = 1,
+    tissue: npt.ArrayLike | None = None,
+    fill: float = 0,
+) -> npt.NDArray[Any]:
+    """Move an image with the tissue.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W) or (H, W, channels)
+        Grey, RGB or RGBA image, or labels (with ``order=0``).
+    displacement : array_like, shape (H, W, 2)
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+    order : int
+        Of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is linear.
+    tissue : array_like of bool, shape (H, W), optional
+        What moves; by default everything. The rest stays in place as background, and tissue that
+        moves onto it covers it.
+    fill : float
+        What is seen where tissue has left and nothing came.
+
+    Returns
+    -------
+    ndarray
+        Of the shape and dtype of `image`; integers are rounded and clipped to their range.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+
+    See Also
+    --------
+    inverse_map, resample : the two halves of this, to move several images by one displacement.
+    """
+    picture = as_image(image, as_numbers("displacement", displacement).shape[:2])
+    coordinates, covered = inverse_map(displacement, spacing, tissue)
+    return resample(picture, coordinates, covered, order, fill)
+
+
+def inverse_map(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> tuple[Float64Array, BoolArray]:
+    """Find where that which is seen at each pixel after the motion came from.
+
+    Where the tissue has folded over itself, the part that is not turned over is seen.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `warp`.
+
+    Returns
+    -------
+    coordinates : ndarray, shape (H, W, 2), float64
+        The source of each pixel, (row, col) in pixels; 0 where not `covered`.
+    covered : ndarray, shape (H, W), bool
+        False where tissue has left and nothing came.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    coordinates, covered, _ = inverse_map_and_overlaps(displacement, spacing, tissue)
+    return coordinates, covered
+
+
+def inverse_map_and_overlaps(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+) -> tuple[Float64Array, BoolArray, BoolArray]:
+    """`inverse_map`, and where one part of the tissue lies on another.
+
+    Two parts that move onto each other across a gap fold nowhere, and yet one hides the other.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `warp`.
+
+    Returns
+    -------
+    coordinates, covered
+        As of `inverse_map`.
+    overlaps : ndarray, shape (H, W), bool
+        Pixels onto which tissue, not turned over, has moved from two places more than a pixel
+        apart; which of the two is seen is chance. Tissue one pixel thin is not looked at.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    moving, mask = moved_sites(displacement, spacing, tissue)
+    coordinates, state = _rasterised(moving, mask)
+    still = ~mask & (state == 0)
+    coordinates[still] = np.argwhere(still)
+    return coordinates, (state > 0) | still, state == triangle_arrays.TWICE
+
+
+def _rasterised(
+    moved: Float64Array, tissue: BoolArray
+) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
+    """Invert the motion of sites by the loops, or by NumPy before these are compiled."""
+    if not loops.ready_for_pictures():
+        compiler.compile_meanwhile()
+        return triangle_arrays.rasterise(moved, tissue)
+    loader.before_numba()
+    # Numba takes half a second to import: only those who warp wait for it.
+    from napari_hmrf.field.triangle_raster import rasterise
+
+    only_read = (
+        tissue.view()
+    )  # as the picture's loops have it, with which it shares what is compiled
+    only_read.setflags(write=False)
+    coordinates, state = rasterise(moved, only_read)
+    return coordinates, state
+
+
+def moved_sites(
+    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+) -> tuple[Float64Array, BoolArray]:
+    """Check a displacement and its tissue; where every site has moved, in pixels.
+
+    Returns
+    -------
+    moved : ndarray, shape (H, W, 2), float64
+        X + d(X) in pixels; X where there is no tissue.
+    tissue : ndarray, shape (H, W), bool
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    d, sizes, mask = checked_field(displacement, spacing, tissue)
+    moved = d / sizes
+    moved[..., 0] += np.arange(mask.shape[0])[:, np.newaxis]
+    moved[..., 1] += np.arange(mask.shape[1])
+    return moved, mask
+
+
+def checked_field(
+    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+) -> tuple[Float64Array, Float64Array, BoolArray]:
+    """Check a displacement, its pixel spacing and its tissue.
+
+    Returns
+    -------
+    displacement : ndarray, shape (H, W, 2), float64
+        Zero where there is no tissue.
+    spacing : ndarray, shape (2,)
+    tissue : ndarray, shape (H, W), bool
+        Everywhere, if it was not given.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    d = as_numbers("displacement", displacement)
+    if d.ndim != 3 or d.shape[-1] != 2:
+        raise ProblemError(
+            "displacement",
+            f"has shape {d.shape}, but (H, W, 2) is needed: one (row, col) vector per pixel.",
+        )
+    sizes = checked_sizes(spacing)
+    mask = np.ones(d.shape[:2], dtype=bool)
+    if tissue is not None:
+        mask = as_numbers("tissue", tissue).astype(bool)
+        if mask.shape != d.shape[:2]:
+            raise ProblemError(
+                "tissue",
+                f"has shape {mask.shape}, but the displacement has shape {d.shape}, so "
+                f"{d.shape[:2]} is needed. Give both on the same pixel grid.",
+            )
+    d = np.where(mask[..., None], d, 0).astype(np.float64)
+    if not np.isfinite(d).all():
+        bad = ~np.isfinite(d).all(axis=-1)
+        at = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise ProblemError(
+            "displacement",
+            f"is NaN or infinite at {int(bad.sum())} pixels, the first at {at}. Replace those "
+            "vectors, or leave the pixels out of `tissue`.",
+        )
+    return d, sizes, mask
+
+
+def checked_sizes(spacing: Sequence[float]) -> Float64Array:
+    """Check a pixel spacing: shape (2,)."""
+    try:
+        sizes = np.asarray(spacing, dtype=np.float64)
+    except (TypeError, ValueError):
+        sizes = np.zeros(0)
+    if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
+        raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
+    return sizes

@@ -1,0 +1,321 @@
+"""Pictures of a problem and its solution, for files and papers; drawn with matplotlib.
+
+Without a window and without pyplot: a figure is made, returned, and belongs to the caller.
+matplotlib is imported by the first picture.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.field.colormaps import (
+    DIVERGING,
+    FOLDED,
+    OPACITY,
+    RISING,
+    SMALLEST,
+    area_limits,
+    opacity,
+    reach_of,
+)
+from napari_hmrf.field.deformation import (
+    arrows,
+    deformation_grid,
+    jacobian_determinant,
+    magnitude,
+    pixels_between,
+)
+from napari_hmrf.field.strain import equivalent_strain, folds, green_lagrange_strain
+from napari_hmrf.field.warp import warp
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.models import is_multigrid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: About so many arrows show a displacement, and a boundary.
+ARROWS = 500
+BOUNDARY_ARROWS = 250
+#: Lines of the deformation grid along the longer side.
+GRID_LINES = 50
+_ARROW_COLOUR = "#e8590c"
+_FIXED_COLOUR = "#4dabf7"
+_GRID_COLOUR = "#0b7285"
+# Of pictures of the tissue as it was, though their colours tell how it moves.
+_BEFORE = "{}\n(drawn on the tissue before it moves)"
+
+
+def save_pictures(
+    folder: Path, image: npt.ArrayLike, problem: Problem, solution: Solution
+) -> list[Path]:
+    """Draw a solve into PNG files.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist; files of the same names are replaced.
+    image : array_like, shape (H, W)
+        What the tissue looks like before it moves.
+    problem : Problem
+    solution : Solution
+
+    Returns
+    -------
+    list of Path
+        What was written: input, displacement, warped, grid, energy.
+    """
+    grey = np.asarray(image)
+    figures = {
+        "input": boundary_picture(grey, problem),
+        "displacement": displacement_picture(grey, solution),
+        "warped": warped_picture(grey, solution),
+        "grid": grid_picture(solution),
+        "energy": energy_picture(solution),
+    }
+    return _saved(folder, figures)
+
+
+def save_result_pictures(
+    folder: Path, solution: Solution, image: npt.ArrayLike | None = None, unit: str = "px"
+) -> list[Path]:
+    """Draw a result into PNG files, of which no problem has to be at hand.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist; files of the same names are replaced.
+    solution : Solution
+    image : array_like, shape (H, W) or (H, W, 3 or 4), optional
+        What the tissue looks like before it moves.
+    unit : str
+        Of the displacement and of spacing.
+
+    Returns
+    -------
+    list of Path
+        What was written: displacement and warped (with an image), grid, magnitude, jacobian,
+        strain, energy.
+    """
+    figures: dict[str, Figure] = {}
+    if image is not None:
+        picture = np.asarray(image)
+        figures["displacement"] = displacement_picture(picture, solution)
+        figures["warped"] = warped_picture(picture, solution)
+    figures["grid"] = grid_picture(solution)
+    figures["magnitude"] = magnitude_picture(solution, unit, image)
+    figures["jacobian"] = jacobian_picture(solution, image)
+    figures["strain"] = strain_picture(solution, image)
+    figures["energy"] = energy_picture(solution)
+    return _saved(folder, figures)
+
+
+def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
+    """Save figures by their names, each whole or not at all."""
+    written = []
+    for name, figure in figures.items():
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format="png", dpi=150)
+        written.append(folder / f"{name}.png")
+        write_whole(written[-1], drawn.getvalue())
+    return written
+
+
+def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
+    """Draw the image and the observed displacement where it counts; dots are fixed."""
+    figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
+    _show(axes, image)
+    known = problem.observed.any(axis=-1)
+    # Every few pixels of it: a boundary is thin, and a regular pattern would miss most.
+    starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
+    vectors = problem.y[tuple(starts.T)] / np.array(problem.spacing)
+    rows, cols = starts[~vectors.any(axis=-1)].T
+    axes.plot(cols, rows, ".", color=_FIXED_COLOUR, markersize=3)
+    _draw_arrows(axes, np.stack([starts, vectors], axis=1))
+    return figure
+
+
+def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
+    """Draw where the tissue goes, as arrows of true length on the image before it moves."""
+    figure, (axes,) = _figure(solution.spacing, "where the tissue goes")
+    _show(axes, image)
+    field = (solution.displacement, solution.spacing, solution.tissue)
+    _draw_arrows(axes, arrows(*field, about=ARROWS))
+    return figure
+
+
+def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
+    """Draw the image before and after it moves with the tissue, side by side."""
+    figure, (before, after) = _figure(solution.spacing, "before", "after")
+    moved = warp(image, solution.displacement, solution.spacing, tissue=solution.tissue)
+    _show(before, image)
+    _show(after, moved, greys_of=image)
+    return figure
+
+
+def grid_picture(solution: Solution) -> Figure:
+    """Draw a regular grid after it has moved with the tissue (figure 4)."""
+    from matplotlib.collections import LineCollection
+
+    figure, (axes,) = _figure(solution.spacing, "a regular grid, moved with the tissue")
+    height, width = solution.tissue.shape
+    every = pixels_between(GRID_LINES, solution.tissue.shape, solution.spacing)
+    segments = deformation_grid(
+        solution.displacement, solution.spacing, every=every, tissue=solution.tissue
+    )
+    starts, ends = segments[:, 0], segments.sum(axis=1)
+    lines = np.stack([starts, ends], axis=1)[..., ::-1]
+    axes.add_collection(LineCollection(list(lines), colors=_GRID_COLOUR, linewidths=0.7))
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+    return figure
+
+
+def magnitude_picture(
+    solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
+) -> Figure:
+    """Draw how far the tissue goes, where it was before it moved."""
+    length = np.where(solution.tissue, magnitude(solution.displacement), np.nan)
+    return _map(solution, length, f"displacement / {unit}", image, (0.0, reach_of(length)))
+
+
+def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
+    """Draw by which factor the area of the tissue changes; folds (0 or below) are yellow."""
+    field = (solution.displacement, solution.spacing, solution.tissue)
+    change = jacobian_determinant(*field)
+    folded = folds(*field)
+    limits = area_limits(change, bool(folded.any()))
+    figure = _map(solution, change, "area ratio (Jacobian)", image, limits, signed=True)
+    if folded.any():
+        from matplotlib.colors import ListedColormap
+
+        marked = np.where(folded, 1.0, np.nan)
+        axes = figure.axes[0]
+        axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
+    return figure
+
+
+def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
+    """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
+    strain = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
+    percent = 100 * equivalent_strain(strain)
+    limits = 0.0, reach_of(percent, least=100 * SMALLEST)
+    return _map(solution, percent, "equivalent strain (%)", image, limits)
+
+
+def energy_picture(solution: Solution) -> Figure:
+    """Draw the mean energy after each iteration, coarse to fine, with the level boundaries."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(np.arange(1, len(solution.energy) + 1), solution.energy, color=_GRID_COLOUR, lw=1.2)
+    first = 0
+    for level in solution.levels:
+        axes.axvline(first + 0.5, color="0.85", lw=0.8, zorder=0)
+        middle = first + 0.5 + level.iterations / 2
+        axes.annotate(
+            str(level.number),
+            (middle, 0.97),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="top",
+            color="0.5",
+        )
+        first += level.iterations
+    if (solution.energy > 0).any():
+        axes.set_yscale("log", nonpositive="mask")
+    axes.margins(x=0, y=0.15)
+    cycles = is_multigrid(solution.provenance.parameters)
+    words = "cycle over all levels" if cycles else "iteration (number of the scale level on top)"
+    axes.set_xlabel(words)
+    axes.set_ylabel("mean energy per site / pixel²")
+    return figure
+
+
+def _map(
+    solution: Solution,
+    values: npt.NDArray[Any],
+    title: str,
+    image: npt.ArrayLike | None,
+    limits: tuple[float, float],
+    signed: bool = False,
+) -> Figure:
+    """Draw one number per site as colours on the image, with their scale, as the viewer does.
+
+    Nothing where there is no tissue. No change is at the lower of the scale's limits, or, if it is
+    `signed`, in their middle.
+    """
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
+    figure, (axes,) = _figure(solution.spacing, _BEFORE.format(title))
+    if image is not None:
+        _show(axes, np.asarray(image))
+    part = np.linspace(0, 1, 256)
+    colours = matplotlib.colormaps[DIVERGING if signed else RISING](part)
+    colours[:, 3] = opacity(part, signed)
+    shown = axes.imshow(
+        values,
+        cmap=ListedColormap(colours),
+        alpha=OPACITY,
+        aspect=axes.get_aspect(),
+        vmin=limits[0],
+        vmax=limits[1],
+    )
+    above, below = (values > limits[1]).any(), (values < limits[0]).any() and signed
+    ends = "both" if above and below else "max" if above else "min" if below else "neither"
+    figure.colorbar(shown, ax=axes, shrink=0.8, extend=ends)
+    return figure
+
+
+def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a row of image axes in pixels, drawn in the pixels' true proportions."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0 * len(titles), 6.2), layout="constrained")
+    row = list(figure.subplots(1, len(titles), squeeze=False)[0])
+    for axes, title in zip(row, titles, strict=True):
+        axes.set_title(title, fontsize=11)
+        axes.set_axis_off()
+        axes.set_aspect(spacing[0] / spacing[1])
+    return figure, row
+
+
+def _show(axes: Axes, image: npt.NDArray[Any], greys_of: npt.NDArray[Any] | None = None) -> None:
+    """Show an image, with the grey levels of another one if given: darker is then darker."""
+    levels = image if greys_of is None else greys_of
+    axes.imshow(
+        image,
+        cmap="gray",
+        aspect=axes.get_aspect(),
+        vmin=float(np.nanmin(levels)),
+        vmax=float(np.nanmax(levels)),
+    )
+
+
+def _draw_arrows(axes: Axes, vectors: npt.NDArray[Any]) -> None:
+    """Draw arrows (start, direction) in (row, col) pixels, at their true length."""
+    (rows, cols), (down, right) = vectors[:, 0].T, vectors[:, 1].T
+    axes.quiver(
+        cols,
+        rows,
+        right,
+        down,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color=_ARROW_COLOUR,
+        width=0.003,
+        headwidth=4,
+        headlength=5,
+        headaxislength=4.5,
+        minlength=0,
+    )

@@ -1,0 +1,1 @@
+"""Phantoms, the demonstration and the self-test."""

@@ -1,0 +1,133 @@
+"""The demonstration: a sample solved, measured against finite elements, and drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.deformation import count_folds
+from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
+from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import solve
+from napari_hmrf.study.models import in_words
+
+#: The size that `sample_data` has phantoms and finite-element fields of, in pixels.
+SAMPLE_SIZE = 300
+#: The material of those fields.
+FEM = ElasticPrior(poisson=0.3, plane="stress")
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """A phantom, its solution, and what was measured on it.
+
+    Attributes
+    ----------
+    phantom : Phantom
+    solution : Solution
+    rmsd : float or None
+        Root mean square deviation from the finite-element displacement over the tissue, in pixels
+        (eq. 20); None where there is no such field to compare with.
+    folds : int
+        Places where the tissue is turned over: the determinant of its motion is 0 or less.
+    """
+
+    phantom: Phantom
+    solution: Solution
+    rmsd: float | None
+    folds: int
+
+    def table(self) -> str:
+        """What was measured, one line each."""
+        solution = self.solution
+        run = solution.provenance
+        size = " x ".join(str(pixels) for pixels in solution.tissue.shape)
+        rows = (
+            ("sample", f"{self.phantom.title}, {size}"),
+            ("model", in_words(run.parameters)),
+            ("renderer", f"{run.renderer} ({run.backend})"),
+            ("levels", f"{len(solution.levels)}"),
+            ("iterations", f"{solution.iterations}"),
+            ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
+            ("mean energy", f"{solution.mean_energy:.4g} px^2 per site"),
+            ("RMSD to FEM", "-" if self.rmsd is None else self._distance(self.rmsd)),
+            ("folds", f"{self.folds}"),
+        )
+        width = max(len(name) for name, _ in rows)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+    def _distance(self, rmsd: float) -> str:
+        """To the finite elements there are, which may be another material's."""
+        px = f"{rmsd:.2f} px" if rmsd >= 0.1 else f"{rmsd:.1g} px"
+        prior = self.solution.provenance.parameters["prior"]
+        own = (prior.get("poisson", FEM.poisson), prior.get("plane", FEM.plane))
+        if own == (FEM.poisson, FEM.plane):
+            return px
+        return f"{px} (of Poisson's ratio {FEM.poisson}, plane {FEM.plane})"
+
+
+def demonstrate(
+    name: str,
+    size: int,
+    backend: str,
+    progress: Callable[[Monitor], None],
+    prior: Prior | None = None,
+    optimizer: Optimizer | None = None,
+) -> Demonstration:
+    """Solve a phantom.
+
+    Parameters
+    ----------
+    name : str
+        One of `PHANTOM_NAMES`.
+    size : int
+        Pixels along each side.
+    backend : str
+        One of `BACKEND_NAMES`; "auto" is what napari takes, once all loops are compiled.
+    progress : callable
+        Is given a `Monitor` now and then.
+    prior, optimizer : optional
+        As for `solve`: by default the paper's.
+
+    Raises
+    ------
+    ValueError
+        If there is no such phantom, or not of that size.
+    BackendError
+        If the backend asked for cannot run.
+    """
+    subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
+    if backend == "auto":
+        # Napari will find them, for whatever is done there.
+        provide_loops(EVERYTHING, progress)
+    solution = solve(subject.problem, prior, optimizer, backend=backend, progress=progress)
+    return Demonstration(
+        phantom=subject,
+        solution=solution,
+        rmsd=_rmsd(solution, reference_displacement(name)) if size == SAMPLE_SIZE else None,
+        folds=count_folds(solution.displacement, solution.spacing, solution.tissue),
+    )
+
+
+def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
+    """Write the solution and its pictures to a folder that exists; the files written."""
+    from napari_hmrf.io.figures import save_pictures
+
+    path = folder / "solution.npz"
+    demonstration.solution.save(path)
+    subject = demonstration.phantom
+    pictures = save_pictures(folder, subject.image, subject.problem, demonstration.solution)
+    return [path, *pictures]
+
+
+def _rmsd(solution: Solution, reference: npt.NDArray[np.float32]) -> float:
+    difference = (solution.displacement - reference)[solution.tissue]
+    return math.sqrt(float(np.mean(np.sum(difference.astype(np.float64) ** 2, axis=-1))))

@@ -1,0 +1,292 @@
+"""Synthetic test objects: an image, its tissue, what moves its boundary, and the problem they make.
+
+The brain of the paper's figure 1, expanding or pushed by a growing tumour, and a bar of two
+tissues. Each is a label image and two small tables, turned into a `Problem` by the same functions
+that a painted layer goes through.
+"""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.resources import resource_folder
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.tissue.boundary_rules import (
+    BoundaryRule,
+    Material,
+    boundary_images,
+    stiffness_image,
+)
+
+#: The phantoms that exist.
+PHANTOM_NAMES = ("expansion", "mass-effect", "bar")
+#: The smallest size at which every phantom still has an inside.
+SMALLEST = 16
+#: The size the geometry below is written for, in pixels; the size of the paper's images.
+_DRAWN_AT = 300
+
+_OUTSIDE = Material(0, "outside", 0.0)
+_NORMAL = Material(1, "normal tissue", 20.0)
+_SOFT = Material(2, "soft tissue", 10.0)
+_TUMOUR = Material(3, "tumour", 40.0)
+
+_TITLES = {
+    "expansion": "Brain that expands outward",
+    "mass-effect": "Brain with a growing tumour",
+    "bar": "Bar of two tissues, pulled",
+}
+
+Uint8Array = npt.NDArray[np.uint8]
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Phantom:
+    """A synthetic test object.
+
+    Attributes
+    ----------
+    name : str
+        "expansion", "mass-effect" or "bar".
+    title : str
+        What it is, for people.
+    image : ndarray, shape (H, W), uint8
+        What a scanner might have seen.
+    tissue_labels : ndarray, shape (H, W), uint8
+        0 outside (void), 1 normal tissue, 2 soft tissue, 3 tumour.
+    materials : tuple of Material
+        The stiffness of each tissue label: 20, 10 and 40 MPa as in the paper, 0 outside.
+    boundary_labels : ndarray, shape (H, W), uint8
+        0 where nothing is observed, else the label of a rule.
+    boundary : tuple of BoundaryRule
+        What each boundary label does; lengths in pixels.
+    """
+
+    name: str
+    title: str
+    image: Uint8Array
+    tissue_labels: Uint8Array
+    materials: tuple[Material, ...]
+    boundary_labels: Uint8Array
+    boundary: tuple[BoundaryRule, ...]
+
+    @cached_property
+    def problem(self) -> Problem:
+        """What the labels and tables say, as the solver takes it; spacing (1, 1)."""
+        y, c = boundary_images(self.boundary_labels, self.boundary)
+        return Problem(y, c, stiffness_image(self.tissue_labels, self.materials))
+
+
+def phantom(name: str, size: int = 300) -> Phantom:
+    """Draw a phantom at any size.
+
+    Parameters
+    ----------
+    name : {"expansion", "mass-effect", "bar"}
+        "expansion": the brain's outline moves outward by 10 pixels at size 300. "mass-effect": the
+        outline is fixed and the rim of the tumour moves outward by 8 pixels. "bar": half normal,
+        half soft tissue; its left end is fixed and its right end moves 20 pixels to the right.
+        Motion scales with size.
+    size : int
+        Pixels along each side; the bar is this long and a third as high. At least 16.
+
+    Returns
+    -------
+    Phantom
+
+    Raises
+    ------
+    ValueError
+        If there is no phantom of that name, or `size` is not a whole number of at least 16.
+    """
+    size = _checked(name, size)
+    if name == "bar":
+        tissue, boundary_labels = _bar(size)
+        image = _texture(_painted(tissue, {1: 105.0, 2: 205.0}), size)
+    else:
+        tissue, outline = _brain(size)
+        boundary_labels = outline.astype(np.uint8)
+        if name == "mass-effect":
+            boundary_labels[_rim(tissue == _TUMOUR.label, size)] = 2
+        image = _brain_image(tissue, size)
+    return _assembled(name, size, image, tissue, boundary_labels)
+
+
+def sample(name: str) -> Phantom:
+    """Open a phantom of size 300 as stored in `sample_data`; the same as ``phantom(name)``.
+
+    Raises
+    ------
+    ValueError
+        If there is no phantom of that name.
+    FileNotFoundError
+        If the installation is incomplete.
+    """
+    stored = _stored(name, "image", "tissue_labels", "boundary_labels")
+    return _assembled(name, _DRAWN_AT, *stored)
+
+
+def reference_displacement(name: str) -> npt.NDArray[np.float32]:
+    """Open the finite-element displacement of ``phantom(name)`` as stored in `sample_data`.
+
+    Bilinear quads on the pixel grid, plane stress, Poisson's ratio 0.3, stored to 0.001 pixel.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2), float32
+        Material displacement in pixels, (row, col) order; zero outside.
+
+    Raises
+    ------
+    ValueError
+        If there is no phantom of that name.
+    FileNotFoundError
+        If the installation is incomplete.
+    """
+    (thousandths,) = _stored(name, "reference")
+    return thousandths.astype(np.float32) / np.float32(1000)
+
+
+def _checked(name: str, size: object) -> int:
+    if name not in PHANTOM_NAMES:
+        raise ValueError(f"there is no phantom {name!r}; choose from {', '.join(PHANTOM_NAMES)}")
+    try:
+        pixels = operator.index(size)  # type: ignore[arg-type]
+    except TypeError:
+        pixels = 0
+    if pixels < SMALLEST:
+        raise ValueError(f"size must be a whole number of at least {SMALLEST}, not {size!r}")
+    return pixels
+
+
+def _stored(name: str, *members: str) -> tuple[Uint8Array, ...]:
+    _checked(name, _DRAWN_AT)
+    with np.load(resource_folder("sample_data") / f"{name}.npz", allow_pickle=False) as file:
+        return tuple(file[member] for member in members)
+
+
+def _assembled(
+    name: str, size: int, image: Uint8Array, tissue: Uint8Array, boundary_labels: Uint8Array
+) -> Phantom:
+    scale = size / _DRAWN_AT
+    materials: tuple[Material, ...] = (_OUTSIDE, _NORMAL, _SOFT, _TUMOUR)
+    boundary: tuple[BoundaryRule, ...]
+    if name == "expansion":
+        boundary = (BoundaryRule(1, "expand", amount=10.0 * scale, name="outline"),)
+    elif name == "mass-effect":
+        boundary = (
+            BoundaryRule(1, "fixed", name="outline"),
+            BoundaryRule(2, "expand", amount=8.0 * scale, name="tumour rim"),
+        )
+    else:
+        materials = (_NORMAL, _SOFT)
+        boundary = (
+            BoundaryRule(1, "fixed", name="left end"),
+            BoundaryRule(2, "move", vector=(0.0, 20.0 * scale), name="right end"),
+        )
+    for array in (image, tissue, boundary_labels):
+        array.setflags(write=False)
+    return Phantom(name, _TITLES[name], image, tissue, materials, boundary_labels, boundary)
+
+
+def _width(size: int) -> int:
+    """How wide the boundary is painted, in pixels."""
+    return max(2, round(3 * size / _DRAWN_AT))
+
+
+def _rim(region: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.bool_]:
+    """The pixels of a region next to its edge."""
+    rim: npt.NDArray[np.bool_] = region & (
+        scipy.ndimage.distance_transform_edt(region) <= _width(size)
+    )
+    return rim
+
+
+def _coordinates(shape: tuple[int, int], size: int) -> tuple[FloatArray, FloatArray]:
+    """(row, col) of every pixel from the image's centre, in pixels of the size drawn at."""
+    row, col = np.ogrid[: shape[0], : shape[1]]
+    scale = _DRAWN_AT / size
+    return (row - (shape[0] - 1) / 2) * scale, (col - (shape[1] - 1) / 2) * scale
+
+
+def _ellipse(
+    row: FloatArray,
+    col: FloatArray,
+    centre: tuple[float, float],
+    half: tuple[float, float],
+    tilt: tuple[float, float] = (1.0, 0.0),
+) -> npt.NDArray[np.bool_]:
+    """Inside an ellipse; `half` along and across the unit vector `tilt`, (row, col)."""
+    row, col = row - centre[0], col - centre[1]
+    along = (row * tilt[0] + col * tilt[1]) / half[0]
+    across = (col * tilt[0] - row * tilt[1]) / half[1]
+    inside: npt.NDArray[np.bool_] = along * along + across * across <= 1.0
+    return inside
+
+
+def _brain(size: int) -> tuple[Uint8Array, npt.NDArray[np.bool_]]:
+    """Tissue labels of the brain, and its outline."""
+    row, col = _coordinates((size, size), size)
+    # An egg, a little wider at the back; two ventricles of two horns each; a round tumour. Only
+    # sums, products and quotients, so that every platform draws the same labels.
+    egg = col / (106.0 * (1.0 + 0.06 * row / 128.0))
+    inside = egg * egg + (row / 128.0) * (row / 128.0) <= 1.0
+    tissue = np.zeros((size, size), dtype=np.uint8)
+    tissue[inside] = _NORMAL.label
+    for side in (-1.0, 1.0):
+        front = _ellipse(row, col, (-36.0, side * 23.0), (34.0, 12.0), (0.96, -side * 0.28))
+        back = _ellipse(row, col, (-2.0, side * 17.0), (18.0, 8.0), (0.96, side * 0.28))
+        tissue[front | back] = _SOFT.label
+    tissue[_ellipse(row, col, (50.0, 48.0), (30.0, 30.0))] = _TUMOUR.label
+    return tissue, _rim(inside, size)
+
+
+def _bar(size: int) -> tuple[Uint8Array, Uint8Array]:
+    """Tissue and boundary labels of the bar."""
+    shape = (round(size / 3), size)
+    tissue = np.full(shape, _NORMAL.label, dtype=np.uint8)
+    tissue[:, size // 2 :] = _SOFT.label
+    boundary = np.zeros(shape, dtype=np.uint8)
+    boundary[:, : _width(size)] = 1
+    boundary[:, -_width(size) :] = 2
+    return tissue, boundary
+
+
+def _painted(tissue: Uint8Array, greys: dict[int, float]) -> FloatArray:
+    table = np.zeros(4)
+    for label, grey in greys.items():
+        table[label] = grey
+    return table[tissue]
+
+
+def _brain_image(tissue: Uint8Array, size: int) -> Uint8Array:
+    grey = _painted(tissue, {1: 130.0, 2: 225.0, 3: 45.0})
+    inside = tissue > 0
+    row, col = _coordinates(tissue.shape, size)
+    # The cortex is a little darker, and so is the fissure between the hemispheres.
+    depth = scipy.ndimage.distance_transform_edt(inside) * (_DRAWN_AT / size)
+    normal = tissue == _NORMAL.label
+    grey -= normal * (28.0 * np.exp(-((depth / 9.0) ** 2)))
+    fissure = np.exp(-((col / 2.0) ** 2)) * (np.abs(row) > 62.0)
+    grey -= normal * (40.0 * fissure)
+    return _texture(grey, size)
+
+
+def _texture(grey: FloatArray, size: int) -> Uint8Array:
+    """Blur the edges a little and add folds, so that motion within a tissue can be seen."""
+    row, col = _coordinates(grey.shape, size)
+    folds = (
+        6.0 * np.sin(0.23 * row + 2.1 * np.sin(0.083 * col + 0.4))
+        + 6.0 * np.sin(0.27 * col + 1.7 * np.sin(0.071 * row + 1.3))
+        + 3.5 * np.sin(0.61 * row - 0.44 * col + 1.9 * np.sin(0.15 * col))
+        + 3.5 * np.sin(0.48 * row + 0.67 * col + 1.6 * np.sin(0.13 * row))
+    )
+    image = scipy.ndimage.gaussian_filter(grey + folds * (grey > 0), 0.7)
+    grey_levels: Uint8Array = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return grey_levels

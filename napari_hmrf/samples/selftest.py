@@ -1,0 +1,206 @@
+"""A report on this installation: what it runs on, and whether it computes what it should.
+
+Plain text without the user's name or folders, to be pasted into a bug report.
+"""
+
+from __future__ import annotations
+
+import getpass
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.errors import BackendError, HmrfError
+from napari_hmrf.samples.phantoms import phantom
+from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.optimizers import ICM, Multigrid
+from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solve import solve
+
+#: What a backend may be off by, in pixels, from the affine field it has to find.
+CLOSED_FORM_BOUND = 0.001
+CANDIDATES_BOUND = 0.02
+ELASTIC_BOUND = 0.001
+
+_BACKENDS = ("cpu", "opengl:fragment", "opengl:compute")
+_PACKAGES = (
+    *("napari-hmrf", "napari", "numpy", "scipy", "numba", "llvmlite", "moderngl", "glcontext"),
+    *("qtpy", "PyQt6", "PyQt5", "PySide6", "superqt", "vispy", "magicgui"),
+)
+_SETTINGS = (
+    *("DISPLAY", "WAYLAND_DISPLAY", "QT_API", "QT_QPA_PLATFORM", "PYOPENGL_PLATFORM"),
+    *("GALLIUM_DRIVER", "LIBGL_ALWAYS_SOFTWARE", "LIBGL_DRIVERS_PATH", "MESA_GL_VERSION_OVERRIDE"),
+    *("GLCONTEXT_DEVICE_INDEX", "GLCONTEXT_LINUX_LIBEGL", "GLCONTEXT_LINUX_LIBGL"),
+    *("__EGL_VENDOR_LIBRARY_FILENAMES", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT"),
+)
+
+
+def selftest(write: Callable[[str], None] = print) -> bool:
+    """Report on this installation.
+
+    Parameters
+    ----------
+    write : callable
+        Is given the report line by line.
+
+    Returns
+    -------
+    bool
+        Whether every backend that is there computed what it should, and one is there.
+    """
+
+    def say(line: str) -> None:
+        write(_anonymous(line))
+
+    say("napari-hmrf self-test")
+    say("")
+    _report_versions(say)
+    _report_opengl(say)
+    say("solves")
+    outcomes = [_check_backend(name, say) for name in _BACKENDS]
+    passed = False not in outcomes and True in outcomes
+    say("")
+    say("PASS" if passed else "FAIL")
+    return passed
+
+
+def affine_example(shape: tuple[int, int] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
+    """A uniform tissue whose whole border moves by an affine field, and that field.
+
+    What stretches, shears and shifts evenly at its border does so inside: no clique resists, so
+    the affine field is the answer, exactly, of any prior that knows mechanics.
+
+    Returns
+    -------
+    Problem
+    ndarray, shape (H, W, 2)
+        The displacement of every site, in pixels.
+    """
+    sites = np.moveaxis(np.indices(shape), 0, -1) - (np.array(shape) - 1) / 2
+    gradient = np.array([[0.06, 0.03], [-0.02, 0.04]])
+    field = sites @ gradient.T + np.array([0.7, -1.3])
+    border = np.ones((*shape, 2), dtype=bool)
+    border[1:-1, 1:-1] = False
+    return Problem(field * border, border, np.ones(shape)), field
+
+
+def _report_versions(say: Callable[[str], None]) -> None:
+    say("system")
+    _list(
+        say,
+        {
+            "Python": f"{platform.python_version()} ({platform.python_implementation()})",
+            "system": f"{platform.system()} {platform.release()}",
+            "processor": f"{platform.machine()}, {os.cpu_count()} threads",
+        },
+    )
+    say("")
+    say("packages")
+    found = {}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    _list(say, found)
+    say("")
+    settings = {name: os.environ[name] for name in _SETTINGS if name in os.environ}
+    if settings:
+        say("environment variables")
+        _list(say, settings)
+        say("")
+
+
+def _report_opengl(say: Callable[[str], None]) -> None:
+    say("OpenGL")
+
+    from napari_hmrf.solver.backends import opengl
+
+    try:
+        _list(say, compute_thread.submit(opengl.describe).result())
+    except BackendError as error:
+        say(f"  not usable: {error}")
+    say("")
+
+
+def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
+    """Solve on one backend; whether that was right, or None if it is not there."""
+    say(f"  {name}")
+    try:
+        compute_thread.submit(lambda: open_backend(name, lambda: None)[0].close()).result()
+    except BackendError as error:
+        say(f"    not there: {error}")
+        return None
+    problem, field = affine_example()
+    checks = (
+        ("closed form", SeilerPrior(), ICM(iterations=1000, steps=None), CLOSED_FORM_BOUND),
+        ("candidate set", SeilerPrior(), ICM(iterations=300), CANDIDATES_BOUND),
+        ("elastic", ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND),
+    )
+    passed = True
+    try:
+        for title, prior, schedule, bound in checks:
+            solution = solve(problem, prior, schedule, backend=name)
+            off = float(np.abs(solution.displacement - field).max())
+            right = off <= bound
+            passed = passed and right
+            say(
+                f"    {'PASS' if right else 'FAIL'} affine motion, {title}: "
+                f"max error {off:.1e} px (at most {bound:g})"
+            )
+        for timing in _timings(name):
+            say(f"    {timing}")
+    except HmrfError as failure:
+        say(f"    FAIL {failure}")
+        return False
+    return passed
+
+
+def _timings(name: str) -> Iterator[str]:
+    """How long solves of the paper's size of image take."""
+    problem = phantom("expansion").problem
+    started = time.perf_counter()
+    solution = solve(problem, backend=name)
+    seconds = time.perf_counter() - started
+    visits = sum(level.iterations * math.prod(level.shape) for level in solution.levels)
+    yield (
+        f"300 x 300, {solution.iterations} iterations: {seconds:.2f} s, "
+        f"{1e9 * solution.provenance.seconds / visits:.1f} ns per site and iteration"
+    )
+    solve(problem, ElasticPrior(), backend=name)
+    started = time.perf_counter()
+    solution = solve(problem, ElasticPrior(), backend=name)
+    seconds = time.perf_counter() - started
+    yield f"300 x 300, elastic, once warm: {seconds:.3f} s, {solution.iterations} cycles"
+
+
+def _list(say: Callable[[str], None], entries: Mapping[str, Any], indent: str = "  ") -> None:
+    """Write names and values in two columns, nested mappings indented below their name."""
+    width = max((len(str(name)) for name in entries), default=0)
+    for name, value in entries.items():
+        if isinstance(value, Mapping):
+            say(f"{indent}{name}")
+            _list(say, value, indent + "  ")
+            continue
+        if isinstance(value, (list, tuple)):
+            value = ", ".join(str(item) for item in value) or "none"
+        say(f"{indent}{name!s:<{width}}  {value}")
+
+
+def _anonymous(text: str) -> str:
+    """The text without the user's home folder and name."""
+    text = text.replace(str(Path.home()), "~")
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return text
+    # A short name might be part of any word; as part of a path it has gone with the home folder.
+    return text.replace(f"/{user}/", "/~/").replace(f"\\{user}\\", "\\~\\")

@@ -1,0 +1,91 @@
+"""The devices that can run the kernels, and the choice between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, get_args
+
+from napari_hmrf.errors import BackendError
+from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
+from napari_hmrf.solver.backends.thread import compute_thread
+
+#: What can be asked for by name. "opengl" takes compute shaders where the driver has them.
+BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
+BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
+
+#: Why a software rasteriser is taken where nobody asked for it.
+COMPILING = "until the loops for the processor are compiled"
+
+__all__ = [
+    "BACKEND_NAMES",
+    "BATCH_SECONDS",
+    "COMPILING",
+    "Backend",
+    "BackendName",
+    "Checkpoint",
+    "SiteRule",
+    "compute_thread",
+    "open_backend",
+]
+
+
+def open_backend(
+    name: str, checkpoint: Checkpoint, provide_loops: Callable[[], None] = loops.use
+) -> tuple[Backend[Any], str]:
+    """Make a backend ready; on the compute thread only.
+
+    Parameters
+    ----------
+    name : str
+        One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
+        where there is only a software rasteriser (ten times slower than they) or no OpenGL. Until
+        the loops are compiled, which it has another process do, it takes the rasteriser.
+    checkpoint : callable
+        Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
+    provide_loops : callable
+        Called before the loops are taken where they may not be compiled yet: has that done, and
+        waits for it. By default they are compiled as they are called.
+
+    Returns
+    -------
+    Backend
+    str
+        Why it was taken, in words.
+
+    Raises
+    ------
+    BackendError
+        What is missing, and how to get it.
+    """
+    if name == "cpu":
+        provide_loops()
+        return _compiled(checkpoint), "asked for"
+    if name not in BACKEND_NAMES:
+        raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
+    from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
+
+    compiled = loops.ready()
+    if name != "auto":
+        compiler.compile_meanwhile()
+        return OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None), "asked for"
+    try:
+        backend = OpenGLBackend(checkpoint)
+    except BackendError as error:
+        provide_loops()
+        return _compiled(checkpoint), f"no usable OpenGL ({error})"
+    compiler.compile_meanwhile()
+    if not is_software_renderer(backend.renderer):
+        return backend, "a GPU is there"
+    if not compiled:
+        return backend, COMPILING
+    backend.close()
+    return _compiled(checkpoint), f"OpenGL here is software only ({backend.renderer})"
+
+
+def _compiled(checkpoint: Checkpoint) -> Backend[Any]:
+    """Return the backend of loops."""
+    loader.before_numba()
+    from napari_hmrf.solver.backends.cpu import CpuBackend
+
+    return CpuBackend(checkpoint)

@@ -1,0 +1,72 @@
+"""Displacements in double precision on the host, in NumPy: twins of the compiled `cpu.exact`.
+
+Planes are float64, (2, H + 4, W + 4), the component first, in a ring of zeros two sites wide.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+
+Values = npt.NDArray[np.floating[Any]]
+
+
+def _inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Planes without their ring, the component last."""
+    return np.moveaxis(planes[:, 2:-2, 2:-2], 0, -1)
+
+
+def prescribe(
+    y: Values,
+    observed: npt.NDArray[np.bool_],
+    share: float,
+    first: Values | None,
+    one: float,
+    second: Values | None,
+    two: float,
+    d: Planes,
+    held: HeldPlanes,
+) -> None:
+    """Displace by share * y where tissue is observed, and hold it there.
+
+    The rest by one * first + two * second, both (H, W, 2); by zero, if these are None.
+    """
+    begun: Any = 0.0
+    if first is not None and second is not None:
+        begun = np.float64(one) * first + np.float64(two) * second
+    _inside(held)[...] = observed
+    _inside(d)[...] = np.where(observed, np.float64(share) * y, begun)
+
+
+def blend(values: Values, weight: float, held: HeldPlanes, d: Planes) -> None:
+    """D += weight * values, (H, W, 2), where it is not held."""
+    _inside(d)[...] += np.where(_inside(held), 0.0, np.float64(weight) * values)
+
+
+def settle(
+    values: Values, tissue: npt.NDArray[np.bool_], unit: float, row_finite: npt.NDArray[np.bool_]
+) -> None:
+    """Values *= unit on tissue, 0 elsewhere; whether each row of (H, W, 2) had numbers only."""
+    row_finite[...] = np.isfinite(values).all(axis=(1, 2))
+    values *= unit * tissue[..., None].astype(values.dtype)
+
+
+def measure(rest: Planes, row_most: Values, row_squares: Values) -> None:
+    """The largest absolute value, and the sum of squares, of each row."""
+    inner = rest[:, 2:-2]
+    row_most[...] = np.abs(inner).max(axis=(0, 2))
+    row_squares[...] = np.einsum("kij,kij->i", inner, inner)
+
+
+def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
+    """D += scale * correction."""
+    d += np.float64(scale) * correction
+
+
+def gather(d: Planes, out: npt.NDArray[np.float32]) -> None:
+    """Out, (H, W, 2) in single precision, from planes."""
+    out[...] = _inside(d)

@@ -1,0 +1,91 @@
+"""One level of a linear model as arrays: what is held, and the springs where a finer level is."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.linear import HeldPlanes
+from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
+
+Vector = npt.NDArray[np.float32]
+
+
+class ArrayLevel:
+    """A level of which shaders need the tissue, what is held and the springs.
+
+    Parameters
+    ----------
+    grid : tuple of int
+        Its sites, (H, W).
+    finest : bool
+
+    Attributes
+    ----------
+    steep : ndarray, shape (2, H + 4, W + 4)
+        The model's own curvature; 0 where nothing moves.
+    diagonal : ndarray, shape (2, H + 4, W + 4)
+        Of the model, before there are springs.
+    inverse : ndarray, shape (2, H + 4, W + 4)
+        Of the diagonal; 0 where a component does not move.
+    weight : ndarray, shape (2, H + 4, W + 4), or None
+        The springs; the finest level has none.
+    """
+
+    steep: Vector
+    diagonal: Vector
+
+    def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
+        self.grid = grid
+        self.inverse, self.pins = self.vector(), self.vector()
+        self.weight = None if finest else self.vector()
+
+    def vector(self) -> Vector:
+        """Return zeros."""
+        return np.zeros((2, *(size + 4 for size in self.grid)), dtype=np.float32)
+
+    def free(self, *vectors: Vector) -> None:
+        """Nothing to do: memory goes with the last reference."""
+
+    def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
+        """The largest absolute value of `a`, and the scalar product."""
+        return float(np.abs(a).max()), float(np.vdot(a.astype(np.float64), b.astype(np.float64)))
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on the finest level."""
+        self.pins[...] = self._pinned(held)
+        self._invert(self.diagonal, (self.steep > 0) & ~held)
+
+    def _pinned(self, held: HeldPlanes) -> HeldPlanes:
+        """What counts as held where a coarser level asks."""
+        return held
+
+    def hold_as(self, finer: Self) -> None:
+        """Put the sites near those that the finer level holds on springs.
+
+        A spring is as strong as the site's `pins`, times the diagonal.
+        """
+        assert self.weight is not None
+        self.pins[:, 2:-2, 2:-2] = np.minimum(_restricted(finer.pins, self.grid), MOST_PINS)
+        np.multiply(np.float32(SPRING) * self.pins, self.diagonal, out=self.weight)
+        self._invert(self.diagonal + self.weight, self.steep > 0)
+
+    def _invert(self, diagonal: Vector, moves: HeldPlanes) -> None:
+        self.inverse.fill(0)
+        np.divide(1, diagonal, out=self.inverse, where=moves)
+
+
+def _restricted(fine: Vector, grid: tuple[int, ...]) -> Vector:
+    """The transpose of bilinear interpolation: coarse site i lies on fine site 2 i."""
+    height, width = grid
+    rows = _along(np.pad(fine, ((0, 0), (0, 2), (0, 2))), height, 1)
+    return _along(rows, width, 2)
+
+
+def _along(fine: Vector, count: int, axis: int) -> Vector:
+    before, here, after = (
+        np.take(fine, 2 * np.arange(count) + offset, axis=axis) for offset in (1, 2, 3)
+    )
+    return np.asarray(here + np.float32(0.5) * (before + after))

@@ -1,0 +1,35 @@
+"""What the models of all priors have in common as arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.host_model import HostModel
+from napari_hmrf.solver.backends.linear import Planes
+
+
+class ArrayModel(HostModel):
+    """The host's part of `LinearModel`, for subclasses that know the forces.
+
+    Parameters
+    ----------
+    material : Any
+        An `Assembled` material.
+    """
+
+    def __init__(self, material: Any) -> None:
+        self.material, self._held, self.found = material, None, Found()
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """- A d everywhere, in double precision."""
+        raise NotImplementedError
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        rest = self.pull(d) if load is None else self.pull(d) + load
+        rest[~self.moves] = 0
+        rest /= unit
+        self._rest[...] = rest
+        return float(np.abs(rest).max()), float(np.linalg.norm(rest))

@@ -1,0 +1,161 @@
+"""The paper's cliques as arrays: their levels, and their pulls in double precision.
+
+`stiffness` is (m, 1/m), planes, 0 in void; `lines` is what each line of cliques counts for each
+component. Centred, the model is d - q(d); blanket, half the slope of U_total's cliques, or all of
+it, if `lines` are twice what they are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
+from napari_hmrf.solver.backends.arrays.model import ArrayModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.coarse_levels import grids
+from napari_hmrf.solver.priors.cliques import SeilerMaterial, cliques
+
+Float64Array = npt.NDArray[np.float64]
+Real = npt.NDArray[np.floating[Any]]
+
+
+class ArraySeilerLevel(ArrayLevel):
+    """One level's cliques and springs.
+
+    Parameters
+    ----------
+    grid : tuple of int
+    stiffness : ndarray, shape (2, H + 4, W + 4)
+    even : ndarray, shape (H + 4, W + 4)
+        What makes a sum over the finer level's tissue around a site a mean.
+    material : SeilerMaterial
+    share : float
+        What a clique counts on this level.
+    finest : bool
+    """
+
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        stiffness: Float64Array,
+        even: Float64Array,
+        material: SeilerMaterial,
+        share: float,
+        finest: bool,
+    ) -> None:
+        super().__init__(grid, finest)
+        self.blanket = material.blanket or None
+        #: For the kernels; square pixels have kernels of their own.
+        plain = material.square and not material.blanket
+        self.lines = None if plain else (share * material.lines).astype(np.float32)
+        self._lines = share * material.lines
+        self.stiffness: Vector = stiffness.astype(np.float32)
+        self.even: Vector = even.astype(np.float32)
+        found = cliques(np.zeros_like(stiffness), stiffness[0], self._lines, material.blanket)
+        self.steep = found.curvature.astype(np.float32)
+        self.diagonal = self.steep if material.blanket else np.ones_like(self.steep)
+
+    def _pinned(self, held: HeldPlanes) -> HeldPlanes:
+        return np.asarray((self.stiffness[:1] > 0) & ((self.steep == 0) | held))
+
+    def apply(self, direction: Vector, image: Vector) -> None:
+        """Image = A direction."""
+        image[...] = -pull(direction, self.stiffness[0], self._lines, bool(self.blanket))
+        image[self.inverse == 0] = 0
+
+
+def pull(d: Real, m: Real, lines: Float64Array, blanket: bool) -> Float64Array:
+    """- A d everywhere."""
+    curvature, slope, _ = cliques(d, m, lines, blanket)
+    return slope if blanket else slope / np.maximum(curvature, 1e-30)
+
+
+class ArraySeilerModel(ArrayModel):
+    """The host's part of `LinearModel` for the paper's cliques.
+
+    Parameters
+    ----------
+    material : SeilerMaterial
+    """
+
+    def __init__(self, material: SeilerMaterial) -> None:
+        super().__init__(material)
+        self.bounds = material.bounds
+        self._lines = (2 if material.blanket else 1) * material.lines
+        m = material.m / np.float64(material.m.max())
+        stiffness = np.zeros((2, *(size + 4 for size in m.shape)))
+        stiffness[0, 2:-2, 2:-2] = m
+        np.divide(1.0, stiffness[0], out=stiffness[1], where=stiffness[0] > 0)
+        self._m, even = stiffness[0], np.zeros(stiffness.shape[1:])
+        self.levels = []
+        for number, grid in enumerate(grids(m.shape)):
+            if number > 0:
+                stiffness, even = _coarser(stiffness[0], grid)
+            # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
+            share = 2 * 0.25**number if material.blanket else 1.0
+            self.levels.append(
+                ArraySeilerLevel(grid, stiffness, even, material, share, number == 0)
+            )
+        self._rest = self.levels[0].vector()
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """- A d everywhere, in double precision."""
+        if low is not None:
+            assert self.material.blanket
+            pulls: Planes = self.material.pull(d, low)
+            return pulls
+        return pull(d, self._m, self._lines, self.material.blanket)
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The cliques' share of U_total, and the norm of all pulls."""
+        curvature, slope, energy = cliques(d, self._m, self._lines, self.material.blanket)
+        pulls = slope if self.material.blanket else slope / np.maximum(curvature, 1e-30)
+        return float(energy.sum()) / (2 if self.material.blanket else 1), float(
+            np.linalg.norm(pulls)
+        )
+
+    @property
+    def steepness(self) -> Planes:
+        """The second derivative of each site's energy; 0 where no clique pulls."""
+        nothing = np.zeros((2, *self._m.shape))
+        found = cliques(nothing, self._m, self._lines, self.material.blanket).curvature
+        return found if self.material.blanket else 2 * found
+
+    def forget(self) -> None:
+        """Be not the last model any more."""
+        _last[:] = ()
+
+
+def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
+    """A coarse level's (m, 1/m): the mean of the tissue around a site; and what evens out sums."""
+    height, width = grid
+    padded = np.pad(fine, (0, 2))
+    total, share = np.zeros((2, height, width))
+    for a in range(3):
+        for b in range(3):
+            m = padded[1 + a : 1 + a + 2 * height : 2, 1 + b : 1 + b + 2 * width : 2]
+            near = (2 - abs(a - 1)) * (2 - abs(b - 1)) / 4
+            total += near * m
+            share += near * (m > 0)
+    stiffness = np.zeros((2, height + 4, width + 4))
+    inner = stiffness[:, 2:-2, 2:-2]
+    np.divide(total, share, out=inner[0], where=total > 0)
+    np.divide(share, total, out=inner[1], where=total > 0)
+    even = np.zeros((height + 4, width + 4))
+    even[2:-2, 2:-2] = 4 / np.maximum(share, 1)
+    return stiffness, even
+
+
+_last: list[ArraySeilerModel] = []
+in_child_of_fork(_last.clear)
+
+
+def the_model(material: SeilerMaterial) -> ArraySeilerModel:
+    """Return the model of a material: the last one, if it is the same tissue again."""
+    if not _last or _last[0].material != material:
+        _last[:] = (ArraySeilerModel(material),)
+    return _last[0]

@@ -1,0 +1,211 @@
+"""Kernels as loops compiled for the processor: the backend of machines without a GPU."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.base import (
+    BATCH_SECONDS,
+    Checkpoint,
+    EnergyArray,
+    FloatArray,
+    SiteRule,
+)
+from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.priors import line_weights
+from napari_hmrf.solver.priors.cliques import SeilerMaterial
+from napari_hmrf.solver.priors.elements import ElasticMaterial
+from napari_hmrf.solver.quadtree import Level, nearest_pixels
+
+# A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.
+_SLOWEST_SITE_SECONDS = 10e-9
+# Levels of fewer sites are swept by one thread.
+_SMALL = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class CpuField:
+    """Planes of float32, (C, H + 4, W + 4), in a ring of zeros."""
+
+    planes: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The level's grid, (H, W)."""
+        _, height, width = self.planes.shape
+        return height - 4, width - 4
+
+    @property
+    def inside(self) -> FloatArray:
+        """The planes without the ring, a view of shape (C, H, W)."""
+        return self.planes[:, 2:-2, 2:-2]
+
+    @cached_property
+    def spans(self) -> npt.NDArray[np.int64]:
+        """Of a stiffness: where each row's tissue begins and ends, shape (H, 2).
+
+        No site outside moves, so none is computed: a third of a head's image is air.
+        """
+        tissue = self.inside[0] > 0
+        first = tissue.argmax(axis=1)
+        past = tissue.shape[1] - tissue[:, ::-1].argmax(axis=1)
+        return np.stack([first, np.where(tissue.any(axis=1), past, first)], axis=1)
+
+
+class CpuBackend:
+    """The compiled loops, one thread per core.
+
+    Parameters
+    ----------
+    checkpoint : callable
+        Called between sweeps; raises to stop the work.
+    """
+
+    name = "cpu"
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        # GNU OpenMP lets a thread that waits for the others burn its core for milliseconds unless
+        # told otherwise before it is loaded. Beside a GUI that wants a core too, sweeps of 0.1 ms
+        # then take 10 ms; with a short wait they take 0.3 ms, and alone they lose nothing.
+        os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+        # Numba is imported, and its kernels loaded, only by a solve that uses them.
+        import numba
+
+        from napari_hmrf.solver.backends.cpu import kernels, transfer
+
+        self._kernels = kernels
+        self._transfer = transfer
+        self._checkpoint = checkpoint
+        self._numba = numba
+        self._threads = threads = numba.get_num_threads()
+        # What the last sweeps used beside their fields, for the next ones on the same level.
+        self._left_over: tuple[CpuField, FloatArray, FloatArray] | None = None
+        self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
+
+    def upload(self, values: FloatArray) -> CpuField:
+        """Pad values of shape (H, W, C) by void."""
+        field = CpuField(self._transfer.padded(values.shape[-1], values.shape[:-1]))
+        field.inside[...] = np.moveaxis(values, -1, 0)
+        return field
+
+    def download(self, field: CpuField) -> FloatArray:
+        """Return the values, (H, W, C)."""
+        return np.ascontiguousarray(np.moveaxis(field.inside, 0, -1))
+
+    def zeros(self, level: Level) -> CpuField:
+        """Return a displacement of zero."""
+        return CpuField(self._transfer.padded(2, level.shape))
+
+    def project(self, finest: CpuField, level: Level) -> CpuField:
+        """Project by nearest neighbour from level 0."""
+        field = CpuField(self._transfer.padded(len(finest.planes), level.shape))
+        rows, cols = nearest_pixels(level, finest.shape)
+        field.inside[...] = finest.inside.take(rows, axis=1).take(cols, axis=2)
+        return field
+
+    def prolong(
+        self, coarse: CpuField, coarse_stiffness: CpuField, stiffness: CpuField
+    ) -> CpuField:
+        """Project displacement one level down, linearly."""
+        field = CpuField(self._transfer.padded(2, stiffness.shape))
+        self._transfer.prolong(
+            coarse.planes, coarse_stiffness.planes, field.planes, stiffness.planes
+        )
+        return field
+
+    def relax(
+        self,
+        displacement: CpuField,
+        stiffness: CpuField,
+        observation: CpuField,
+        rule: SiteRule,
+        sweeps: int,
+    ) -> tuple[CpuField, EnergyArray]:
+        """Move all sites at once, `sweeps` times."""
+        steps = tuple(np.float32(step) for step in rule.steps) or None
+        even, odd = displacement.planes, self._other_planes(stiffness)
+        share, row_totals = self._share(stiffness), np.empty((sweeps, displacement.shape[0]))
+        # Waking the other threads costs more than a small level does.
+        self._numba.set_num_threads(1 if share.size < _SMALL else self._threads)
+        batch = max(1, int(BATCH_SECONDS / (_SLOWEST_SITE_SECONDS * share.size)))
+        for start in range(0, sweeps, batch):
+            self._checkpoint()
+            totals = row_totals[start : start + batch]
+            self._kernels.sweeps(
+                even,
+                odd,
+                stiffness.planes,
+                observation.planes,
+                stiffness.spans,
+                _weights(rule),
+                rule.blanket or None,
+                steps,
+                np.float32(rule.relaxation),
+                share,
+                totals,
+            )
+            if len(totals) % 2 == 1:
+                even, odd = odd, even
+        self._left_over = (stiffness, odd, share)
+        return CpuField(even), row_totals.sum(axis=1)
+
+    def energy(
+        self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
+    ) -> float:
+        """U_total."""
+        row_totals = np.empty(displacement.shape[0])
+        self._kernels.energy(
+            displacement.planes,
+            stiffness.planes,
+            observation.planes,
+            stiffness.spans,
+            rule.weights.astype(np.float32),
+            self._share(stiffness),
+            row_totals,
+        )
+        return float(row_totals.sum())
+
+    def elastic_model(self, material: ElasticMaterial) -> LinearModel:
+        """Bring elastic tissue to the device, on all levels of multigrid."""
+        from napari_hmrf.solver.backends.cpu.elastic_model import the_model
+
+        return the_model(material)
+
+    def seiler_model(self, material: SeilerMaterial) -> LinearModel:
+        """Bring the paper's cliques to the device, on all levels of multigrid."""
+        from napari_hmrf.solver.backends.cpu.seiler_model import the_model
+
+        return the_model(material)
+
+    def _other_planes(self, stiffness: CpuField) -> FloatArray:
+        """Planes to write displacement to, 0 in void; nobody else holds them."""
+        if self._left_over is not None and self._left_over[0] is stiffness:
+            return self._left_over[1]
+        return self._transfer.padded(2, stiffness.shape)
+
+    def _share(self, stiffness: CpuField) -> FloatArray:
+        """A plane for each site's share of the energy."""
+        if self._left_over is not None and self._left_over[0] is stiffness:
+            return self._left_over[2]
+        return np.empty(stiffness.shape, dtype=np.float32)
+
+    def release(self, *fields: CpuField) -> None:
+        """Nothing to do: memory goes with the last reference."""
+
+    def close(self) -> None:
+        """Let go of what is kept between sweeps."""
+        self._left_over = None
+        self._numba.set_num_threads(self._threads)
+
+
+def _weights(rule: SiteRule) -> FloatArray | None:
+    """The weights of the lines, or None where the kernel for square pixels will do."""
+    if not rule.blanket and np.array_equal(rule.weights, line_weights((1.0, 1.0))):
+        return None
+    return rule.weights.astype(np.float32)

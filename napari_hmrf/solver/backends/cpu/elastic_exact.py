@@ -1,0 +1,104 @@
+"""Elastic tissue as compiled loops in double precision: what decides whether a field is converged.
+
+Arrays are as in `backends.cpu.elastic`, displacement and load in double precision; rows are divided
+among threads as there.
+"""
+
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+from __future__ import annotations
+
+import numpy as np
+from numba import float32, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import callee, contracted_reduction, parallel
+from napari_hmrf.solver.backends.cpu.forces import (
+    force,
+    left_of,
+    moduli_of,
+    part,
+    reach,
+    row_force,
+    rows_of,
+)
+from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
+
+
+@callee
+def _balance_row(d, load, tissue, i, span, carry, share, out_row, out_col):
+    lame, inverse, shape = tissue
+    rows, moduli = rows_of(d, i), moduli_of(lame, i)
+    start, past = max(span[0], 0), span[1]
+    left = left_of(rows, moduli, shape, start + 1)
+    for k in range(past - start):
+        j = start + k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        if load is not None:
+            row, col = row - load[0, i, j], col - load[1, i, j]
+        row, col = float32(-share * row), float32(-share * col)
+        out_row[j] = row if inverse[0, i, j] > float32(0) else row - row
+        out_col[j] = col if inverse[1, i, j] > float32(0) else col - col
+
+
+@callee
+def _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last):
+    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
+    for i in range(max(first - 1, 0), last):
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        _balance_row(d, load, tissue, i + 2, reach(spans, i), carry, share, row, col)
+        if i >= first:
+            row_most[i] = row_largest(out, i + 2)
+            row_squares[i] = row_product(out, out, i + 2)
+
+
+@parallel
+def balance(d, load, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
+    """Out = share (load - A d) in single precision, and 0 at sites that do not move.
+
+    Its largest absolute value and its square are returned row by row; a load of None is zero.
+    """
+    for number in prange(count):
+        first, last = part(number, count, len(spans))
+        tissue = lame, inverse, shape
+        _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last)
+
+
+@contracted_reduction
+def _work_row(d, lame, shape, i, carry):
+    """A row's product of displacement and forces, and the square of these."""
+    rows, moduli = rows_of(d, i), moduli_of(lame, i)
+    product, square = 0.0, 0.0
+    left = left_of(rows, moduli, shape, 1)
+    for k in range(d.shape[2] - 4):
+        j = k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        product += d[0, i, j] * row + d[1, i, j] * col
+        square += row * row + col * col
+    return product, square
+
+
+@callee
+def _work_part(d, lame, shape, row_products, row_squares, first, last):
+    carry = np.zeros_like(d[:, 0])
+    for i in range(max(first - 1, 0), last):
+        product, square = _work_row(d, lame, shape, i + 2, carry)
+        if i >= first:
+            row_products[i], row_squares[i] = product, square
+
+
+@parallel
+def work(d, lame, shape, row_products, row_squares, count):
+    """The product of a displacement and A times it, and the square of that, by rows."""
+    for number in prange(count):
+        first, last = part(number, count, len(row_products))
+        _work_part(d, lame, shape, row_products, row_squares, first, last)
+
+
+@parallel
+def pull(d, lame, shape, out):
+    """Out = - A d everywhere."""
+    for i in prange(d.shape[1] - 4):
+        for k in range(d.shape[2] - 4):
+            j = k + 2
+            row, col = force(d, lame, shape, i + 2, j)
+            out[0, i + 2, j] = -row
+            out[1, i + 2, j] = -col

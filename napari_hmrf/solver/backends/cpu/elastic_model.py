@@ -1,0 +1,364 @@
+"""Elastic tissue on the processor: its levels, and its forces in double precision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, few
+from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
+from napari_hmrf.solver.backends.cpu.entraining import entrain
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
+from napari_hmrf.solver.backends.entrained import Entrained
+from napari_hmrf.solver.backends.host_model import HostModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING, grids, smoother_bounds
+from napari_hmrf.solver.priors.elements import (
+    CYCLE_STAND_IN,
+    HELD_STAND_IN,
+    ElasticMaterial,
+    stiffest,
+)
+
+# A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
+# kernels that a large one does, so that a rehearsal compiles them.
+_SMALL = 8000
+_LARGE = 2
+
+
+# A step that leaves all where it is.
+_NO_STEP = np.zeros(3, dtype=np.float32)
+
+
+@lru_cache(maxsize=16)
+def _paces(steps: Steps, from_zero: bool) -> Vector:
+    """(scale, ahead, back) of each step, for displacements instead of steps.
+
+    A step's momentum takes the difference of the last two displacements; before the first step of
+    all there is none, and if it begins at zero the second takes the first displacement itself.
+    """
+    made = np.zeros((len(steps), 3), dtype=np.float32)
+    made[:, :2] = steps
+    begun = 2 if from_zero else 1
+    made[begun:, 2] = made[begun:, 1]
+    return made
+
+
+class CpuElasticLevel(CpuLevel):
+    """One level's elements and springs.
+
+    Attributes
+    ----------
+    lame : ndarray, shape (2, H + 4, W + 4)
+        Lame's parameters of the elements; 0 in void.
+    pins : ndarray, shape (2, H + 4, W + 4)
+        How much of what is held counts at each site.
+    spans : ndarray, shape (H, 2)
+        Where each row's moving sites begin and end.
+    moving, reach : ndarray
+        As `inverse` and `spans`, if bodies that cycles hold move, too.
+    """
+
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        shape: Vector,
+        finest: bool,
+        spans: npt.NDArray[np.int64],
+        memory: Iterator[Vector] | None = None,
+    ) -> None:
+        super().__init__(grid, memory)
+        self.shape, self.spans = shape, spans
+        self.lame, self.pins = self.vector(), self.vector()
+        self.weight = None if finest else self.vector()
+        self.moving, self.reach = self.inverse, spans
+        self._memory = None
+        #: Among how many threads its rows are divided.
+        self.parts = forces.parts(grid[0])
+        self.together: _SmallLevels | None = None
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on the finest level, and bodies that are entrained."""
+        before = self.spans.copy()
+        self.moving, self.reach = self.inverse, self.spans
+        if self.bodies is not None and self.bodies.entrain:
+            self.moving, self.reach = self._with_bodies
+            assembly.hold(self.lame, self.shape, held, self.moving, self.pins, self.reach)
+            held = self.bodies.hold(held)
+        assembly.hold(self.lame, self.shape, held, self.inverse, self.pins, self.spans)
+        # What moves bodies afterwards changes the correction there: the next cycle must clear it.
+        self.spans[:] = self.reach
+        self._forget(before)
+
+    @cached_property
+    def _with_bodies(self) -> tuple[Vector, npt.NDArray[np.int64]]:
+        """Only rigid tissue needs it."""
+        return self.vector(), np.zeros_like(self.spans)
+
+    def hold_as(self, finer: CpuElasticLevel) -> None:
+        """Put the sites near those that the finer level holds on springs."""
+        before = self.spans.copy()
+        vectors.restrict(finer.pins, self.pins)
+        assembly.spring(
+            self.lame,
+            self.shape,
+            self.pins,
+            np.float32(MOST_PINS),
+            np.float32(SPRING),
+            self.inverse,
+            self.weight,
+            self.spans,
+        )
+        self._forget(before)
+
+    def _forget(self, before: npt.NDArray[np.int64]) -> None:
+        """The kernels write within the spans only: beyond them there must be 0."""
+        if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
+            for vector in (self.correction, self._other):
+                vector.fill(0)
+
+    @property
+    def spare_correction(self) -> Vector:
+        """Where `relax` writes, in turn with `correction`."""
+        return self._other
+
+    def holding(self) -> CpuElasticLevel:
+        """Return this level, which takes the rest, once more, with all that touches it held."""
+        assert self.together is not None
+        made: CpuElasticLevel = self.together.copy().levels[0]
+        assert made.weight is not None
+        made.weight.fill(0)
+        made.hold(self.pins > 0)
+        return made
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Find the correction with all coarser levels, or as the coarsest."""
+        if self.together is None:
+            super().finish(steps, coarsest)
+        else:
+            self.correction = self.together.cycle(steps, coarsest)
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        paces = _paces(steps, from_zero)
+        about = self._about
+        if from_zero:
+            # What is between the first two is not kept; a third would ask for it.
+            second = paces[1] if len(paces) == 2 else _NO_STEP
+            elastic.begin(*about, self.correction, paces[0, 0], *second, self.parts)
+            paces = paces[2 if len(paces) == 2 else 1 :]
+        for pace in paces:
+            elastic.smooth(self.correction, *about, self._other, *pace, self.parts)
+            self.correction, self._other = self._other, self.correction
+
+    def _hand_down(self, coarse: CpuElasticLevel) -> None:
+        elastic.leave(self.correction, *self._about, coarse.load, self.parts)
+
+    @property
+    def _about(self) -> tuple[Any, ...]:
+        """What smoothing goes by."""
+        return self.load, self.lame, self.inverse, self.weight, self.shape, self.spans
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Image = A direction; their scalar product."""
+        about = direction, self.lame, self.moving, self.shape, self.reach, image, self._rows
+        if self.together is None:
+            elastic.apply(*about, self.parts)
+        else:  # a small level: waking other threads takes longer
+            elastic.apply_part(*about, 0, len(self.reach))
+        return float(self._rows.sum())
+
+
+class _SmallLevels:
+    """The memory of levels that are visited in one go, and that visit.
+
+    Parameters
+    ----------
+    grids : list of tuple of int
+        Of the levels, finest first.
+    shape : ndarray
+    """
+
+    def __init__(self, grids: list[tuple[int, ...]], shape: Vector) -> None:
+        sizes = [2 * (height + 4) * (width + 4) for height, width in grids]
+        starts = np.cumsum([0, *(small.ARRAYS * size for size in sizes)])
+        self._values = np.zeros(starts[-1], dtype=np.float32)
+        self._table = np.array([(*grid, start) for grid, start in zip(grids, starts, strict=False)])
+        self._shape = shape
+        self.levels = []
+        for grid, start, size in zip(grids, starts, sizes, strict=False):
+            arrays = self._values[start : start + small.ARRAYS * size]
+            memory = iter(arrays.reshape(small.ARRAYS, 2, grid[0] + 4, grid[1] + 4))
+            spans = np.zeros((grid[0], 2), dtype=np.int64)
+            self.levels.append(CpuElasticLevel(grid, shape, False, spans, memory))
+        first = self.levels[0]
+        self._pair = first.correction, first.spare_correction
+        first.together, first.takes_rest = self, True
+
+    def copy(self) -> _SmallLevels:
+        """Return the same levels once more."""
+        made = _SmallLevels([tuple(grid) for grid in self._table[:, :2].tolist()], self._shape)
+        np.copyto(made._values, self._values)
+        return made
+
+    def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
+        """Return the first level's correction for its load."""
+        small.cycle(
+            self._values,
+            self._table,
+            self._shape,
+            _paces(steps, from_zero=True),
+            _paces(steps, from_zero=False),
+            _paces(coarsest, from_zero=True),
+        )
+        number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
+        return self._pair[0 if number % 2 == 1 else 1]
+
+
+class CpuElasticModel(HostModel):
+    """`LinearModel` of elastic tissue; other backends take their levels from it.
+
+    Parameters
+    ----------
+    material : ElasticMaterial
+    """
+
+    def __init__(self, material: ElasticMaterial) -> None:
+        self._shape = np.array(material.shape, dtype=np.float32)
+        every = grids(material.m.shape)
+        few = next((k for k, (height, width) in enumerate(every) if height * width < _SMALL), 0)
+        large, little = every[: max(few, _LARGE)], every[max(few, _LARGE) :]
+        self.levels = [
+            CpuElasticLevel(grid, self._shape, number == 0, np.zeros((grid[0], 2), dtype=np.int64))
+            for number, grid in enumerate(large)
+        ]
+        if little:
+            self.levels += _SmallLevels(little, self._shape).levels
+        self._rest = self.levels[0].vector()
+        self._exact_lame: Planes = np.zeros(self._rest.shape)
+        self._entrained = np.zeros((0, *self._rest.shape), dtype=np.float32)
+        self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
+        self.assemble(material)
+
+    def assemble(self, material: ElasticMaterial) -> None:
+        """Take another material of the same grid."""
+        self.material = material
+        self.bounds = smoother_bounds(material)
+        self._shape[:] = material.shape
+        self._exact_shape = np.array(material.shape, dtype=np.float64)
+        self._held = None
+        m, most = material.m, stiffest(material.m)
+        self._sites: list[BodySites] = []
+        if material.rigid:
+            self._sites = bodies_of(m)
+            stand_in = HELD_STAND_IN if few(self._sites, m.shape) else CYCLE_STAND_IN
+            m = np.where(np.isinf(m), np.float32(stand_in * most), m)
+            m.setflags(write=False)  # as a material's own: to numba another would be another type
+        one = isinstance(material.poisson, float)
+        assembly.elements(
+            m,
+            material.poisson if one else 0.0,
+            m if one else material.poisson,
+            one,
+            material.strain,
+            0.25 / most,
+            self._exact_lame,
+        )
+        self.levels[0].lame[...] = self._exact_lame
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            assembly.coarsen(fine.lame, coarse.lame)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        if self._held is None or not np.array_equal(held, self._held):
+            rigid = self.material.rigid
+            self.bodies = Bodies(self._sites, self.material, held) if rigid else None
+            self.levels[0].bodies = self.bodies
+        super().hold(held)
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Which components of the finest level are unknown."""
+        moves: HeldPlanes = self.levels[0].moving > 0
+        return moves
+
+    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+        """Fields of bodies that move and take the tissue around them along."""
+        if self.bodies is None or not self.bodies.entrain:
+            return None
+        number = next((k for k, level in enumerate(self.levels) if level.takes_rest), 0)
+        small = self.levels[number].holding() if number > 0 else None
+        # As bodies are drawn, they are entrained again and again: fresh memory takes longer to get.
+        shape = 2 * self.bodies.freedom, *self._rest.shape
+        if self._entrained.shape[0] < shape[0]:
+            self._entrained = np.zeros(shape, dtype=np.float32)
+        memory = self._entrained[: shape[0]]
+        return entrain(self.bodies, self.levels[: number + 1], small, steps, coarsest, memory)
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        finest, (most, squares) = self.levels[0], self._rows
+        elastic_exact.balance(
+            d,
+            load,
+            self._exact_lame,
+            finest.moving,
+            self._exact_shape,
+            finest.reach,
+            1 / unit,
+            self._rest,
+            most,
+            squares,
+            finest.parts,
+        )
+        return float(most.max()), math.sqrt(squares.sum())
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """- A d everywhere, in double precision; valid until the next call."""
+        elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull)
+        return self._pull if low is None else self._pull.copy() + self.pull(low)
+
+    @cached_property
+    def _pull(self) -> Planes:
+        """Only tissue that may slip needs it."""
+        return np.zeros(self._rest.shape)
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The elastic energy, and the norm of the forces."""
+        finest, (products, squares) = self.levels[0], self._rows
+        elastic_exact.work(d, self._exact_lame, self._exact_shape, products, squares, finest.parts)
+        return float(products.sum()) / 2, math.sqrt(squares.sum())
+
+    @property
+    def steepness(self) -> Planes:
+        """The diagonal of the stiffness matrix."""
+        out = np.zeros(self._rest.shape)
+        assembly.diagonal(self._exact_lame, self._exact_shape, out)
+        return out
+
+    def forget(self) -> None:
+        """Be not the last model any more: what is left in its vectors may be no number."""
+        _last[:] = ()
+
+
+_last: list[CpuElasticModel] = []
+in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
+
+
+def the_model(material: ElasticMaterial) -> CpuElasticModel:
+    """Return the model of a material: the last one, if it is the same tissue again.
+
+    Making one takes as long as a few cycles, and what is edited most is what pulls, not the tissue.
+    For the compute thread only, on which models take turns.
+    """
+    if not _last or _last[0].material.m.shape != material.m.shape:
+        _last[:] = ()  # its memory, first
+        _last.append(CpuElasticModel(material))
+    elif _last[0].material != material:
+        _last[0].assemble(material)
+    return _last[0]

@@ -1,0 +1,100 @@
+"""How tissue follows bodies: what deflation asks for, found on a small level and carried up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.bodies import Bodies
+from napari_hmrf.solver.backends.cpu import vectors
+from napari_hmrf.solver.backends.cpu.entrained import CpuEntrained
+from napari_hmrf.solver.backends.cpu.level import Vector
+from napari_hmrf.solver.backends.linear import Steps
+
+# Cycles on the small level. How tissue follows need not be known well: deflation is exact with any
+# field in which a body moves as one.
+_CYCLES = 2
+# A body of fewer sites along a side is small there.
+_SMALL_BODY = 4
+
+
+def entrain(
+    bodies: Bodies,
+    levels: Sequence[Any],
+    small: Any | None,
+    steps: Steps,
+    coarsest: Steps,
+    memory: Vector,
+) -> CpuEntrained | None:
+    """Return the fields of all free motions; None if there are none.
+
+    Parameters
+    ----------
+    bodies : Bodies
+    levels : sequence of CpuElasticLevel
+        From the finest to the small level.
+    small : CpuElasticLevel or None
+        The small level once more, on which bodies are held; None if there is none.
+    steps, coarsest : Steps
+        Of smoothing.
+    memory : ndarray, shape (2 * motions, 2, H + 4, W + 4)
+        Where fields and forces go.
+    """
+    finest, above, number = levels[0], levels[-2:0:-1], len(levels) - 1
+    shape = levels[-1].inverse.shape
+    around = [_around(i, j, number, shape) for i, j, _ in bodies.motions]
+    close = bool((np.sum(around, axis=0) > 1).any())
+    fields, forces = np.split(memory, 2)
+    lengths: Vector = np.zeros(len(fields), dtype=np.float32)
+    count = 0
+    between = [level.vector() for level in above]
+    for (i, _, motions), touched in zip(bodies.motions, around, strict=True):
+        # The small level sees neither small bodies nor what lies between close ones.
+        rough = close or small is None or len(i) < (_SMALL_BODY << number) ** 2
+        at_row, at_col = np.nonzero(touched)
+        for motion in motions:
+            field, force = fields[count], forces[count]
+            field.fill(0)
+            force.fill(0)
+            d: Vector = np.zeros(shape, dtype=np.float32)
+            d[:, at_row, at_col] = motion.of((at_row - 2) << number, (at_col - 2) << number)
+            for _ in range(_CYCLES):
+                if small is not None:
+                    small.apply(d, small.load)
+                    small.finish(steps, coarsest)
+                    d -= small.correction
+            lengths[count] = max(np.abs(d).max(), np.abs(motion.moved).max())
+            for level, finer in zip(above, between, strict=True):
+                finer.fill(0)
+                vectors.interpolate(d, finer, level.inverse)
+                d = finer
+            if small is not None:
+                vectors.interpolate(d, field, finest.inverse)
+            field.reshape(-1)[motion.at] = motion.moved
+            finest.apply(field, force)
+            if rough:
+                finest.load = force
+                finest.relax(steps, from_zero=True)
+                np.subtract(field, finest.correction, out=field)
+                lengths[count] = np.abs(field).max()
+                finest.apply(field, force)
+            bodies.project(force)
+            count += 1
+    for level, vector in zip(above, between, strict=True):
+        level.free(vector)
+    return CpuEntrained(fields, forces, lengths, close) if count else None
+
+
+def _around(
+    i: npt.NDArray[np.intp], j: npt.NDArray[np.intp], number: int, shape: tuple[int, ...]
+) -> npt.NDArray[np.bool_]:
+    """The sites of a level that touch a body."""
+    there: npt.NDArray[np.bool_] = np.zeros(shape[1:], dtype=np.bool_)
+    size = (1 << number) - 1
+    for row in (i >> number, (i + size) >> number):
+        for col in (j >> number, (j + size) >> number):
+            there[row + 2, col + 2] = True
+    return there

@@ -1,0 +1,323 @@
+"""The kernels as compiled loops.
+
+Every array is padded by a ring of void two sites wide, so that no loop asks whether it is at the
+border: a clique that reaches out of the image touches void and does not exist. Components are
+separate planes, (C, H + 4, W + 4). What moves a site is built from differences of displacement,
+never from an assembled stencil: float32 cancellation would cost whole pixels in large images.
+
+The loops over a row vectorise because they branch nowhere, count from zero (an index that might be
+negative would be wrapped around, Python's way) and live inside the parallel loop (where the
+compiler knows that the arrays do not overlap). Check that when you change them: the generated code
+must be full of ``<16 x float>`` or ``<8 x float>``. The number of a row is signed, so that what is
+called with it is compiled once: the counter of a parallel loop is signed to some and not to others.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return"
+from __future__ import annotations
+
+from typing import Any
+
+from numba import float32, int64, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import inline, parallel, reduction, shared, strict
+
+# Below this a displacement is rounded to 0: arithmetic on denormal numbers is many times slower.
+_FLUSH = float32(1e-18)
+_TINY = float32(1e-30)
+
+
+@inline
+def ratios(stiffness, si, sj, ti, tj, ui, uj):
+    """m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
+    inverse_s = stiffness[1, si, sj]
+    inverse_u = stiffness[1, ui, uj]
+    m = stiffness[0, ti, tj]
+    exists = float32(1) if inverse_s * m * inverse_u > float32(0) else float32(0)
+    return m * inverse_s, m * inverse_u, exists
+
+
+@inline
+def middle_curvature(ratio_s, ratio_u):
+    """Curvature of a clique's potential along its middle site's displacement."""
+    steep_s = float32(1) + ratio_s
+    steep_u = float32(1) + ratio_u
+    return steep_s * steep_s + steep_u * steep_u
+
+
+@inline
+def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
+    """Slope and energy of one component of a clique as seen from its middle site t."""
+    to_s = d[component, si, sj] - d[component, ti, tj]
+    to_u = d[component, ui, uj] - d[component, ti, tj]
+    first = ratio_u * to_s + to_u
+    second = ratio_s * to_u + to_s
+    slope = (float32(1) + ratio_u) * first + (float32(1) + ratio_s) * second
+    return slope, first * first + second * second
+
+
+@inline
+def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
+    """Slope of one component of a clique as seen from its end s."""
+    to_s = d[component, si, sj] - d[component, ti, tj]
+    to_u = d[component, ui, uj] - d[component, ti, tj]
+    return -(ratio_u * (ratio_u * to_s + to_u) + (ratio_s * to_u + to_s))
+
+
+@shared
+def square(d, stiffness, i, j):
+    """Curvature, slope and energy of the four cliques around (i + 2, j + 2), for square pixels.
+
+    There the vertical line carries the row component only, the horizontal line the col component.
+    """
+    si, sj, ui, uj = i + 1, j + 2, i + 3, j + 2
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
+    a0, b0, energy = exists * middle_curvature(s, u), exists * b, exists * e
+    si, sj, ui, uj = i + 2, j + 1, i + 2, j + 3
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
+    a1, b1, energy = exists * middle_curvature(s, u), exists * b, energy + exists * e
+    si, sj, ui, uj = i + 1, j + 1, i + 3, j + 3
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    a = exists * middle_curvature(s, u)
+    a0, a1 = a0 + a, a1 + a
+    b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b0, energy = b0 + exists * b, energy + exists * e
+    b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b1, energy = b1 + exists * b, energy + exists * e
+    si, sj, ui, uj = i + 1, j + 3, i + 3, j + 1
+    s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
+    a = exists * middle_curvature(s, u)
+    a0, a1 = a0 + a, a1 + a
+    b, e = _middle(d, 0, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b0, energy = b0 + exists * b, energy + exists * e
+    b, e = _middle(d, 1, s, u, si, sj, i + 2, j + 2, ui, uj)
+    b1, energy = b1 + exists * b, energy + exists * e
+    return a0, a1, b0, b1, energy
+
+
+@shared
+def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
+    """Curvature, slope (per component) and energy of a weighted clique, from its middle."""
+    s, u, exists = ratios(stiffness, si, sj, ti, tj, ui, uj)
+    w0, w1 = exists * weight_0, exists * weight_1
+    a = middle_curvature(s, u)
+    b0, e0 = _middle(d, 0, s, u, si, sj, ti, tj, ui, uj)
+    b1, e1 = _middle(d, 1, s, u, si, sj, ti, tj, ui, uj)
+    return w0 * a, w1 * a, w0 * b0, w1 * b1, w0 * e0 + w1 * e1
+
+
+@shared
+def weighted(d, stiffness, weights, i, j):
+    """As `square`, for pixels of any shape."""
+    w = weights
+    a0, a1, b0, b1, e = _middle_line(
+        d, stiffness, w[0, 0], w[0, 1], i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
+    )
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, w[1, 0], w[1, 1], i + 2, j + 1, i + 2, j + 2, i + 2, j + 3
+    )
+    a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, w[2, 0], w[2, 1], i + 1, j + 1, i + 2, j + 2, i + 3, j + 3
+    )
+    a0, a1, b0, b1, e = a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
+    p0, p1, q0, q1, r = _middle_line(
+        d, stiffness, w[3, 0], w[3, 1], i + 1, j + 3, i + 2, j + 2, i + 3, j + 1
+    )
+    return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e + r
+
+
+@inline
+def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
+    """Curvature and slope (per component) of a weighted clique that (i, j) is the end of."""
+    s, u, exists = ratios(stiffness, i, j, ti, tj, ui, uj)
+    w0, w1 = exists * weight_0, exists * weight_1
+    a = u * u + float32(1)
+    b0 = _end(d, 0, s, u, i, j, ti, tj, ui, uj)
+    b1 = _end(d, 1, s, u, i, j, ti, tj, ui, uj)
+    return w0 * a, w1 * a, w0 * b0, w1 * b1
+
+
+@shared
+def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
+    """The two cliques of one line that (i, j) is an end of: (i, j) - t - u and (i, j) - v - x."""
+    a0, a1, b0, b1 = _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj)
+    p0, p1, q0, q1 = _end_line(d, stiffness, weight_0, weight_1, i, j, vi, vj, xi, xj)
+    return a0 + p0, a1 + p1, b0 + q0, b1 + q1
+
+
+@shared
+def around(d, stiffness, weights, i, j):
+    """As `weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
+    w, ti, tj = weights, i + 2, j + 2
+    a0, a1, b0, b1, e = weighted(d, stiffness, w, i, j)
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, w[0, 0], w[0, 1], ti, tj, i + 1, tj, i, tj, i + 3, tj, i + 4, tj
+    )
+    a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, w[1, 0], w[1, 1], ti, tj, ti, j + 1, ti, j, ti, j + 3, ti, j + 4
+    )
+    a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, w[2, 0], w[2, 1], ti, tj, i + 1, j + 1, i, j, i + 3, j + 3, i + 4, j + 4
+    )
+    a0, a1, b0, b1 = a0 + p0, a1 + p1, b0 + q0, b1 + q1
+    p0, p1, q0, q1 = _both_ends(
+        d, stiffness, w[3, 0], w[3, 1], ti, tj, i + 1, j + 3, i, j + 4, i + 3, j + 1, i + 4, j
+    )
+    return a0 + p0, a1 + p1, b0 + q0, b1 + q1, e
+
+
+@inline
+def _observed(d, observation, i, j):
+    """The observation energy of a site (eqs. 17 and 18)."""
+    return observation[2, i, j] * abs(observation[0, i, j] - d[0, i, j]) + observation[
+        3, i, j
+    ] * abs(observation[1, i, j] - d[1, i, j])
+
+
+@inline
+def _downhill(slope, penalty, off):
+    """The direction, 1 or -1, in which a component's energy falls, if it falls in any.
+
+    `off` is y - d. The energy is convex, so the other direction need not be tried.
+    """
+    pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
+    return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
+
+
+@inline
+def _change(step, curvature, twice_slope, penalty, off, now):
+    """How much a step downhill changes a component's energy; 0 if it would raise it.
+
+    `now` is p |y - d|; slope and `off` are taken along the direction of the step.
+    """
+    prior = step * (curvature * step - twice_slope)
+    return min(prior + (penalty * abs(off - step) - now), float32(0))
+
+
+@shared
+def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
+    """A site's displacement after the best move of the candidate set."""
+    p0, p1 = observation[2, i, j], observation[3, i, j]
+    off0 = observation[0, i, j] - d[0, i, j]
+    off1 = observation[1, i, j] - d[1, i, j]
+    now0 = p0 * abs(off0)
+    now1 = p1 * abs(off1)
+    sign0 = _downhill(b0, p0, off0)
+    sign1 = _downhill(b1, p1, off1)
+    twice0 = float32(2) * sign0 * b0
+    twice1 = float32(2) * sign1 * b1
+    least = float32(0)
+    best0 = float32(0)
+    best1 = float32(0)
+    for k in range(len(steps)):
+        change0 = _change(steps[k], a0, twice0, p0, sign0 * off0, now0)
+        change1 = _change(steps[k], a1, twice1, p1, sign1 * off1, now1)
+        better = change0 + change1 < least
+        least = min(change0 + change1, least)
+        best0 = (steps[k] if change0 < float32(0) else float32(0)) if better else best0
+        best1 = (steps[k] if change1 < float32(0) else float32(0)) if better else best1
+    return d[0, i, j] + sign0 * best0, d[1, i, j] + sign1 * best1
+
+
+@inline
+def _minimiser(d, curvature, slope, penalty, y, relaxation):
+    """The displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
+    share = relaxation / max(curvature, _TINY)
+    distance = (d + share * slope) - y
+    reach = float32(0.5) * share * penalty
+    return y + (distance - min(max(distance, -reach), reach))
+
+
+@inline
+def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
+    """The new displacement of a site, from its parabola and its observation."""
+    if steps is None:
+        new0 = _minimiser(
+            d[0, i, j], a0, b0, observation[2, i, j], observation[0, i, j], relaxation
+        )
+        new1 = _minimiser(
+            d[1, i, j], a1, b1, observation[3, i, j], observation[1, i, j], relaxation
+        )
+    else:
+        new0, new1 = _best_candidate(
+            d, a0 / relaxation, a1 / relaxation, b0, b1, observation, steps, i, j
+        )
+    return (
+        float32(0) if abs(new0) <= _FLUSH else new0,
+        float32(0) if abs(new1) <= _FLUSH else new1,
+    )
+
+
+@reduction
+def _row_total(values: Any, row: int, start: int, stop: int) -> float:
+    total = float32(0)
+    for j in range(start, stop):
+        total += values[row, j]
+    return total
+
+
+@parallel
+def icm(
+    source, target, stiffness, observation, spans, weights, blanket, steps, relaxation, share,
+    row_totals,
+):  # fmt: skip
+    """Move all sites once, each judging the cliques it is the middle of.
+
+    `spans` says from where to where each row has tissue; `weights` is None for square pixels,
+    `blanket` is None unless each site judges every clique that contains it (`weights` is needed
+    then), and `steps` is None for the closed form: each combination is compiled without the
+    others. `row_totals` gets U_total of `source`, row by row; `share` is scratch.
+    """
+    for number in prange(source.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            if blanket is not None:
+                a0, a1, b0, b1, prior = around(source, stiffness, weights, i, j)
+            elif weights is None:
+                a0, a1, b0, b1, prior = square(source, stiffness, i, j)
+            else:
+                a0, a1, b0, b1, prior = weighted(source, stiffness, weights, i, j)
+            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+            new0, new1 = _moved(
+                source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
+            )
+            target[0, i + 2, j + 2] = new0
+            target[1, i + 2, j + 2] = new1
+        row_totals[i] = _row_total(share, i, start, spans[i, 1])
+
+
+@parallel
+def energy(source, stiffness, observation, spans, weights, share, row_totals):
+    """U_total of `source`, row by row, or of its cliques if nothing is observed (None).
+
+    Square pixels have weights here: nothing waits for an energy.
+    """
+    for number in prange(source.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            _, _, _, _, prior = weighted(source, stiffness, weights, i, j)
+            if observation is not None:
+                prior += _observed(source, observation, i + 2, j + 2)
+            share[i, j] = prior
+        row_totals[i] = _row_total(share, i, start, spans[i, 1])
+
+
+@strict
+def sweeps(
+    even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
+):
+    """One sweep per row of `row_totals`, ping-pong: from `even` to `odd`, back, and so on."""
+    for sweep in range(len(row_totals)):
+        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
+        icm(
+            source, target, stiffness, observation, spans, weights, blanket, steps, relaxation,
+            share, row_totals[sweep],
+        )  # fmt: skip

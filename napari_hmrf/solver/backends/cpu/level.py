@@ -1,0 +1,186 @@
+"""One level of a linear model on the processor: vectors, and what needs no knowledge of the model.
+
+A scalar is a plain number here: the processor is the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.bodies import Bodies
+from napari_hmrf.solver.backends.cpu import vectors
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.linear import Steps
+
+Vector = npt.NDArray[np.float32]
+
+
+class CpuLevel:
+    """The part of a level that all models share; `LinearLevel` says what each method does.
+
+    Parameters
+    ----------
+    grid : tuple of int
+        Its sites, (H, W).
+    memory : iterator, optional
+        Where its first vectors lie; by default in memory of their own.
+
+    Attributes
+    ----------
+    inverse : ndarray, shape (2, H + 4, W + 4)
+        Of the diagonal; 0 where a component does not move.
+    weight : ndarray, shape (2, H + 4, W + 4), or None
+        The springs; the finest level has none.
+    """
+
+    weight: Vector | None
+    #: Whether `finish` visits all coarser levels, too.
+    takes_rest: bool = False
+    #: Whether another visit within a cycle gains more than it costs.
+    worth_again: bool = True
+    #: What moves as one on the finest level.
+    bodies: Bodies | None = None
+
+    def __init__(self, grid: tuple[int, ...], memory: Iterator[Vector] | None = None) -> None:
+        self.grid = grid
+        self._memory = memory
+        self._spare: list[Vector] = []
+        self.inverse = self.vector()
+        self.load, self.correction, self._other = (self.vector() for _ in range(3))
+        self._rows, self._most = np.zeros((2, grid[0]))
+
+    @cached_property
+    def _rest(self) -> Vector:
+        """What is left of a load, for models whose kernels do not restrict it at once."""
+        return self.vector()
+
+    @cached_property
+    def _step(self) -> Vector:
+        """The last Chebyshev step, for models whose kernels keep it."""
+        return self.vector()
+
+    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
+        """One Chebyshev step from `correction` to `_other`, by way of `_step`."""
+        raise NotImplementedError
+
+    def _leave(self) -> None:
+        """Write what the correction leaves of the load to `_rest`."""
+        raise NotImplementedError
+
+    def _hand_down(self, coarse: Self) -> None:
+        """Make what the correction leaves of the load, restricted, `coarse`'s load."""
+        self._leave()
+        vectors.restrict(self._rest, coarse.load)
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Image = A direction; their scalar product."""
+        raise NotImplementedError
+
+    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
+        """Relax from zero, or on, and hand what is left of the load down."""
+        self.relax(steps, from_zero=not again)
+        if coarse is not None:
+            self._hand_down(coarse)
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Relax from zero as the coarsest level."""
+        self.descend(coarsest, None)
+
+    def ascend(self, steps: Steps, coarse: Self) -> None:
+        """Add the coarse correction, and relax."""
+        vectors.interpolate(coarse.correction, self.correction, self.inverse)
+        self.relax(steps, from_zero=False)
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        for number, (scale, momentum) in enumerate(steps):
+            if from_zero and number == 0:
+                vectors.smooth_first(
+                    self.load, self.inverse, self._step, self.correction, np.float32(scale)
+                )
+                continue
+            self._smooth(np.float32(scale), np.float32(momentum))
+            self.correction, self._other = self._other, self.correction
+
+    def vector(self, values: Vector | None = None) -> Vector:
+        """Return zeros, or these planes."""
+        if values is not None:
+            return values
+        if self._memory is not None:
+            return next(self._memory)
+        if not self._spare:
+            return padded(2, self.grid)
+        vector = self._spare.pop()
+        vector.fill(0)
+        return vector
+
+    def free(self, *vectors: Vector) -> None:
+        """Take vectors back: fresh memory takes longer to get than to fill."""
+        self._spare += vectors
+
+    def planes(self, vector: Vector) -> Vector:
+        """Return the vector."""
+        return vector
+
+    def product(self, a: Vector, b: Vector) -> float:
+        """The scalar product."""
+        vectors.product(a, b, self._rows)
+        return float(self._rows.sum())
+
+    def largest(self, a: Vector) -> float:
+        """The largest absolute value."""
+        vectors.largest(a, self._most)
+        return float(self._most.max())
+
+    def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
+        """The largest absolute value of `a`, and the scalar product."""
+        vectors.weigh(a, b, self._most, self._rows)
+        return float(self._most.max()), float(self._rows.sum())
+
+    def ratio(self, a: float, b: float) -> float:
+        """A over b; 0 unless both are positive."""
+        return a / b if a > 0 and b > 0 else 0.0
+
+    def quotient(self, a: float, b: float) -> float:
+        """A over b; 0 where b is 0."""
+        return a / b if b != 0 else 0.0
+
+    def times(self, a: float, b: float) -> float:
+        """A times b."""
+        return a * b
+
+    def advance(
+        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
+    ) -> float:
+        """D += length direction, rest -= length image; the square of the rest."""
+        vectors.advance(d, rest, direction, image, np.float32(length), self._rows)
+        return float(self._rows.sum())
+
+    def project(self, vector: Vector) -> None:
+        """Move rigid bodies as one, in place."""
+        if self.bodies is not None:
+            self.bodies.project(vector)
+
+    def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
+        """Direction = steepest + share direction."""
+        vectors.turn(steepest, direction, np.float32(share))
+
+    def lean(
+        self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float
+    ) -> None:
+        """Direction = rest + share (direction - stride image)."""
+        vectors.lean(rest, direction, image, np.float32(share), np.float32(stride))
+
+    def read(self, *scalars: float) -> tuple[float, ...]:
+        """Return them."""
+        return scalars
+
+
+def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Planes without their ring."""
+    return planes[:, PAD:-PAD, PAD:-PAD]

@@ -1,0 +1,222 @@
+"""The paper's cliques as a linear model, as compiled loops.
+
+Arrays are padded as those of the other kernels are, by two sites of void. `stiffness` is (m, 1/m),
+0 in void. `lines` is what each line of cliques counts for each component; None makes the kernels
+that square pixels are quicker with. With `blanket` every clique that contains a site pulls at it,
+for which kernels are made if it is True and not None; those need `lines`. `weight`, the diagonal of
+a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
+
+Centred, the model is d - q(d): how far a site is from the weighted mean of its neighbours, so that
+its diagonal is 1. Blanket, it is half the slope of U_total's cliques (all of it, if `lines` are
+twice what they are). Both are built from differences of displacement. `inverse` is the inverse of
+the diagonal, springs included, and 0 where a component does not move.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+from numba import float32, int64, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import inline, parallel
+from napari_hmrf.solver.backends.cpu.kernels import (
+    around,
+    middle_curvature,
+    ratios,
+    square,
+    weighted,
+)
+from napari_hmrf.solver.backends.cpu.vectors import row_product, span
+
+_TINY = float32(1e-30)
+# From a site to the next one on each line.
+_ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+
+@inline
+def _cliques(d, stiffness, lines, blanket, i, j):
+    """Curvature and slope, per component, of the cliques that pull at (i + 2, j + 2)."""
+    if blanket is not None:
+        a0, a1, b0, b1, _ = around(d, stiffness, lines, i, j)
+    elif lines is None:
+        a0, a1, b0, b1, _ = square(d, stiffness, i, j)
+    else:
+        a0, a1, b0, b1, _ = weighted(d, stiffness, lines, i, j)
+    return a0, a1, b0, b1
+
+
+@inline
+def _pull(d, stiffness, lines, blanket, i, j):
+    """What the tissue pulls with at (i + 2, j + 2): - A d."""
+    a0, a1, b0, b1 = _cliques(d, stiffness, lines, blanket, i, j)
+    if blanket is None:
+        b0, b1 = b0 / max(a0, _TINY), b1 / max(a1, _TINY)
+    return b0, b1
+
+
+@inline
+def _rest(d, load, stiffness, weight, springs, lines, blanket, i, j):
+    """Load - (A + W) d at (i + 2, j + 2)."""
+    row, col = _pull(d, stiffness, lines, blanket, i, j)
+    row += load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
+    col += load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
+    return row, col
+
+
+@parallel
+def residual(d, load, stiffness, inverse, weight, springs, lines, blanket, spans, out):
+    """Out = load - (A + W) d, and 0 at sites that do not move."""
+    for number in prange(d.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _rest(d, load, stiffness, weight, springs, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = row if inverse[0, i + 2, j + 2] > float32(0) else row - row
+            out[1, i + 2, j + 2] = col if inverse[1, i + 2, j + 2] > float32(0) else col - col
+
+
+@parallel
+def pull(d, stiffness, lines, blanket, spans, out):
+    """Out = - A d within these spans."""
+    for number in prange(d.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _pull(d, stiffness, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = row
+            out[1, i + 2, j + 2] = col
+
+
+@parallel
+def leave(rest, load, given, inverse, scale, out):
+    """Rest += given * load, 0 at sites that do not move; out = rest / scale in single precision."""
+    for number in prange(rest.shape[1] - 4):
+        i = int64(number) + 2
+        for component in range(2):
+            for j in range(rest.shape[2]):
+                here = rest[component, i, j] + given * load[component, i, j]
+                here = here if inverse[component, i, j] > float32(0) else here - here
+                rest[component, i, j] = here
+                out[component, i, j] = float32(here / scale)
+
+
+@parallel
+def apply(d, stiffness, inverse, lines, blanket, spans, out, row_totals):
+    """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
+    for number in prange(d.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _pull(d, stiffness, lines, blanket, i, j)
+            out[0, i + 2, j + 2] = -row if inverse[0, i + 2, j + 2] > float32(0) else float32(0)
+            out[1, i + 2, j + 2] = -col if inverse[1, i + 2, j + 2] > float32(0) else float32(0)
+        row_totals[i] = row_product(d, out, i + 2)
+
+
+@parallel
+def smooth(
+    d, load, stiffness, inverse, weight, springs, lines, blanket, spans, step, out, scale, momentum
+):
+    """A Chebyshev step: step = scale D^-1 (load - (A + W) d) + momentum step, out = d + step."""
+    for number in prange(d.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            row, col = _rest(d, load, stiffness, weight, springs, lines, blanket, i, j)
+            row = scale * inverse[0, i + 2, j + 2] * row + momentum * step[0, i + 2, j + 2]
+            col = scale * inverse[1, i + 2, j + 2] * col + momentum * step[1, i + 2, j + 2]
+            step[0, i + 2, j + 2] = row
+            step[1, i + 2, j + 2] = col
+            out[0, i + 2, j + 2] = d[0, i + 2, j + 2] + row
+            out[1, i + 2, j + 2] = d[1, i + 2, j + 2] + col
+
+
+@parallel
+def curvature(stiffness, lines, blanket, out):
+    """Each site's curvature: of the cliques that pull at it. Square pixels have lines here."""
+    for number in prange(out.shape[1] - 4):
+        i = int64(number) + 2
+        for k in range(out.shape[2] - 4):
+            j = k + 2
+            a0, a1 = float32(0), float32(0)
+            for line in range(4):
+                row, col = _ALONG[line]
+                s, u, exists = ratios(stiffness, i - row, j - col, i, j, i + row, j + col)
+                a = exists * middle_curvature(s, u)
+                if blanket:
+                    for _ in range(2):
+                        _, u, exists = ratios(
+                            stiffness, i, j, i + row, j + col, i + 2 * row, j + 2 * col
+                        )
+                        a += exists * (u * u + float32(1))
+                        row, col = -row, -col
+                a0 += lines[line, 0] * a
+                a1 += lines[line, 1] * a
+            out[0, i, j] = a0
+            out[1, i, j] = a1
+
+
+@parallel
+def coarsen(fine, coarse, even):
+    """A coarse site's stiffness: the mean of the tissue around it, and void where there is none.
+
+    `even` gets what makes a sum over that tissue as large as one over tissue everywhere.
+    """
+    for i in prange(coarse.shape[1] - 4):
+        for j in range(coarse.shape[2] - 4):
+            total, share = float32(0), float32(0)
+            for a in range(3):
+                for b in range(3):
+                    m = fine[0, 2 * i + 1 + a, 2 * j + 1 + b]
+                    near = float32((2 - abs(a - 1)) * (2 - abs(b - 1))) * float32(0.25)
+                    total += near * m
+                    share += near if m > float32(0) else float32(0)
+            coarse[0, i + 2, j + 2] = total / share if total > float32(0) else float32(0)
+            coarse[1, i + 2, j + 2] = share / total if total > float32(0) else float32(0)
+            even[i + 2, j + 2] = float32(4) / max(share, float32(1))
+
+
+@parallel
+def even_out(load, even):
+    """Multiply each component."""
+    for i in prange(load.shape[1] - 4):
+        for k in range(2):
+            for j in range(load.shape[2]):
+                load[k, i + 2, j] *= even[i + 2, j]
+
+
+@parallel
+def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
+    """The finest level's inverse diagonal, 0 where held; `pins` counts tissue that cannot move."""
+    for i in prange(inverse.shape[1] - 4):
+        for k in range(2):
+            for j in range(2, inverse.shape[2] - 2):
+                steep = curvatures[k, i + 2, j]
+                moves = steep > float32(0) and not held[k, i + 2, j]
+                diagonal = steep if blanket else float32(1)
+                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
+                pinned = stiffness[0, i + 2, j] > float32(0) and not moves
+                pins[k, i + 2, j] = float32(1) if pinned else float32(0)
+        span(inverse, spans, i)
+
+
+@parallel
+def spring(curvatures, blanket, pins, most, strength, inverse, weight, spans):
+    """A coarser level's springs, and the inverse of the diagonal of model and springs.
+
+    A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
+    """
+    for i in prange(inverse.shape[1] - 4):
+        for k in range(2):
+            for j in range(2, inverse.shape[2] - 2):
+                steep = curvatures[k, i + 2, j]
+                diagonal = steep if blanket else float32(1)
+                pins[k, i + 2, j] = min(pins[k, i + 2, j], most)
+                weight[k, i + 2, j] = strength * pins[k, i + 2, j] * diagonal
+                diagonal += weight[k, i + 2, j]
+                moves = steep > float32(0)
+                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
+        span(inverse, spans, i)

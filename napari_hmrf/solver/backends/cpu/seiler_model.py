@@ -1,0 +1,262 @@
+"""The paper's cliques on the processor: their levels, and their pulls in double precision."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside
+from napari_hmrf.solver.backends.host_model import HostModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING, grids
+from napari_hmrf.solver.priors.cliques import SeilerMaterial
+
+# Levels of fewer sites are visited by one thread: waking the others costs more.
+_SMALL = 8000
+
+
+class CpuSeilerLevel(CpuLevel):
+    """One level's cliques and springs.
+
+    Attributes
+    ----------
+    stiffness : ndarray, shape (2, H + 4, W + 4)
+        (m, 1/m); 0 in void.
+    pins : ndarray, shape (2, H + 4, W + 4)
+        How much of what does not move counts at each site.
+    spans : ndarray, shape (H, 2)
+        Where each row's moving sites begin and end.
+    lines : ndarray, shape (4, 2), or None
+        What each line of cliques counts for each component, for the kernels that have another way
+        with square pixels.
+    even : ndarray, shape (H + 4, W + 4)
+        What makes a sum over the finer level's tissue around a site a mean; `seiler.coarsen`.
+    """
+
+    def __init__(
+        self, grid: tuple[int, ...], lines: Vector, square: bool, blanket: bool, finest: bool
+    ) -> None:
+        super().__init__(grid)
+        self.lines, self.blanket = None if square else lines, blanket or None
+        self._lines = lines
+        self.stiffness, self.pins, self._curvature = (self.vector() for _ in range(3))
+        self.even = self.vector()[0]
+        self.weight = None if finest else self.vector()
+        self.threads = 1
+        self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
+
+    def coarsen(self, finer: CpuSeilerLevel) -> None:
+        """Take the finer level's tissue."""
+        seiler.coarsen(finer.stiffness, self.stiffness, self.even)
+
+    def settle(self) -> None:
+        """Take in the stiffness."""
+        seiler.curvature(self.stiffness, self._lines, bool(self.blanket), self._curvature)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on the finest level."""
+        seiler.hold(
+            self.stiffness,
+            self._curvature,
+            bool(self.blanket),
+            held,
+            self.inverse,
+            self.pins,
+            self.spans,
+        )
+        self._forget()
+
+    def hold_as(self, finer: CpuSeilerLevel) -> None:
+        """Put the sites near those that the finer level holds on springs."""
+        vectors.restrict(finer.pins, self.pins)
+        seiler.spring(
+            self._curvature,
+            bool(self.blanket),
+            self.pins,
+            np.float32(MOST_PINS),
+            np.float32(SPRING),
+            self.inverse,
+            self.weight,
+            self.spans,
+        )
+        self._forget()
+
+    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
+        """Relax from zero, or on, and hand what is left of the load down.
+
+        Centred, a load is a mean over sites: at the border of tissue, over those that exist.
+        """
+        numba.set_num_threads(self.threads)
+        super().descend(steps, coarse, again)
+        if coarse is not None and not self.blanket:
+            seiler.even_out(coarse.load, coarse.even)
+
+    def ascend(self, steps: Steps, coarse: Self) -> None:
+        """Add the coarse correction, and relax."""
+        numba.set_num_threads(self.threads)
+        super().ascend(steps, coarse)
+
+    def _forget(self) -> None:
+        """The kernels write within the spans only: beyond them there must be 0."""
+        for vector in (self.correction, self._other, self._step, self._rest):
+            vector.fill(0)
+
+    @property
+    def _springs(self) -> tuple[Vector, np.float32]:
+        """The springs for kernels, and how often they count.
+
+        Where there are none, 0 times, and they are numbers that a kernel reads anyway.
+        """
+        if self.weight is None:
+            return self.inverse, np.float32(0)
+        return self.weight, np.float32(1)
+
+    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
+        seiler.smooth(
+            self.correction,
+            self.load,
+            self.stiffness,
+            self.inverse,
+            *self._springs,
+            self.lines,
+            self.blanket,
+            self.spans,
+            self._step,
+            self._other,
+            scale,
+            momentum,
+        )
+
+    def _leave(self) -> None:
+        seiler.residual(
+            self.correction,
+            self.load,
+            self.stiffness,
+            self.inverse,
+            *self._springs,
+            self.lines,
+            self.blanket,
+            self.spans,
+            self._rest,
+        )
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Image = A direction; their scalar product."""
+        seiler.apply(
+            direction,
+            self.stiffness,
+            self.inverse,
+            self.lines,
+            self.blanket,
+            self.spans,
+            image,
+            self._rows,
+        )
+        with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
+            return float(self._rows.sum())
+
+
+class CpuSeilerModel(HostModel):
+    """`LinearModel` of the paper's cliques; other backends take their levels from it.
+
+    Parameters
+    ----------
+    material : SeilerMaterial
+    """
+
+    def __init__(self, material: SeilerMaterial) -> None:
+        self.material = material
+        self.bounds = material.bounds
+        self._held = None
+        self._blanket = material.blanket or None
+        # Blanket, what pulls is the slope of the energy; the kernels have half of it.
+        self._lines = (2 if material.blanket else 1) * material.lines
+        square = material.square and not material.blanket
+        m = material.m / np.float64(material.m.max())
+        inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
+        self.levels = []
+        for number, grid in enumerate(grids(m.shape)):
+            # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
+            share = 0.25**number if material.blanket else 1.0
+            lines = (share * self._lines).astype(np.float32)
+            self.levels.append(CpuSeilerLevel(grid, lines, square, material.blanket, number == 0))
+        finest = self.levels[0]
+        self._stiffness = np.zeros(finest.stiffness.shape)
+        inside(self._stiffness)[...] = m, inverse
+        finest.stiffness[...] = self._stiffness
+        self._exact_rest, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
+        self._rest = np.zeros(self._stiffness.shape, dtype=np.float32)
+        height, width = finest.grid
+        self._whole = np.tile(np.array([0, width], dtype=np.int64), (height, 1))
+        finest.settle()
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.coarsen(fine)
+            coarse.settle()
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        threads = numba.get_num_threads()
+        for level in self.levels:
+            level.threads = 1 if math.prod(level.grid) < _SMALL else threads
+        self._exact_rest.fill(0)
+        super().hold(held)
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        finest, out = self.levels[0], self._exact_rest
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, finest.spans, out)
+        given = (d, 0.0) if load is None else (load, 1.0)
+        seiler.leave(out, *given, finest.inverse, unit, self._rest)
+        most, norm = host.measure(out)
+        return most / unit, norm / unit
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """- A d everywhere, in double precision; valid until the next call."""
+        if low is not None and self._blanket:
+            pulls: Planes = self.material.pull(d, low)
+            return pulls
+        assert low is None  # the centred update is not refined with more digits
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, self._whole, self._pull)
+        return self._pull
+
+    @property
+    def steepness(self) -> Planes:
+        """The second derivative of each site's energy; 0 where no clique pulls."""
+        out = np.zeros(self._stiffness.shape)
+        seiler.curvature(self._stiffness, self._lines, self.material.blanket, out)
+        return out if self._blanket else 2 * out
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The cliques' share of U_total, and the norm of all pulls."""
+        height, width = self.levels[0].grid
+        rows = np.zeros(height)
+        share = np.empty((height, width))
+        kernels.energy(d, self._stiffness, None, self._whole, self._lines, share, rows)
+        _, norm = host.measure(self.pull(d))
+        return float(rows.sum()) / (2 if self._blanket else 1), norm
+
+    def forget(self) -> None:
+        """Be not the last model any more: what is left in its vectors may be no number."""
+        _last[:] = ()
+
+
+_last: list[CpuSeilerModel] = []
+in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
+
+
+def the_model(material: SeilerMaterial) -> CpuSeilerModel:
+    """Return the model of a material: the last one, if it is the same tissue again.
+
+    What is edited most is what pulls, not the tissue. For the compute thread only, on which models
+    take turns.
+    """
+    if not _last or _last[0].material != material:
+        _last[:] = ()  # its memory, first
+        _last.append(CpuSeilerModel(material))
+    return _last[0]

@@ -1,0 +1,50 @@
+"""Compiled loops that carry fields from one level to the next, and the arrays they live in."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import float32, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import strict_parallel
+
+#: Width of the ring of void around every array.
+PAD = 2
+
+
+def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Zeros for `components` planes of a grid, with the ring of void around them."""
+    return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
+
+
+@strict_parallel
+def prolong(coarse, coarse_stiffness, target, stiffness):
+    """Displacement one level down: linear, void without weight, the border repeated."""
+    height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD
+    coarse_height, coarse_width = coarse.shape[1] - 2 * PAD, coarse.shape[2] - 2 * PAD
+    for i in prange(height):
+        near_i = min(i // 2, coarse_height - 1)
+        far_i = min(max(near_i + (1 if i % 2 else -1), 0), coarse_height - 1)
+        for j in range(width):
+            if stiffness[0, i + PAD, j + PAD] <= float32(0):
+                continue
+            near_j = min(j // 2, coarse_width - 1)
+            far_j = min(max(near_j + (1 if j % 2 else -1), 0), coarse_width - 1)
+            total = float32(0)
+            sum0 = float32(0)
+            sum1 = float32(0)
+            for k in range(4):
+                a = (near_i if k < 2 else far_i) + PAD
+                b = (near_j if k % 2 == 0 else far_j) + PAD
+                weight = (float32(0.75) if k < 2 else float32(0.25)) * (
+                    float32(0.75) if k % 2 == 0 else float32(0.25)
+                )
+                if coarse_stiffness[0, a, b] > float32(0):
+                    total += weight
+                    sum0 += weight * coarse[0, a, b]
+                    sum1 += weight * coarse[1, a, b]
+            if total > float32(0):
+                target[0, i + PAD, j + PAD] = sum0 / total
+                target[1, i + PAD, j + PAD] = sum1 / total

@@ -1,0 +1,169 @@
+"""Vectors of multigrid and Krylov iterations as compiled loops: what needs no model.
+
+Arrays are padded as those of the other kernels are, by two sites of void; `inverse` is the inverse
+diagonal of the model, 0 where a component does not move. A scalar product is returned row by row.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import float32, int32, int64, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import (
+    callee,
+    inline,
+    parallel,
+    reduction,
+    strict_callee,
+)
+
+
+@reduction
+def row_product(a: Any, b: Any, row: int) -> float:
+    """The scalar product of one row."""
+    total = float32(0)
+    for component in range(2):
+        for j in range(a.shape[2]):
+            total += a[component, row, j] * b[component, row, j]
+    return total
+
+
+@inline
+def span(inverse, spans, i):
+    """Where row i's moving sites begin and end."""
+    first, past = int64(0), int64(0)
+    for j in range(inverse.shape[2] - 4):
+        if inverse[0, i + 2, j + 2] > float32(0) or inverse[1, i + 2, j + 2] > float32(0):
+            if past == 0:
+                first = j
+            past = j + 1
+    spans[i, 0] = first
+    spans[i, 1] = past
+
+
+@parallel
+def smooth_first(load, inverse, step, d, scale):
+    """The first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
+    for i in prange(load.shape[1] - 4):
+        for j in range(load.shape[2]):
+            row = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
+            col = scale * inverse[1, i + 2, j] * load[1, i + 2, j]
+            step[0, i + 2, j] = row
+            step[1, i + 2, j] = col
+            d[0, i + 2, j] = row
+            d[1, i + 2, j] = col
+
+
+@callee
+def restrict_row(above, here, below, coarse):
+    """`restrict` of one component, from three rows to one."""
+    half = float32(0.5)
+    for j in range(len(coarse) - 4):
+        left = here[2 * j + 1] + half * (above[2 * j + 1] + below[2 * j + 1])
+        middle = here[2 * j + 2] + half * (above[2 * j + 2] + below[2 * j + 2])
+        right = here[2 * j + 3] + half * (above[2 * j + 3] + below[2 * j + 3])
+        coarse[j + 2] = middle + half * (left + right)
+
+
+@parallel
+def restrict(fine, coarse):
+    """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    for i in prange(coarse.shape[1] - 4):
+        for component in range(2):
+            restrict_row(
+                fine[component, 2 * i + 1],
+                fine[component, 2 * i + 2],
+                fine[component, 2 * i + 3],
+                coarse[component, i + 2],
+            )
+
+
+@parallel
+def interpolate(coarse, fine, inverse):
+    """Add a coarse correction, bilinear, to the sites that move."""
+    for i in prange(fine.shape[1] - 4):
+        near = i // 2 + 2
+        far = near + i % 2
+        for component in range(2):
+            for j in range((fine.shape[2] - 3) // 2):
+                here = coarse[component, near, j + 2] + coarse[component, far, j + 2]
+                after = coarse[component, near, j + 3] + coarse[component, far, j + 3]
+                here *= float32(0.5)
+                between = float32(0.5) * here + float32(0.25) * after
+                moves = inverse[component, i + 2, 2 * j + 2] > float32(0)
+                fine[component, i + 2, 2 * j + 2] += here if moves else float32(0)
+                moves = inverse[component, i + 2, 2 * j + 3] > float32(0)
+                fine[component, i + 2, 2 * j + 3] += between if moves else float32(0)
+
+
+@parallel
+def advance(d, rest, direction, image, length, row_totals):
+    """D += length * direction, rest -= length * image; `row_totals` gets the square of the rest."""
+    for i in prange(d.shape[1] - 4):
+        for component in range(2):
+            for j in range(d.shape[2]):
+                d[component, i + 2, j] += length * direction[component, i + 2, j]
+                rest[component, i + 2, j] -= length * image[component, i + 2, j]
+        row_totals[i] = row_product(rest, rest, i + 2)
+
+
+@parallel
+def turn(steepest, direction, share):
+    """Direction = steepest + share * direction."""
+    for i in prange(direction.shape[1] - 4):
+        for component in range(2):
+            for j in range(direction.shape[2]):
+                direction[component, i + 2, j] = (
+                    steepest[component, i + 2, j] + share * direction[component, i + 2, j]
+                )
+
+
+@parallel
+def lean(rest, direction, image, share, stride):
+    """Direction = rest + share * (direction - stride * image)."""
+    for i in prange(direction.shape[1] - 4):
+        for component in range(2):
+            for j in range(direction.shape[2]):
+                direction[component, i + 2, j] = rest[component, i + 2, j] + share * (
+                    direction[component, i + 2, j] - stride * image[component, i + 2, j]
+                )
+
+
+@parallel
+def product(a, b, row_totals):
+    """The scalar product, row by row."""
+    for i in prange(a.shape[1] - 4):
+        row_totals[i] = row_product(a, b, i + 2)
+
+
+@strict_callee
+def row_largest(a: Any, row: int) -> Any:
+    """The largest absolute value of one row, or no number if there is any.
+
+    Without their sign, numbers are in the order of their bits, of which several are compared at
+    once.
+    """
+    most = int32(0)
+    for component in range(2):
+        bits = a[component, row].view(np.int32)
+        for j in range(len(bits)):
+            most = max(most, bits[j] & int32(0x7FFFFFFF))
+    return np.int32(most).view(np.float32)
+
+
+@parallel
+def largest(a, row_most):
+    """The largest absolute value of each row."""
+    for i in prange(a.shape[1] - 4):
+        row_most[i] = row_largest(a, i + 2)
+
+
+@parallel
+def weigh(a, b, row_most, row_totals):
+    """Both of these, in one go."""
+    for i in prange(a.shape[1] - 4):
+        row_most[i] = row_largest(a, i + 2)
+        row_totals[i] = row_product(a, b, i + 2)

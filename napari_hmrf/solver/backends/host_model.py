@@ -1,0 +1,93 @@
+"""What the linear models of all priors have in common on the host."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.bodies import Bodies
+from napari_hmrf.solver.backends.entrained import Entrained
+from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
+
+# Squares of values between these are far from the ends of single precision.
+_SMALL, _GREAT = 1e-6, 1e6
+
+
+class HostModel:
+    """The part of `LinearModel` that is the same for all.
+
+    Attributes
+    ----------
+    levels : sequence
+        Finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
+    bodies : Bodies or None
+        Of rigid tissue, with what is held now.
+    iterates : bool
+        Whether cycles can move bodies as one.
+    found : Found
+        For the tissue with what is held now.
+    """
+
+    levels: Sequence[Any]
+    material: Any
+    found: Found
+    bodies: Bodies | None = None
+    iterates: bool = True
+    _held: HeldPlanes | None
+    #: What is left of a load: 0 where held.
+    _rest: npt.NDArray[np.float32]
+
+    @property
+    def mild(self) -> bool:
+        """Whether a cycle is known to see every motion of such tissue."""
+        return bool(self.material.mild)
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Which components of the finest level are unknown."""
+        moves: HeldPlanes = self.levels[0].inverse > 0
+        return moves
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The finest grid, (H, W)."""
+        return tuple(self.levels[0].grid)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        if self._held is not None and np.array_equal(held, self._held):
+            return
+        self._held = held.copy()
+        self.found = Found()
+        self._rest.fill(0)
+        self.levels[0].hold(held)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.hold_as(fine)
+
+    def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
+        """What a displacement leaves of a load."""
+        most, norm = self._balance(d, load, unit)
+        if most > 0 and not _SMALL < most < _GREAT:
+            unit *= most
+            most, norm = self._balance(d, load, unit)
+        if self.bodies is not None:
+            self.bodies.project(self._rest)
+            most, square = self.levels[0].weigh(self._rest, self._rest)
+            norm = math.sqrt(square)
+        return Balance(self._rest, unit, unit * most, unit * norm)
+
+    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+        """None: there is nothing rigid."""
+        return None
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        """Write (load - A d) / unit to `_rest`; its largest absolute value, and its norm."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Nothing to do: memory goes with the last reference."""

@@ -1,0 +1,107 @@
+"""Loops that are kept on disk: in which folder, and the marks that say which of them are there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+import tempfile
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_LOOPS = Path(__file__).parent / "cpu"
+_PACKAGE = "napari_hmrf"
+#: The modules of loops that move pictures.
+PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
+#: What tells numba where to keep loops.
+_TOLD = "NUMBA_CACHE_DIR"
+
+
+@cache
+def modules() -> tuple[str, ...]:
+    """The names of all modules that may have loops."""
+    solver = f"{__package__}.{_LOOPS.name}"
+    return (
+        *PICTURES,
+        *(f"{solver}.{path.stem}" for path in _files(_LOOPS) if path.stem != "__init__"),
+    )
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files of loops in a folder."""
+    return [path for path in sorted(folder.glob("*.py")) if b"numba" in path.read_bytes()]
+
+
+@cache
+def sources(folder: Path = _LOOPS) -> bytes:
+    """A digest of all files of loops."""
+    return hashlib.sha256(b"".join(path.read_bytes() for path in _files(folder))).digest()
+
+
+def mark(job: str = "") -> Path:
+    """The file that says that loops of this version are compiled, for this machine.
+
+    Parameters
+    ----------
+    job : str
+        The loops of one job of `napari_hmrf.compiling`; by default, all of them.
+    """
+    return folder() / f"loops-{_key()}{job and '-'}{job}.compiled"
+
+
+@cache
+def folder() -> Path:
+    """Where numba keeps loops; if it would find no place, it is told one."""
+    told, beside = os.environ.get(_TOLD), _LOOPS / "__pycache__"
+    caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    if told and _writable(Path(told)):
+        return Path(told)
+    if _writable(beside):
+        return beside
+    if _writable(caches / _PACKAGE):  # numba has a folder of its own there
+        return caches / _PACKAGE
+    found = _temporary()
+    os.environ[_TOLD] = str(found)  # for the other process, too
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = str(found)
+    return found
+
+
+def _writable(folder: Path) -> bool:
+    """Whether files can be written to a folder, which is made if need be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _temporary() -> Path:
+    """A folder for this user alone, as loops that others could write would be run as they are."""
+    who = getattr(os, "getuid", lambda: "user")()
+    found = Path(tempfile.gettempdir()) / f"napari-hmrf-{who}"
+    with suppress(OSError):
+        found.mkdir(mode=0o700, exist_ok=True)
+        about = found.lstat()
+        if not found.is_symlink() and about.st_uid == who and not about.st_mode & 0o077:
+            return found
+    return Path(tempfile.mkdtemp(prefix="napari-hmrf-"))
+
+
+@cache
+def _key() -> str:
+    """What loops are compiled from, by and for."""
+    made = hashlib.sha256(sources())
+    for name in PICTURES:
+        made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
+    for package in ("numba", "llvmlite", "numpy"):
+        with suppress(PackageNotFoundError):
+            made.update(version(package).encode())
+    # Without docstrings the code of a loop is another one.
+    system = (sys.version, str(sys.flags.optimize), platform.machine(), platform.node())
+    made.update("\n".join((*system, str(_LOOPS))).encode())
+    return made.hexdigest()[:16]

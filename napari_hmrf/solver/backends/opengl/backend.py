@@ -1,0 +1,271 @@
+"""The kernels as shaders: the backend of machines with a GPU."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+
+from napari_hmrf.errors import BackendError
+from napari_hmrf.solver.backends.base import (
+    BATCH_SECONDS,
+    Checkpoint,
+    EnergyArray,
+    FloatArray,
+    SiteRule,
+)
+from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.backends.opengl.device import the_device
+from napari_hmrf.solver.backends.opengl.fields import (
+    GLField,
+    Pool,
+    as_given,
+    as_stored,
+    pairs,
+    pairs_with_tissue,
+    singles,
+)
+from napari_hmrf.solver.backends.opengl.pace import MAX_PASS_SECONDS, Pace
+from napari_hmrf.solver.backends.opengl.passes import Passes
+from napari_hmrf.solver.backends.opengl.regions import Tissue
+from napari_hmrf.solver.backends.opengl.source import STAGES, Stage
+from napari_hmrf.solver.backends.opengl.totals import (
+    BLOCK,
+    KEPT_SHARES,
+    BlockTotals,
+    PairTotals,
+    Totals,
+)
+from napari_hmrf.solver.priors import line_weights
+from napari_hmrf.solver.priors.cliques import SeilerMaterial
+from napari_hmrf.solver.priors.elements import ElasticMaterial
+from napari_hmrf.solver.quadtree import Level
+
+# Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
+# observation 16, displacement 2 x 8, energy 2; a third more for the coarser levels.
+_BYTES_PER_SITE = 76 * 4 / 3
+
+
+class OpenGLBackend:
+    """The kernels as fragment or compute shaders.
+
+    Parameters
+    ----------
+    checkpoint : callable
+        Called between batches of passes, about every `BATCH_SECONDS`; raises to stop the work.
+    stage : {"fragment", "compute"}, optional
+        By default compute where there is OpenGL 4.3, and fragment otherwise.
+
+    Raises
+    ------
+    BackendError
+        If there is no usable OpenGL, or not this stage of it.
+    RuntimeError
+        If this is not the compute thread.
+    """
+
+    def __init__(self, checkpoint: Checkpoint, stage: str | None = None) -> None:
+        if stage is not None and stage not in STAGES:
+            raise BackendError(f"there is no shader stage {stage!r}; take one of {STAGES}")
+        self._device = the_device()
+        self._stage = cast(Stage, stage) if stage is not None else self._device.best_stage
+        self._device.ensure(self._stage)
+        self.name = f"opengl:{self._stage}"
+        self.renderer = self._device.renderer
+        software = self._device.software
+        # A software renderer dispatches while the interpreter, and with it the window, waits.
+        longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
+        self._pace = Pace(self._device.finish, checkpoint, longest)
+        self._passes = Passes(self._device, self._stage, self._pace)
+        self._program, self._run, self._wait = (
+            self._passes.program,
+            self._passes.run,
+            self._passes.wait,
+        )
+        self._of_models: list[Passes] = []
+        self._pool = Pool(self._device.texture)
+        self._keeps_shares = software
+        self._drawn: dict[tuple[int, ...], Tissue] = {}
+
+    def upload(self, values: FloatArray) -> GLField:
+        """Copy values of shape (H, W, C) into a texture."""
+        height, width, components = values.shape
+        self._refuse_too_large(height, width)
+        made = self._field((height, width), components)
+        made.texture.write(as_stored(values))
+        self._device.check("uploading an image")
+        return made
+
+    def download(self, field: GLField) -> FloatArray:
+        """Return the values, (H, W, C); a device that has stopped computing is found out."""
+        values = as_given(self._read(field), field.shape, field.components)
+        self._device.canary(self._stage)
+        return values.copy()
+
+    def zeros(self, level: Level) -> GLField:
+        """Return a displacement of zero."""
+        return self.upload(np.zeros((*level.shape, 2), np.float32))
+
+    def project(self, finest: GLField, level: Level) -> GLField:
+        """Project by nearest neighbour from level 0."""
+        made = self._field(level.shape, finest.components)
+        program = self._program("project", {"PAIRS": int(finest.components == 2)})
+        program.set(
+            {
+                "level": np.array([level.number], np.int32),
+                "size": np.array(finest.shape[::-1], np.int32),
+            }
+        )
+        self._run(program, [finest.texture], [made.texture], made.grid)
+        return made
+
+    def prolong(self, coarse: GLField, coarse_stiffness: GLField, stiffness: GLField) -> GLField:
+        """Project displacement one level down, linearly."""
+        made = self._field(stiffness.shape, 2)
+        inputs = [coarse.texture, coarse_stiffness.texture, stiffness.texture]
+        self._run(self._program("prolong"), inputs, [made.texture], made.grid)
+        return made
+
+    def relax(
+        self,
+        displacement: GLField,
+        stiffness: GLField,
+        observation: GLField,
+        rule: SiteRule,
+        sweeps: int,
+    ) -> tuple[GLField, EnergyArray]:
+        """Move all sites at once, `sweeps` times."""
+        defines = {
+            "BLANKET": int(rule.blanket),
+            "SQUARE": _is_square(rule),
+            "STEPS": len(rule.steps),
+        }
+        program = self._program("icm", defines)
+        program.set(
+            {
+                "weights": rule.weights.astype(np.float32),
+                "relaxation": np.array([rule.relaxation], np.float32),
+                "steps": np.array(rule.steps, np.float32),
+            }
+        )
+        around = [*self._ratios(stiffness), observation.texture]
+        tissue = self._tissue(stiffness)
+        grid = displacement.grid
+        source, target = displacement.texture, self._pool.take(grid, 4)
+        totals = self._totals(grid, sweeps)
+        for _ in range(sweeps):
+            self._run(program, [source, *around], [target, totals.share()], grid, tissue=tissue)
+            totals.add()
+            source, target = target, source
+        energies = totals.read()
+        self._pool.give(grid, 4, target)
+        return GLField(displacement.shape, 2, source), energies
+
+    def energy(
+        self, displacement: GLField, stiffness: GLField, observation: GLField, rule: SiteRule
+    ) -> float:
+        """U_total."""
+        program = self._program("energy", {"SQUARE": _is_square(rule)})
+        program.set({"weights": rule.weights.astype(np.float32)})
+        inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
+        tissue = self._tissue(stiffness)
+        totals = self._totals(displacement.grid, 1)
+        self._run(program, inputs, [totals.share()], displacement.grid, tissue=tissue)
+        totals.add()
+        return float(totals.read()[0])
+
+    def elastic_model(self, material: ElasticMaterial) -> LinearModel:
+        """Bring elastic tissue to the device; its levels come from the compiled loops."""
+        from napari_hmrf.solver.backends.opengl.elastic import GLElasticModel
+
+        return GLElasticModel(self._passes_for(material.m), material)
+
+    def seiler_model(self, material: SeilerMaterial) -> LinearModel:
+        """Bring the paper's cliques to the device; their levels come from the compiled loops."""
+        from napari_hmrf.solver.backends.opengl.seiler import GLSeilerModel
+
+        return GLSeilerModel(self._passes_for(material.m), material)
+
+    def release(self, *fields: GLField) -> None:
+        """Keep the fields' textures for the next field of their kind."""
+        for released in fields:
+            self._pool.give(released.grid, 4, released.texture, _use(released.components))
+            for ratios in released.ratios:
+                self._pool.give(singles(released.shape), 4, ratios, use="singles")
+            released.ratios.clear()
+
+    def close(self) -> None:
+        """Free every texture; the context and the compiled kernels stay for the next solve."""
+        for passes in (*self._of_models, self._passes):
+            passes.close()
+        self._of_models.clear()
+        self._device.free(self._pool.all)
+        self._drawn.clear()
+        self._pool = Pool(self._device.texture)
+
+    def _passes_for(self, stiffness: FloatArray) -> Passes:
+        """Passes of a model's own, for tissue that is not too large."""
+        self._refuse_too_large(*stiffness.shape)
+        made = Passes(self._device, self._stage, self._pace)
+        self._of_models.append(made)
+        return made
+
+    def _read(self, field: GLField) -> FloatArray:
+        """Wait for a field; return what its texture holds, (rows, cols, 4)."""
+        self._wait()
+        stored = np.frombuffer(field.texture.read(), "<f4")
+        self._device.check("reading an image")
+        return stored.reshape(*field.grid, 4)
+
+    def _ratios(self, stiffness: GLField) -> list[Any]:
+        """Return the stiffness ratios of a level; they are the same in all of its sweeps."""
+        if not stiffness.ratios:
+            grid = singles(stiffness.shape)
+            made = [self._pool.take(grid, 4, use="singles") for _ in range(2)]
+            stiffness.ratios += made
+            self._run(self._program("ratios"), [stiffness.texture], made, grid)
+        return stiffness.ratios
+
+    def _tissue(self, stiffness: GLField) -> Tissue:
+        """Find where a level has tissue; it is the same in all of its sweeps."""
+        if stiffness.tissue is None:
+            shown = pairs_with_tissue(self._read(stiffness))
+            stiffness.tissue = self._passes.tissue(shown)
+        if self._drawn.get(stiffness.grid) is not stiffness.tissue:
+            # Other tissue on the same grid: what it left must not show up in this one's void.
+            self._drawn[stiffness.grid] = stiffness.tissue
+            self._pool.blank(stiffness.grid)
+        return stiffness.tissue
+
+    def _field(self, shape: tuple[int, ...], components: int) -> GLField:
+        grid = pairs(shape) if components == 2 else singles(shape)
+        return GLField(shape, components, self._pool.take(grid, 4, _use(components)))
+
+    def _totals(self, grid: tuple[int, ...], sweeps: int) -> Totals:
+        wait = self._wait
+        if self._keeps_shares and math.prod(grid) <= KEPT_SHARES:
+            return PairTotals(self._pool, wait, grid, sweeps)
+        program, largest = self._program("sum", {"BLOCK": BLOCK}), self._device.largest
+        return BlockTotals(program, self._run, self._pool, wait, grid, sweeps, largest)
+
+    def _refuse_too_large(self, height: int, width: int) -> None:
+        """Refuse an image before anything is allocated for it."""
+        largest = self._device.largest
+        if max(height, width) > largest:
+            size = height * width * _BYTES_PER_SITE / 2**30
+            raise BackendError(
+                f"the image has {height} x {width} pixels, but {self.renderer} holds at most "
+                f"{largest} x {largest}; a solve of it would take about {size:.1f} GiB there. "
+                'Downsample it, cut it, or take backend="cpu".'
+            )
+
+
+def _is_square(rule: SiteRule) -> int:
+    """1 if the weights of the lines are those of square pixels, which the kernels know."""
+    return int(np.array_equal(rule.weights, line_weights((1.0, 1.0))))
+
+
+def _use(components: int) -> str:
+    """What the texture of a field is used for: only one in pairs may come back as displacement."""
+    return "pairs" if components == 2 else "singles"

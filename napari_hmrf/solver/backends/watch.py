@@ -1,0 +1,91 @@
+"""Watching numba compile loops, and saying how far it is."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from napari_hmrf.solver.backends.compiler import Stage
+from napari_hmrf.solver.backends.loader import before_numba, loops_there
+
+#: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
+LOOPS = {
+    "elastic": 25,
+    "pictures": 5,
+    "schedule": 4,
+    "converged": 29,
+    "slipping": 25,
+    "rigid": 26,
+    "schedule-oblong": 4,
+    "converged-oblong": 29,
+    "blanket-schedule": 4,
+    "blanket-converged": 26,
+    "exact-steps": 4,
+    "": 86,
+}
+
+
+class _State:
+    """What this process has done."""
+
+    #: How many loops it has compiled.
+    compiled = 0
+    watched = False
+
+
+@contextmanager
+def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
+    """Say how far a job is, before each loop that this thread compiles.
+
+    Within a job that is watched this does nothing.
+
+    Parameters
+    ----------
+    job : str
+        A key of `LOOPS`.
+    tell : callable
+        Given a `Stage`; raises to have nothing more compiled.
+    """
+    if _State.watched:
+        yield
+        return
+    before_numba()
+    from numba.core import event
+
+    of = min(_there() + LOOPS[job], LOOPS[""])
+    here, begun = threading.get_ident(), time.perf_counter()
+    before, depth = _State.compiled, 0
+
+    class Watch(event.Listener):  # type: ignore[misc]
+        def on_start(self, happening: Any) -> None:
+            nonlocal depth
+            if threading.get_ident() == here:
+                depth += 1
+                # One that is called by another is part of it, and numba would take an error for
+                # its own.
+                if depth == 1:
+                    compiled = _State.compiled - before
+                    pace = (time.perf_counter() - begun) / compiled if compiled else 0.0
+                    tell(Stage(job, _there(), of, pace))
+
+        def on_end(self, happening: Any) -> None:
+            nonlocal depth
+            if threading.get_ident() == here:
+                depth -= 1
+                _State.compiled += depth == 0
+
+    _State.watched = True
+    try:
+        with event.install_listener("numba:compile", Watch()):
+            yield
+    finally:
+        _State.watched = False
+
+
+def _there() -> int:
+    """How many loops have been compiled here, or loaded, not counting those only others call."""
+    loaded = sum(sum(loop.stats.cache_hits.values()) for loop in loops_there())
+    return _State.compiled + loaded

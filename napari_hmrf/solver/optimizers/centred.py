@@ -1,0 +1,307 @@
+"""The converged field of the paper's centred update, and how sure that is.
+
+Where it has converged, each site is at the weighted mean q of its neighbours, at most p / 2 A from
+there towards what was observed at it (A is the curvature of its energy, p = K c), or at what was
+observed. No energy is least there, and the equations are not symmetric; but weights that are
+positive and sum to one make a maximum principle:
+
+    a field w >= 0 with w - q(w) >= 1 bounds every error: |d - exact| <= max w * max |d - q(d)|.
+
+Such a *barrier* is found by the same iteration, to a coarse tolerance, and proves the result.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.base import Backend
+from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.solver.optimizers.base import (
+    Convergence,
+    LevelRun,
+    Monitor,
+    Outcome,
+    Report,
+    part_done,
+)
+from napari_hmrf.solver.optimizers.cycle import AVERAGING, Cycle
+from napari_hmrf.solver.optimizers.krylov import StabilisedGradients, Step
+from napari_hmrf.solver.optimizers.refinement import factorise
+from napari_hmrf.solver.optimizers.slip_states import PATIENCE, States
+from napari_hmrf.solver.priors import SeilerPrior
+from napari_hmrf.solver.problem import Problem
+
+# How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
+_BARRIER = 0.5
+_BARRIER_AIM = 0.4
+# What may contradict a state, as a part of the tolerance.
+_CONTRADICTION = 0.1
+# Cycles after which factors are the shorter way.
+_CYCLES = 60
+# Exchanges of states after which there is no hope.
+_MOST_EXCHANGES = 2000
+_TINY = 1e-300
+# The residual of a field that is exact; and by how much one of two values is surely the larger.
+_EXACT, _SURE = 1e-12, 1e-11
+# By which part of its limit something may be held that is held for certain.
+_FIRM = 0.5
+
+
+def converge(
+    tolerance: float,
+    max_iterations: int,
+    problem: Problem,
+    prior: SeilerPrior,
+    backend: Backend[Any],
+    report: Report,
+    start: Beginning | None,
+) -> Outcome:
+    """Solve to a tolerance in so many cycles for each set of states; lengths are in pixels."""
+    d, observed = host.prescribed(problem)
+    y = d.copy()
+    model = backend.seiler_model(prior.material(problem))
+    refinement = _Refinement(tolerance, max_iterations, model, report)
+    try:
+        steep = model.steepness
+        force = host.planes(prior.limit(problem))
+        force[~observed] = 0
+        if start is not None:
+            np.copyto(d, host.combined(start), where=~observed & (steep > 0))
+        # A site that is the middle of no clique stays where it is: nothing pulls at it.
+        states = _CentredStates(observed & (steep > 0), y, force, steep)
+        for _ in range(_MOST_EXCHANGES):
+            states.place(d)
+            model.hold(states.held)
+            reach = refinement.run(d, states.load if states.any_slip else None, states.exact)
+            pull = model.pull(d)
+            if not states.exchange(d, pull, _CONTRADICTION * tolerance / max(reach, 1.0)):
+                if states.exact or model.mild or states.firm(d, pull):
+                    break
+                states.be_exact()
+        else:
+            raise ConvergenceError(
+                f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise the "
+                "penalty, or hold more of the tissue"
+            )
+        refinement.estimate = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
+        energy, forces = model.work(d)
+        way = "cycles" if model.found.factors is None else "factors"
+    except ConvergenceError:
+        model.forget()
+        raise
+    finally:
+        model.close()
+    energy += float((force * np.abs(y - d)).sum())
+    cycles = max(1, refinement.cycles)
+    displacement, rounding = host.gathered(d, tolerance)
+    return Outcome(
+        displacement=displacement,
+        energy=np.full(cycles, energy / max(1, int(problem.tissue.sum()))),
+        levels=(LevelRun(0, problem.shape, cycles),),
+        convergence=Convergence(
+            max(refinement.estimate, rounding), refinement.residual / max(forces, _TINY), way
+        ),
+    )
+
+
+class _CentredStates(States):
+    """Which observed components are held, and which slip: eq. 19 for the centred update.
+
+    A component is held where q is within l = p / 2 A of what was observed, so that everywhere
+
+        d = max(q - l, min(y, q + l)).
+
+    Which ones are is found by exchanging all that contradict their state. Where that leads nowhere,
+    by the improvement of two policies in turn: which components the maximum takes to q - l and, for
+    each such set, which of the others the minimum takes to q + l. Both go one way only, in a system
+    whose weights are positive and sum to one, and so they end (Hoffman and Karp, Management Science
+    12, 1966).
+    """
+
+    def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
+        limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
+        super().__init__(candidates, y, limit, y)
+
+    def off(self, d: Planes, pull: Planes) -> float:
+        """How far any observed component is from where it would go next.
+
+        That is y + soft(q - y, p / 2A); `pull` is q - d.
+        """
+        if not len(self.at):
+            return 0.0
+        away = d.ravel()[self.at] - self.y
+        towards = away + pull.ravel()[self.at]
+        target = np.sign(towards) * np.maximum(np.abs(towards) - self.limit, 0.0)
+        return float(np.abs(away - target).max())
+
+    def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
+        """Let go of what is pulled too far, and hold what has passed its mark.
+
+        `pull` is q - d. Returns whether any state has changed.
+        """
+        off = d.ravel()[self.at] - self.y
+        q = off + pull.ravel()[self.at]
+        if self.exact:
+            return self._improve(q)
+        held = self._slips == 0
+        excess, passed = np.abs(q) - self.limit, self._slips * off
+        wrong = np.where(held, excess, passed) > tolerance
+        count = int(wrong.sum())
+        if count < self._fewest:
+            self._fewest, self._patience = count, PATIENCE
+        else:
+            self._patience -= 1
+        if count and self._patience == 0:
+            self.hold_all()
+            return True
+        self._slips = np.where(wrong, np.where(held, -np.sign(q), 0.0), self._slips)
+        return count > 0
+
+    @property
+    def exact(self) -> bool:
+        """Whether solutions must be exact: exchanges have led nowhere, or may have by chance."""
+        return self._patience == 0
+
+    def be_exact(self) -> None:
+        """Ask for exact solutions from now on."""
+        self._patience = 0
+
+    def firm(self, d: Planes, pull: Planes) -> bool:
+        """Whether all is held with much less than it could be.
+
+        Where stiff tissue slips that might as well be held, a residual that is small for the states
+        found says nothing: with others all may be elsewhere.
+        """
+        q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
+        return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
+
+    def _improve(self, q: npt.NDArray[Any]) -> bool:
+        """Improve the policy of the minimum or, if it is the best, that of the maximum."""
+        high = self._slips < 0
+        least = _SURE * (1 + np.abs(q))
+        low = ~high & np.where(self._slips > 0, q + self.limit < 0, q + self.limit < -least)
+        if not np.array_equal(low, self._slips > 0):
+            self._slips = np.where(high, -1.0, np.where(low, 1.0, 0.0))
+            return True
+        better = np.where(high, q - self.limit > 0, q - self.limit > least)
+        if np.array_equal(better, high):
+            return False
+        self._slips = np.where(better, -1.0, np.where(low & ~better, 1.0, 0.0))
+        return True
+
+
+class _Refinement:
+    """An iteration in single precision, begun anew from each residual in double, and its proof.
+
+    Attributes
+    ----------
+    cycles : int
+        Steps so far.
+    estimate : float
+        What no site is further from the solution than, in pixels.
+    most : float
+        The largest residual.
+    residual : float
+        The norm of the residual, in double precision.
+    """
+
+    def __init__(
+        self, tolerance: float, max_iterations: int, model: LinearModel, report: Report
+    ) -> None:
+        self._tolerance, self._max_iterations, self._report = tolerance, max_iterations, report
+        self._model = model
+        self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
+        self._barrier: Planes | None = None
+        self.cycles = 0
+        self.estimate, self.most, self.residual = math.inf, 0.0, 0.0
+        self._begun = 0
+        self._first: float | None = None
+
+    def run(self, d: Planes, load: Planes | None, exactly: bool) -> float:
+        """Move `d` in place to where each site is at q plus its load: to the tolerance, or exactly.
+
+        Returns how far a site can be from the solution per unit of the largest residual.
+        """
+        self._begun = self.cycles
+        reach = self._reach(d.shape)
+
+        def enough(step: Step, scale: float) -> bool:
+            self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
+            return scale * step.rest <= target
+
+        most = target = self._tolerance / reach if reach > 0 else math.inf
+        if exactly:
+            target = min(most, _EXACT)
+        self.most, self.residual = self._solve(d, load, most, enough, target)
+        return reach
+
+    def _reach(self, shape: tuple[int, ...]) -> float:
+        """How far a site can be from the solution per unit of the largest residual."""
+        if self._barrier is None:
+            self._barrier = np.zeros(shape)
+
+        def enough(step: Step, scale: float) -> bool:
+            self._say("finding what bounds the error", math.inf)
+            return scale * step.rest <= _BARRIER_AIM
+
+        barrier, ones = self._barrier, np.ones(shape)
+        barrier[~self._model.moves] = 0
+        off, _ = self._solve(barrier, ones, _BARRIER, enough, _BARRIER)
+        return float(barrier.max()) / (1 - off)
+
+    def _solve(
+        self, d: Planes, load: Planes | None, most: float, enough: Any, target: float
+    ) -> tuple[float, float]:
+        """Move `d` to where no residual exceeds `most`, or `target` if rounding allows.
+
+        Returns the largest, and the norm.
+        """
+        balance = self._model.balance(d, load)
+        least, last = math.inf, self.cycles + _CYCLES
+        while balance.most > target:
+            unit, cycles = balance.unit, self._model.found.factors is None
+            if cycles and balance.most < 0.9 * least and self.cycles < last:
+                least = balance.most
+
+                def ends(step: Step, unit: float = unit) -> bool:
+                    return enough(step, unit) or self.cycles >= last
+
+                try:
+                    host.add(d, self._iteration.run(balance.rest, ends), unit)
+                except FloatingPointError:
+                    least = 0.0
+                    continue
+            else:
+                if not cycles and not balance.most < 0.9 * least:
+                    if balance.most <= most:
+                        break
+                    self._give_up()
+                least = math.inf if cycles else balance.most
+                d += unit * factorise(self._model, self._report).solve(balance.rest)
+            balance = self._model.balance(d, load, balance.most)
+        return balance.most, balance.norm
+
+    def _say(self, message: str, estimate: float) -> None:
+        """Report, count, and give up in time."""
+        self.cycles += 1
+        done = 0.0
+        if math.isfinite(estimate):
+            self._first = self._first or estimate
+            done = part_done(self._first, estimate, self._tolerance)
+        self._report(Monitor(f"cycle {self.cycles}, {message}", done))
+        if self.cycles - self._begun > self._max_iterations:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        raise ConvergenceError(
+            f"the field is not sure to be within {self._tolerance:g} px of converged "
+            f"after {self.cycles} cycles. Raise max_iterations, or bring the softest and the "
+            "stiffest tissue closer together"
+        )

@@ -1,0 +1,203 @@
+"""The paper's algorithm: iterated conditional modes on every level of the quadtree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.solver.backends.base import Backend, FloatArray, SiteRule
+from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.optimizers.base import LevelRun, Monitor, Outcome, Report
+from napari_hmrf.solver.priors import Prior, SeilerPrior, line_weights
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.quadtree import Level, levels, nearest_pixels
+
+#: Sweeps between two looks at the mean energy, and between two reports of progress.
+BLOCK = 10
+# Sites below which a level is swept in one go, but for this many sweeps at most.
+_SMALL = 10_000
+_MOST = 1000
+
+
+@dataclass(frozen=True)
+class ICM:
+    """Top-down through the quadtree, all sites moving at once (Alg. 3.7).
+
+    Parameters
+    ----------
+    iterations : int
+        Sweeps on each level; with a `tolerance`, the most there may be.
+    steps : tuple of float or None
+        Step sizes of the candidate set Gamma, in pixels: a site may stay, or move by -e, 0 or e
+        in each component, for one of the steps e. ``None``: the exact minimiser of the site's
+        energy, in closed form.
+    tolerance : float, optional
+        Leave a level when its mean energy has changed by at most this fraction of itself over the
+        last ten sweeps.
+    """
+
+    iterations: int = 70
+    steps: tuple[float, ...] | None = (1.0, 0.1, 0.01, 0.001)
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        if not _is_whole(self.iterations) or self.iterations < 1:
+            raise ValueError(
+                f"iterations must be a whole number of at least 1, not {self.iterations!r}"
+            )
+        object.__setattr__(self, "iterations", int(self.iterations))
+        if self.steps is not None:
+            steps = tuple(float(step) for step in self.steps)
+            if not steps or not all(math.isfinite(step) and step > 0 for step in steps):
+                raise ValueError(
+                    f"steps must be positive numbers, or None for the closed form, not {steps!r}"
+                )
+            object.__setattr__(self, "steps", steps)
+        if self.tolerance is not None and not self.tolerance > 0:
+            raise ValueError(f"tolerance must be above 0, not {self.tolerance!r}")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name."""
+        steps = None if self.steps is None else list(self.steps)
+        return {"name": "ICM", **asdict(self), "steps": steps}
+
+    def rehearsal(self) -> ICM:
+        """Return one sweep on each level, with the same kernels."""
+        return replace(self, iterations=1, tolerance=None)
+
+    def run(
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: Backend[Any],
+        report: Report,
+        start: Beginning | None = None,
+    ) -> Outcome:
+        """Run the schedule on a backend; lengths are in pixels from here on."""
+        if start is not None:
+            raise ValueError("ICM begins with zero on its coarsest level: start is for Multigrid")
+        if not isinstance(prior, SeilerPrior):
+            raise ValueError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
+        rule = SiteRule(
+            blanket=prior.conditional == "blanket",
+            relaxation=prior.relaxation,
+            steps=self.steps or (),
+            weights=line_weights(problem.spacing),
+        )
+        finest = _Images(
+            backend.upload(_stiffness(problem)), backend.upload(_observation(problem, prior))
+        )
+        tree = levels(problem.shape)
+        progress = _Progress(report, tree, self.iterations)
+        energies: list[float] = []
+        runs: list[LevelRun] = []
+        displacement = backend.zeros(tree[-1])
+        above: _Images | None = None
+        for level in reversed(tree):
+            images = finest.projected(backend, level)
+            if above is not None:
+                coarse = displacement
+                displacement = backend.prolong(coarse, above.stiffness, images.stiffness)
+                backend.release(coarse, above.stiffness, above.observation)
+            above = images
+            rows, cols = nearest_pixels(level, problem.shape)
+            tissue = int(problem.tissue.take(rows, axis=0).take(cols, axis=1).sum())
+            displacement, level_energies = self._relax(
+                backend, displacement, images, rule, max(1, tissue), progress, level
+            )
+            energies += level_energies
+            runs.append(LevelRun(level.number, level.shape, len(level_energies)))
+        result = backend.download(displacement)
+        return Outcome(result, np.array(energies), tuple(runs))
+
+    def _relax(
+        self,
+        backend: Backend[Any],
+        displacement: Any,
+        images: _Images,
+        rule: SiteRule,
+        tissue_sites: int,
+        progress: _Progress,
+        level: Level,
+    ) -> tuple[Any, list[float]]:
+        """Sweep one level; the mean energy after each sweep."""
+        stiffness, observation = images.stiffness, images.observation
+        before: list[float] = []
+        while len(before) < self.iterations and not self._stable(before):
+            # A small level is over before anybody could look.
+            block = self.iterations if level.sites < _SMALL and self.tolerance is None else BLOCK
+            sweeps = min(block, self.iterations - len(before), _MOST)
+            displacement, totals = backend.relax(displacement, stiffness, observation, rule, sweeps)
+            before += [float(total) / tissue_sites for total in totals]
+            progress.swept(level, len(before), before[-1])
+        last = backend.energy(displacement, stiffness, observation, rule) / tissue_sites
+        return displacement, [*before[1:], last]
+
+    def _stable(self, energies: list[float]) -> bool:
+        if self.tolerance is None or len(energies) <= BLOCK:
+            return False
+        change = abs(energies[-1] - energies[-1 - BLOCK])
+        return change <= self.tolerance * abs(energies[-1])
+
+
+def _is_whole(number: object) -> bool:
+    return isinstance(number, Real) and float(number).is_integer()
+
+
+@dataclass(frozen=True, eq=False)
+class _Images:
+    """The given images m and (y, p) on one level."""
+
+    stiffness: Any
+    observation: Any
+
+    def projected(self, backend: Backend[Any], level: Level) -> _Images:
+        if level.number == 0:
+            return self
+        return _Images(
+            backend.project(self.stiffness, level), backend.project(self.observation, level)
+        )
+
+
+class _Progress:
+    """Turns sweeps into the fraction of all site updates that are done."""
+
+    def __init__(self, report: Report, tree: tuple[Level, ...], iterations: int) -> None:
+        self._report = report
+        self._iterations = iterations
+        self._total = sum(level.sites for level in tree)
+        self._coarser = {
+            level.number: sum(other.sites for other in tree if other.number > level.number)
+            for level in tree
+        }
+
+    def swept(self, level: Level, sweeps: int, energy: float) -> None:
+        done = self._coarser[level.number] + level.sites * sweeps / self._iterations
+        size = " x ".join(str(size) for size in level.shape)
+        self._report(
+            Monitor(
+                f"level {level.number} ({size}), sweep {sweeps}, energy {energy:.3g}",
+                done / self._total,
+            )
+        )
+
+
+def _stiffness(problem: Problem) -> FloatArray:
+    """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2)."""
+    m = problem.m / problem.m.max()
+    inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
+    return np.stack([m, inverse], axis=-1)
+
+
+def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
+    """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
+    both = np.empty((*problem.shape, 4), dtype=np.float32)
+    np.divide(problem.y, np.float32(problem.unit), out=both[..., :2])
+    np.multiply(problem.c, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
+    both *= problem.tissue[..., None]
+    return both

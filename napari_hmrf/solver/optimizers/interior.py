@@ -1,0 +1,136 @@
+"""Observations that slip, by an interior point: slower than exchanging states, and always there.
+
+The energy 1/2 d^T A d + sum of p |y - d| is convex. With y - d = a - b, a and b >= 0, and forces f
+of observations between -p and p, its least has
+
+    A d = f,   a (p - f) = 0,   b (p + f) = 0,
+
+and f is a point of the dual problem: sum of a (p - f) + b (p + f) bounds how far the energy is
+from its least (the duality gap). Mehrotra's predictor and corrector go there along a path on which
+these products are equal (Wright, Primal-Dual Interior-Point Methods, 1997). Each step takes the
+factors of A + W, where W >= 0 are springs on all that is observed, so that nothing is ever free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends.dissection import Singular
+from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.solver.optimizers.base import Monitor, Report
+from napari_hmrf.solver.optimizers.refinement import add
+from napari_hmrf.solver.optimizers.slip_states import ActiveSet
+
+Vector = npt.NDArray[np.float64]
+
+_MOST_STEPS = 100
+# How far a step goes towards where something would vanish.
+_FRACTION = 0.9995
+# At the end: no product is more than this part of limit times passage; no less than that is aimed
+# at; and no more than that is good enough where rounding ends the way.
+_GAP, _LEAST_GAP, _CLOSE = 1e-19, 1e-22, 1e-8
+# What the last step moves, in units of what is observed; and steps after which what still moves is
+# rounding.
+_STILL, _ROUNDED = 1e-10, 8
+_LEAST_SCALE = 1e-3
+# Springs to where tissue is, as a part of the diagonal, the weakest that rounding allows: they
+# change steps, not where these lead.
+_PROXIMAL = tuple(10.0**power for power in range(-16, -10))
+# Corrections of a step, at most; and which part of it needs none.
+_CORRECTIONS, _EXACTLY = 10, 1e-9
+_SIDE = np.array([[1.0], [-1.0]])
+
+
+def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> None:
+    """Move `d` in place to the least energy, and find the states that go with it.
+
+    Raises
+    ------
+    ConvergenceError
+        If the gap cannot be closed.
+    """
+    steep = model.steepness
+    moves = steep > 0
+    at, y, p = states.at, states.y, states.limit
+    scale = max(_LEAST_SCALE, float(np.abs(y).max()))
+    d.ravel()[at] = y
+    low, force = np.zeros_like(d), np.zeros(len(at))
+    # What is past its mark on either side, and how far the force is from either limit.
+    past, slack = np.full((2, len(at)), scale), np.stack([p, p])
+    far = gap = np.inf
+    closed = 0
+    for number in range(_MOST_STEPS):
+        products = past * slack / (p * scale)
+        gap = float(products.max())
+        report(Monitor(f"interior point, step {number}, a gap of {gap:.1e}", 0.5))
+        closed += gap < _GAP
+        if closed and (far <= _STILL * scale or closed > _ROUNDED):
+            break
+        weight = 1 / (past / slack).sum(axis=0)
+        factors = _factors(model, moves, at, weight)
+        if factors is None:
+            break
+        rest = model.pull(d, low).copy()
+        rest.ravel()[at] += force
+        rest[~moves] = 0
+        apart = y - d.ravel()[at] - low.ravel()[at] - (past[0] - past[1])
+        aim = np.zeros_like(past)
+        for predicted in (True, False):
+            target = apart - (_SIDE * (aim / slack - past)).sum(axis=0)
+            load = rest.copy()
+            load.ravel()[at] += weight * target
+            way = factors.solve(load)
+            for _ in range(_CORRECTIONS):
+                left = load + model.pull(way)
+                left.ravel()[at] -= weight * way.ravel()[at]
+                left[~moves] = 0
+                more = factors.solve(left)
+                way += more
+                if np.abs(more).max() <= _EXACTLY * np.abs(way).max():
+                    break
+            stronger = weight * (target - way.ravel()[at])
+            narrower = -_SIDE * stronger
+            wider = (aim - past * slack - past * narrower) / slack
+            most = 1.0 if predicted else _FRACTION
+            part = min(1.0, most * _room(past, wider), most * _room(slack, narrower))
+            if predicted:
+                then = (past + part * wider) * (slack + part * narrower) / (p * scale)
+                share = (max(float(then.mean()), 0.0) / float(products.mean())) ** 3
+                mean = max(float(products.mean()) * share, _LEAST_GAP)
+                aim = p * scale * mean - narrower * wider
+        if not np.isfinite(way).all():
+            break
+        add(d, low, part * way)
+        force += part * stronger
+        past, slack = past + part * wider, slack + part * narrower
+        far = float(np.abs(part * way).max())
+    if not gap <= _CLOSE:
+        raise ConvergenceError(
+            "which observations slip stays open: the energy is known to a part of "
+            f"{gap:.1g} only. Raise the penalty, or hold more of the tissue"
+        )
+    slips = past / scale > slack / p
+    states.slip_as(np.where(slips[0], 1.0, np.where(slips[1], -1.0, 0.0)))
+
+
+def _factors(
+    model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
+) -> Factors | None:
+    """The factors of the model on springs where it is observed; None if rounding forbids."""
+    for proximal in _PROXIMAL:
+        springs = proximal * model.steepness
+        springs.ravel()[at] += weight
+        try:
+            return Factors(model.material, moves, lambda part: None, springs)
+        except Singular:
+            continue
+    return None
+
+
+def _room(values: Vector, steps: Vector) -> float:
+    """How often a step can be taken until a value vanishes."""
+    ends = np.divide(-values, steps, out=np.full_like(values, np.inf), where=steps < 0)
+    return float(ends.min(initial=np.inf))

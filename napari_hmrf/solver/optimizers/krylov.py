@@ -1,0 +1,241 @@
+"""Krylov iterations, preconditioned by a V-cycle, and what they learn on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.solver.backends.entrained import Entrained
+from napari_hmrf.solver.backends.linear import Steps, UnsymmetricLevel
+from napari_hmrf.solver.optimizers.cycle import Cycle
+
+# How far single precision is trusted to reduce a residual before it is computed again in double.
+_INNER = 1e-5
+# Below this a residual in single precision is rounding, and so is an eigenvalue.
+_ROUNDING = 1e-7
+_LEAST = 1e-6
+# A residual of this part of the solution is as small as single precision can tell.
+_ATTAINED = 3e-7
+# What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
+# sees what is left.
+_FASTEST = 0.2
+_USUAL_LEAST = 0.4
+# Steps after which the least eigenvalue has been met well enough.
+_ENOUGH = 5
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is known after one step of an iteration, in the units of the residual it began with.
+
+    Attributes
+    ----------
+    reach : float
+        How far any site is from the solution, per unit of the residual's norm: an estimate, from
+        what the last cycle corrected and from the least eigenvalue met so far.
+    rest : float
+        The norm of the residual now.
+    gain : float
+        How much energy the step took.
+    """
+
+    reach: float
+    rest: float
+    gain: float
+
+    @property
+    def error(self) -> float:
+        """How far any site is from the solution, as estimated."""
+        return self.reach * self.rest
+
+
+#: Looks at each step; True ends the iteration.
+Watch = Callable[[Step], bool]
+
+
+class ConjugateGradients:
+    """The iteration for symmetric models; what it learns of the spectrum lasts from run to run.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    """
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+        self._spectrum = _Spectrum()
+        #: What cycles do not see of rigid bodies, if there are any.
+        self.entrained: Entrained | None = None
+
+    @property
+    def steps(self) -> tuple[Steps, Steps]:
+        """What cycles smooth with."""
+        return self._cycle.steps
+
+    @property
+    def least(self) -> float:
+        """The least eigenvalue met, in any run."""
+        return self._spectrum.least
+
+    @least.setter
+    def least(self, value: float) -> None:
+        self._spectrum.least = value
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def run(
+        self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
+    ) -> npt.NDArray[np.float32]:
+        """Return a correction for a residual (planes) of a norm, in single precision.
+
+        Changes the residual; the correction is valid until the next run.
+
+        Raises
+        ------
+        FloatingPointError
+            If numbers overflow, or vanish.
+        """
+        level = self._cycle.levels[0]
+        rest = level.vector(residual)
+        found, direction, image = (level.vector() for _ in range(3))
+        square = first = norm**2
+        before: Any = None
+        settled, entrained = 0.0, self.entrained
+        if entrained is not None:
+            settled = entrained.settle(level.planes(found), level.planes(rest))
+            square = level.product(rest, rest)
+        self._spectrum.restart()
+        while True:
+            steepest = self._cycle.run(rest)
+            if entrained is None:
+                level.project(steepest)
+            most, slope = level.weigh(steepest, rest)
+            turn = slope if before is None else level.ratio(slope, before)
+            if entrained is None:
+                level.turn(steepest, direction, turn)
+            else:
+                most = max(most, entrained.turn(steepest, direction, turn))
+            curvature = level.apply(direction, image)
+            level.project(image)
+            length = level.ratio(slope, curvature)
+            left = level.advance(found, rest, direction, image, length)
+            values = level.read(most, slope, curvature, turn, left)
+            if square == 0 or not all(math.isfinite(value) for value in values):
+                raise FloatingPointError
+            far, down, bend, turned, after = values
+            if not (down > 0 and bend > 0):
+                if after > 0 and self._cycle.be_careful():
+                    level.free(direction)
+                    direction = level.vector()
+                    before = None
+                    self._spectrum.restart()
+                    continue
+                break
+            self._spectrum.add(down / bend, 0.0 if before is None else turned)
+            step = self._judged(far, first, square, after, down**2 / bend / 2 + settled)
+            settled = 0.0
+            before, square = slope, after
+            if enough(step) or after <= _INNER**2 * first:
+                break
+        level.project(found)
+        level.free(found, direction, image)
+        return np.asarray(level.planes(found))
+
+    def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
+        """What is known after a step whose cycle corrected `far`, from squares of residuals."""
+        # At first residuals fall faster than errors, as jumps beside what is held are smoothed, and
+        # the least eigenvalues have not been met yet.
+        rest = max(math.sqrt(after), _ROUNDING * math.sqrt(first))
+        fall = max(math.sqrt(after / before), _FASTEST)
+        least = self._spectrum.least
+        if self._spectrum.steps < _ENOUGH:
+            least = min(least, _USUAL_LEAST)
+        return Step(far * fall / least / rest, rest, gain)
+
+
+class StabilisedGradients:
+    """Stabilised biconjugate gradients: the iteration for models that are not symmetric.
+
+    Two cycles to a step. What a step tells of the residual is its largest value; how far the
+    solution is from there, the iteration does not know.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    """
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
+        """Return a correction for a residual (planes), in single precision.
+
+        Raises
+        ------
+        FloatingPointError
+            If numbers overflow.
+        """
+        level = cast(UnsymmetricLevel, self._cycle.levels[0])
+        rest, shadow = level.vector(residual.copy()), level.vector(residual)
+        found, direction, image, second = (level.vector() for _ in range(4))
+        along = level.product(shadow, rest)
+        (first,) = level.read(along)
+        level.turn(rest, direction, along)
+        while True:
+            steepest = self._cycle.run(direction)
+            level.apply(steepest, image)
+            length = level.quotient(along, level.product(shadow, image))
+            level.advance(found, rest, steepest, image, length)
+            steepest = self._cycle.run(rest)
+            level.apply(steepest, second)
+            stride = level.quotient(level.product(second, rest), level.product(second, second))
+            left = level.advance(found, rest, steepest, second, stride)
+            before, along = along, level.product(shadow, rest)
+            share = level.quotient(level.times(along, length), level.times(before, stride))
+            level.lean(rest, direction, image, share, stride)
+            values = level.read(level.largest(rest), level.largest(found), left, share)
+            if not all(math.isfinite(value) for value in values):
+                raise FloatingPointError
+            most, far, square, again = values
+            step = Step(math.inf, most, 0.0)
+            # A residual this small beside the solution is rounding: it must be computed anew.
+            small = square <= _INNER**2 * first or most <= _ATTAINED * far
+            if enough(step) or small or again == 0:
+                break
+        level.free(rest, direction, image, second)
+        return np.asarray(level.planes(found))
+
+
+class _Spectrum:
+    """The least eigenvalue that conjugate gradients have met (their Lanczos matrix has it)."""
+
+    def __init__(self) -> None:
+        self.least = 1.0
+        self.restart()
+
+    @property
+    def steps(self) -> int:
+        """How many steps the present run has taken."""
+        return len(self._diagonal)
+
+    def restart(self) -> None:
+        """Begin a new run; what was learnt stays."""
+        self._diagonal: list[float] = []
+        self._beside: list[float] = []
+        self._length = 0.0
+
+    def add(self, length: float, turn: float) -> None:
+        """Take in a step: its length along the direction, and the direction's turn before it."""
+        self._diagonal.append(1 / length + (turn / self._length if self._length else 0.0))
+        if self._length:
+            self._beside.append(math.sqrt(turn) / self._length)
+        self._length = length
+        if self._beside:
+            least = scipy.linalg.lapack.dsterf(self._diagonal, self._beside)[0][0]
+            self.least = min(self.least, max(float(least), _LEAST))

@@ -1,0 +1,138 @@
+"""The converged field: a Krylov iteration, preconditioned by a V-cycle over the hierarchy.
+
+Work per pixel does not depend on the size of the image: each level removes the error that its own
+pixels can see.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.base import Backend
+from napari_hmrf.solver.backends.found import Beginning, Quality
+from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.bending_modes import check_bent
+from napari_hmrf.solver.optimizers import centred
+from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
+from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
+from napari_hmrf.solver.optimizers.refinement import Refinement
+from napari_hmrf.solver.optimizers.slip import Slip
+from napari_hmrf.solver.optimizers.slip_states import ActiveSet
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+
+_TINY = 1e-300
+# What is this part of the tolerance, or less, is as good as nothing.
+_NOTHING = 0.01
+
+
+@dataclass(frozen=True)
+class Multigrid:
+    """A Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
+
+    The iteration runs in single precision; the residual that decides is computed in double. It is
+    that of conjugate gradients for a prior with an energy to be least: `ElasticPrior`, and
+    `SeilerPrior` in its blanket reading. For its centred reading, which is not symmetric, it is
+    that of stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`).
+
+    Parameters
+    ----------
+    tolerance : float
+        Stop when no site is estimated to be further than this from the converged field, in
+        pixels. The estimate is what the last cycle corrected, times the residual it left, over
+        the least eigenvalue of the preconditioned system as the iteration has come to know it;
+        where tissue is not mild, a rehearsal shows whether that can be believed, and if not the
+        system is factorised. In the centred reading it is a bound, by a maximum principle.
+    max_iterations : int
+        Give up after so many cycles, with an error. Where observations may slip, that many for
+        each set of those that do.
+    """
+
+    tolerance: float = 1e-3
+    max_iterations: int = 300
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.tolerance) and self.tolerance > 0):
+            raise ValueError(f"tolerance must be a positive number, not {self.tolerance!r}")
+        if self.max_iterations < 1:
+            raise ValueError(f"max_iterations must be at least 1, not {self.max_iterations!r}")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name."""
+        return {"name": "Multigrid", **asdict(self)}
+
+    def rehearsal(self) -> Multigrid:
+        """Return an iteration that is sure to end, with the same kernels."""
+        return Multigrid()
+
+    def run(
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: Backend[Any],
+        report: Report,
+        start: Beginning | None = None,
+    ) -> Outcome:
+        """Solve; lengths are in pixels from here on."""
+        if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
+            return centred.converge(
+                self.tolerance, self.max_iterations, problem, prior, backend, report, start
+            )
+        limit = prior.limit(problem)
+        d, observed = host.prescribed(problem, start if limit is None else None)
+        if isinstance(prior, ElasticPrior):
+            material = prior.material(problem)
+            model, smoothing = backend.elastic_model(material), smoothing_of(material)
+        else:
+            check_bent(problem)
+            model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
+        refinement = Refinement(self.max_iterations, model, smoothing, report)
+        try:
+            if limit is None:
+                model.hold(observed)
+                if model.bodies is not None:
+                    model.bodies.settle(d)
+                refinement.run(d, None, self.tolerance, self._known(start, model))
+                energy, forces = model.work(d)
+                refinement.settle(energy)
+            else:
+                y, d = d, d.copy()
+                moves = model.steepness > 0
+                if start is not None:
+                    np.copyto(d, host.combined(start), where=moves)
+                states = ActiveSet(observed & moves, y, host.planes(limit), d)
+                slip = Slip(problem, prior, model, states, refinement, report)
+                forces = slip.run(d, self.tolerance)
+        except ConvergenceError:
+            model.forget()
+            raise
+        finally:
+            model.close()
+        energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
+        displacement, rounding = host.gathered(d, self.tolerance)
+        host.reuse(d, observed)
+        if limit is None:
+            model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
+        return Outcome(
+            displacement=displacement,
+            energy=energies,
+            levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
+            convergence=Convergence(
+                max(refinement.estimate, rounding),
+                refinement.residual / max(forces, _TINY),
+                "factors" if refinement.by_factors else "cycles",
+            ),
+        )
+
+    def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
+        """How good what a solve begins with is, if it is all that is observed."""
+        if start is None or start.missing > _NOTHING * self.tolerance:
+            return None
+        return model.found.quality(start)

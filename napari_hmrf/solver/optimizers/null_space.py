@@ -1,0 +1,178 @@
+"""The motions that cost a model nothing, or next to nothing, found from its factors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.dissection import Singular
+from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.solver.optimizers.base import Report
+from napari_hmrf.solver.optimizers.refinement import Refinement, factorise
+
+Float64Array = npt.NDArray[np.float64]
+
+# The springs that make the model invertible, as a part of its diagonal; up to which part of it a
+# motion costs next to nothing; and nothing.
+_SPRINGS, _LITTLE, _NOTHING = 1e-13, 1e-11, 1e-28
+_ITERATIONS = 4
+_FIRST, _MOST = 8, 64
+_EXACT, _FLOOR = 1e-12, 1e-14
+_BALANCINGS = 4
+# How far, in pixels where tissue moves by one, a motion may still be from rest after that; and
+# which part of a load may be left over in one that costs nothing.
+_ASTRAY, _BALANCED = 1e-6, 1e-9
+_MIXINGS = 2
+
+
+class Play(NamedTuple):
+    """How tissue can move at next to no cost, and what of it has to be held to stop that.
+
+    Attributes
+    ----------
+    pins : ndarray of bool, planes
+        Components that, held, stop all of these motions.
+    ways : ndarray, shape (ways, planes)
+        Those that cost something.
+    cost : ndarray, shape (ways, ways)
+        Their second derivatives of the energy.
+    free : list of ndarray, each of shape (ways, H, W, 2)
+        Those that cost nothing: one item, if there are any.
+    """
+
+    pins: HeldPlanes
+    ways: Float64Array
+    cost: Float64Array
+    free: list[Float64Array]
+
+    def balance(
+        self, model: LinearModel, refinement: Refinement, d: Planes, load: Planes, tolerance: float
+    ) -> None:
+        """Move `d` in place to where tissue and load balance: pins, too, if that costs anything.
+
+        Energies, unlike forces, tell how far these have to go: they are sums of squares.
+
+        Raises
+        ------
+        ConvergenceError
+            If double precision does not tell where that is.
+        """
+        refinement.run(d, load, tolerance)
+        size = np.sqrt(np.diagonal(self.cost).clip(1e-300))
+        inverse = np.linalg.pinv(self.cost / np.outer(size, size), _FLOOR, True)
+        far = np.inf
+        for _ in range(_BALANCINGS):
+            left = [(load * way).sum() - _product(model, d, way) for way in self.ways]
+            go = np.tensordot(inverse @ (np.array(left) / size) / size, self.ways, 1)
+            far = float(np.abs(go).max(initial=0.0))
+            if far <= tolerance:
+                return
+            d += go
+            refinement.run(d, load, tolerance)
+        if far > _ASTRAY * max(1.0, float(np.abs(d).max())):
+            raise ConvergenceError("what moves at next to no cost does not come to rest")
+
+    def adrift(self, load: Planes) -> Planes | None:
+        """Return a motion that costs nothing and that a load does work in, if there is one."""
+        for ways in self.free:
+            for way in ways:
+                motion = host.planes(way)
+                work = load * motion
+                if abs(work.sum()) > _BALANCED * np.abs(work).sum():
+                    return motion
+        return None
+
+
+def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
+    """Find how tissue could move at next to no cost if only so much were held.
+
+    By iterating on a few random motions at once with the inverse of the model on weak springs.
+    """
+    steep = model.steepness
+    moves = (steep > 0) & ~held
+    pins, weights = np.zeros_like(held), np.sqrt(steep[moves])
+    some = _soft(model, moves, weights) if len(weights) else np.zeros((0, 0))
+    count = some.shape[1]
+    if not count:
+        return Play(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
+    *_, order = scipy.linalg.qr(some.T, mode="economic", pivoting=True)
+    at = np.flatnonzero(moves)[order[:count]]
+    pins.ravel()[at] = True
+    model.hold(held | pins)
+    factorise(model, report)
+    ways = np.zeros((count, *held.shape))
+    for way, pin in zip(ways, at, strict=True):
+        way.ravel()[pin] = 1.0
+        refinement.run(way, None, _EXACT)
+    for _ in range(_MIXINGS):
+        # Products lose what is small beside the cost of other motions: not once they are apart.
+        ways /= np.sqrt((steep * ways**2).sum(axis=(1, 2, 3)))[:, None, None, None]
+        cost = _costs(model, ways)
+        _, mixes = np.linalg.eigh(cost)
+        ways = np.tensordot(mixes.T, ways, 1)
+    cost = _costs(model, ways)
+    nothing = np.diagonal(cost) < _NOTHING * (steep * ways**2).sum(axis=(1, 2, 3))
+    free, ways, cost = ways[nothing], ways[~nothing], cost[~nothing][:, ~nothing]
+    free /= np.abs(free).max(axis=(1, 2, 3), keepdims=True)
+    motions = [np.moveaxis(free[:, :, 2:-2, 2:-2], 1, -1)] if len(free) else []
+    return Play(pins, ways, cost, motions)
+
+
+def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
+    """The products of all motions."""
+    return np.array([[_product(model, one, two) for two in ways] for one in ways])
+
+
+def _product(model: LinearModel, one: Planes, two: Planes) -> float:
+    """The product of two motions by which an energy is half a square."""
+    return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
+
+
+def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
+    """The motions, times the roots of the diagonal, that cost little: (components, motions)."""
+    springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
+    try:
+        factors = Factors(model.material, moves, lambda part: None, springs)
+    except Singular:
+        raise ConvergenceError(
+            "how tissue can move at no cost is more than double precision tells. Hold more of it, "
+            "or bring the softest and the stiffest tissue closer together"
+        ) from None
+    random, count = np.random.default_rng(0), _FIRST
+    while True:
+        some = random.standard_normal((len(weights), min(count, len(weights))))
+        for _ in range(_ITERATIONS):
+            some, _ = np.linalg.qr(_inverse(factors, moves, weights, some))
+        images = np.stack([_image(model, moves, weights, way) for way in some.T], axis=1)
+        costs, mixes = scipy.linalg.eigh(some.T @ images)
+        soft = costs < _LITTLE
+        if not soft.all() or count >= min(_MOST, len(weights)):
+            return np.asarray(some @ mixes[:, soft])
+        count *= 2
+
+
+def _inverse(
+    factors: Factors, moves: HeldPlanes, weights: Float64Array, some: Float64Array
+) -> Float64Array:
+    """Apply the inverse, scaled by the roots of the diagonal, to each column."""
+    made = np.empty_like(some)
+    for number, column in enumerate(some.T):
+        load: Planes = np.zeros(moves.shape)
+        load[moves] = column * weights
+        made[:, number] = factors.solve(load)[moves] * weights
+    return made
+
+
+def _image(
+    model: LinearModel, moves: HeldPlanes, weights: Float64Array, way: Float64Array
+) -> Float64Array:
+    """Apply the scaled model to a motion."""
+    d: Planes = np.zeros(moves.shape)
+    d[moves] = way / weights
+    return np.asarray(-model.pull(d)[moves] / weights)

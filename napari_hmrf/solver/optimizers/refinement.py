@@ -1,0 +1,326 @@
+"""Solving one linear system to a tolerance: by cycles, and by factors where cycles cannot be sure.
+
+A Krylov iteration judges itself by the modes that it has met. Where parts of stiff tissue are so
+thin or so close together that coarse levels weld them, to move them costs so little that it is not
+met before all else has converged. So where tissue is not mild, the iteration first *rehearses*: it
+solves for a random field, whose answer is known. If what it reports is true of that, it is trusted
+with the problem; if not, or if it stalls, the system is factorised.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.dissection import Singular
+from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.found import Quality
+from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
+from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
+from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
+from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+
+# A rehearsal ends at this part of its field, as reported; and what it reports may be this much less
+# than what is true.
+_REHEARSED = 0.003
+_BELIEVABLE = 3.0
+# How much more doubtful a problem may be than its rehearsal was.
+_MARGIN = 4.0
+_REHEARSAL_CYCLES = 40
+# What a round of a rehearsal must leave of its error at most, for another one.
+_GAIN = 0.5
+# Sites whose factors take no longer than a rehearsal and a few cycles.
+_FEW = 1024
+# A correction by factors must be smaller than the one before it by this factor.
+_FALL = 0.25
+# A correction of this many pixels, where tissue moves by one, need not be; and one of so many is
+# as small as they get, if it is not.
+_ROUNDING, _STALLED = 1e-15, 1e-7
+
+
+class Refinement:
+    """An iteration in single precision, begun anew from each residual in double, or factors.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Cycles after which a run gives up.
+    model : LinearModel
+    smoothing : Smoothing
+    report : callable
+
+    Attributes
+    ----------
+    estimate : float
+        How far the field is from converged, in pixels, as far as is known.
+    residual : float
+        The norm of the forces that are left over, in double precision.
+    energies : list of float
+        The total energy after each cycle; at the beginning, if there is none.
+    cycles : int
+        How many there were; a solution by factors counts as one.
+    """
+
+    def __init__(
+        self, max_iterations: int, model: LinearModel, smoothing: Smoothing, report: Report
+    ) -> None:
+        self._most, self._model, self._report = max_iterations, model, report
+        self._iteration = ConjugateGradients(Cycle(model, smoothing))
+        self._patience = smoothing.patience
+        self.estimate = math.inf
+        self.residual = 0.0
+        self.energies: list[float] = []
+        self.cycles = 0
+        self._gains: list[float] = []
+        self._first: float | None = None
+        self._doubt: float | None = None
+        self._low: Planes | None = None
+
+    def pull(self, d: Planes) -> Planes:
+        """What tissue pulls with where the last run has left it: more digits than `d` carries."""
+        return self._model.pull(d, self._low).copy()
+
+    def doubt_again(self) -> None:
+        """Rehearse once more if something else is held: what holds less may move otherwise."""
+        if self._doubt is not None and self._doubt <= _BELIEVABLE:
+            self._doubt = None
+
+    def run(
+        self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
+    ) -> None:
+        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels.
+
+        If `d` is known to be that good, it stays, once its residual has been seen to be as known.
+
+        Raises
+        ------
+        ConvergenceError
+        """
+        balance = self._model.balance(d, load)
+        self.residual, self._low = balance.norm, None
+        if known is not None and known.suffices(tolerance, balance.norm):
+            self.estimate = known.error
+        elif balance.most == 0:
+            self.estimate = 0.0
+        elif self._model.found.factors is not None or not self._iterate(
+            d, load, tolerance, balance
+        ):
+            self._solve(d, load, tolerance)
+
+    @property
+    def by_factors(self) -> bool:
+        """Whether the last run needed factors."""
+        return self._model.found.factors is not None
+
+    def settle(self, energy: float) -> None:
+        """Take the total energy that the last run ended with, and know those before."""
+        gains = self._gains or [0.0]
+        self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
+        self._gains = []
+
+    def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
+        """Go to the tolerance by cycles; whether it can be said that they arrived."""
+        found, before = self._model.found, math.inf
+        vain = math.prod(self._model.shape) <= _FEW or self._model.material.laced
+        if vain and not self._model.mild and Factors.fit(self._model.shape):
+            return False
+        if not self._entrain():
+            return False
+        self._iteration.least = min(self._iteration.least, found.least)
+        if found.doubt is None and self._model.iterates:
+            if self._doubt is None:
+                self._doubt = 1.0
+                if not self._model.mild:
+                    self._doubt = self._rehearse(d.shape)
+                    balance = self._model.balance(d, load)  # what it was is overwritten
+            found.doubt = self._doubt
+            found.least = self._iteration.least
+        if found.doubt is None or found.doubt > _BELIEVABLE:
+            return False
+        model = self._model
+        moves = found.entrained
+        # What bodies do on their own is seen for certain, but not what lies between close ones.
+        sees_bodies = model.bodies is None or (moves is not None and not moves.close)
+        sure = model.mild and model.material.compressible and sees_bodies
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
+        if moves is not None and moves.close:
+            doubt *= _MARGIN
+        while True:
+            step: Step | None = None
+
+            def enough(latest: Step, unit: float = balance.unit) -> bool:
+                nonlocal step
+                step = latest
+                self._gains.append(unit**2 * latest.gain)
+                error = doubt * unit * latest.error
+                self._say(error, tolerance)
+                return error <= tolerance or self._too_long
+
+            try:
+                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+            except FloatingPointError:
+                return False
+            if step is None:
+                return False
+            host.add(d, correction, balance.unit)
+            balance = self._model.balance(d, load, balance.most)
+            self.residual = balance.norm
+            self.estimate = doubt * step.reach * self.residual
+            if found.entrained is not None:
+                self.estimate += found.entrained.astray(balance.rest) * balance.unit
+            if self.estimate <= tolerance:
+                return True
+            if self._too_long or not self.estimate < 0.5 * before:
+                return False
+            before = self.estimate
+
+    def _entrain(self) -> bool:
+        """Find what bodies take along; False if that cannot be told."""
+        model = self._model
+        if model.bodies is None or not model.iterates:
+            return True
+        found = model.found
+        if found.entrained is None:
+            found.entrained = model.entrained(*self._iteration.steps)
+        self._iteration.entrained = found.entrained
+        return found.entrained is None or found.entrained.sure
+
+    @property
+    def _too_long(self) -> bool:
+        """Whether factors are the shorter way from here."""
+        return len(self._gains) >= self._patience and Factors.fit(self._model.shape)
+
+    def _rehearse(self, shape: tuple[int, ...]) -> float:
+        """How far off a known answer is, over how far off it is said to be."""
+        error = host.noise(shape)
+        error[~self._model.moves] = 0
+        self._project(error)
+        most = float(np.abs(error).max())
+        doubt, cycles, rounds, left = math.inf, 0, 0, most
+        while most > 0 and doubt > _BELIEVABLE and cycles < _REHEARSAL_CYCLES:
+            # What is left of the error is what was not met: from there it is.
+            balance, step = self._model.balance(error, None), None
+            target = _REHEARSED * most / balance.unit
+
+            def enough(latest: Step, target: float = target) -> bool:
+                nonlocal step, cycles
+                step, cycles = latest, cycles + 1
+                self._report(Monitor(f"rehearsal, cycle {cycles}", 0.0))
+                return latest.error <= target or cycles >= _REHEARSAL_CYCLES
+
+            try:
+                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+            except FloatingPointError:
+                return math.inf
+            if step is None:
+                return math.inf
+            host.add(error, correction, balance.unit)
+            before, left = left, float(np.abs(error).max())
+            if step.error <= target:
+                doubt = left / (balance.unit * step.error)
+            # Else single precision has carried no further from there. A motion may be met late, but
+            # once there have been two rounds each must gain something.
+            rounds += 1
+            if rounds > 1 and left > _GAIN * before:
+                break
+        return doubt if most > 0 else 1.0
+
+    def _project(self, d: Planes) -> None:
+        if self._model.bodies is not None:
+            self._model.bodies.project(d)
+
+    def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
+        """Go to the tolerance by factors."""
+        factors, before = factorise(self._model, self._report), math.inf
+        rest, self._low = self._left(d, load), np.zeros_like(d)
+        while rest.any():
+            correction = factors.solve(rest)
+            self._project(correction)
+            self.cycles += 1
+            self._gains.append(float((correction * rest).sum()) / 2)
+            far = float(np.abs(correction).max())
+            self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
+            scale = max(1.0, float(np.abs(d).max()))
+            stays = not far <= max(_FALL * before, _ROUNDING * scale)
+            if stays and not max(far, before) <= _STALLED * scale:
+                raise ConvergenceError(
+                    f"the field stays {far:.2g} px from converged: double precision does not carry "
+                    "this tissue. Hold more of it, or bring the softest and the stiffest closer "
+                    "together"
+                )
+            add(d, self._low, correction)
+            rest = self._left(d, load)
+            self.residual, self.estimate = float(np.linalg.norm(rest)), far
+            last, before = before, far
+            # What is left is smaller still: by as much as this one was smaller than the last.
+            if far <= tolerance:
+                return
+            if stays:
+                self.estimate = _MARGIN * max(far, last)
+                return
+        self.estimate = 0.0
+
+    def _left(self, d: Planes, load: Planes | None) -> Planes:
+        """What `d` leaves of a load."""
+        rest = self.pull(d) if load is None else self.pull(d) + load
+        rest[~self._model.moves] = 0
+        self._project(rest)
+        return rest
+
+    def _say(self, estimate: float, tolerance: float) -> None:
+        """Report, count, and give up in time."""
+        self.cycles += 1
+        cycles = len(self._gains)
+        self._first = self._first or estimate
+        done = part_done(self._first, estimate, tolerance)
+        self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
+        if cycles >= self._most and estimate > tolerance:
+            raise ConvergenceError(
+                f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
+                "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
+            )
+
+
+def add(d: Planes, low: Planes, way: Planes) -> None:
+    """Add a way to a field in two parts, in place: `low` is what rounding takes from `d`.
+
+    Forces come from differences between neighbours, and stiff tissue multiplies what rounding adds.
+    """
+    change = low + way
+    total = d + change
+    taken = total - d
+    np.add(d - (total - taken), change - taken, out=low)
+    np.copyto(d, total)
+
+
+def factorise(model: LinearModel, report: Report) -> Factors:
+    """Return the factors of a model with what is held now; they are kept for the next time.
+
+    Raises
+    ------
+    ConvergenceError
+        If there is no memory for them, or if double precision cannot tell what holds the tissue.
+    """
+    if model.found.factors is None:
+        if not Factors.fit(model.shape):
+            raise ConvergenceError(
+                "cycles cannot be sure of this tissue, and its factors need "
+                f"{Factors.needed(model.shape) / 2**30:.0f} GiB of memory. Crop the image, or "
+                "bring the softest and the stiffest tissue closer together"
+            )
+
+        def tell(part: float) -> None:
+            report(Monitor(f"factorising, {part:.0%}", part))
+
+        tell(0.0)
+        try:
+            model.found.factors = Factors(model.material, model.moves, tell)
+        except Singular:
+            raise ConvergenceError(
+                "a part of the tissue is held by next to nothing, as far as double precision "
+                "tells. Hold more of it, or bring the softest and the stiffest closer together"
+            ) from None
+    return model.found.factors

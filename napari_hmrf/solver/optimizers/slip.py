@@ -1,0 +1,204 @@
+"""The converged field where observations may slip: from states to states, to exactly one answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
+from napari_hmrf.solver.bending_modes import free_bend
+from napari_hmrf.solver.optimizers import interior, least_motion
+from napari_hmrf.solver.optimizers.base import Report
+from napari_hmrf.solver.optimizers.null_space import Play, find_play
+from napari_hmrf.solver.optimizers.refinement import Refinement, factorise
+from napari_hmrf.solver.optimizers.slip_states import ActiveSet
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.rigid_modes import free_motion, free_motions
+
+Float64Array = npt.NDArray[np.float64]
+
+# The states of what is observed are found at so many times the tolerance, and then confirmed.
+_ROUGHLY = 10.0
+# How exactly, in pixels where tissue moves by one; by how many times more a wrong state is
+# contradicted; and by how many times more where it is known which others could be.
+_EXACT = 1e-11
+_ABOVE, _PASSED = 10.0, 10.0
+# With which part less than its limit a component is held for certain; and with which part that
+# needs no closer look.
+_AT_LIMIT, _NEAR_LIMIT = 1e-9, 1e-4
+# By which part of its limit a held component may need more.
+_SHARE = 1e-9
+# Exchanges of states after which they are found another way, and of many at a time.
+_MOST_EXCHANGES, _AT_ONCE = 100, 30
+
+
+class Slip:
+    """The search for the states of observations, and for the field that goes with them.
+
+    A state that is wrong by little can lead far, where many are or little holds: so in the end
+    none may be, as far as numbers tell.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : Prior
+    model : LinearModel
+    states : ActiveSet
+    refinement : Refinement
+    report : callable
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        prior: Prior,
+        model: LinearModel,
+        states: ActiveSet,
+        refinement: Refinement,
+        report: Report,
+    ) -> None:
+        self._problem, self._model, self._report = problem, model, report
+        self._states, self._refinement = states, refinement
+        elastic = isinstance(prior, ElasticPrior)
+        self._elastic = elastic
+        self._motion = free_motion if elastic else free_bend
+        self._steepness = model.steepness
+
+    def run(self, d: Planes, tolerance: float) -> float:
+        """Move `d` in place to the field of least energy; returns the norm of its forces."""
+        exact = _EXACT * max(1.0, float(np.abs(d).max()))
+        try:
+            if self._free(self._states.held) is not None:
+                self._states.hold_all()
+            for rough in (_ROUGHLY * tolerance, tolerance):
+                self._exchange(d, rough, rough / 2)
+            self._refinement.doubt_again()
+            self._exchange(d, exact, _ABOVE * exact)
+            if not np.array_equal(self._clear(d), self._states.held):
+                factorise(self._model, self._report)
+                self._refinement.run(d, self._states.load, exact)
+            pull = self._refinement.pull(d)
+            if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
+                raise ConvergenceError("what is let go of would leave tissue free")
+        except ConvergenceError:
+            # Exchanges of states went on and on, or led to where nothing holds tissue any more. Is
+            # there anything that does?
+            self._model.hold(self._states.every)
+            if self._model.moves.any():
+                factorise(self._model, self._report)
+            interior.solve(self._model, self._states, d, self._report)
+            self._confirm(d, exact)
+        return self._settle(d)
+
+    def _free(self, held: HeldPlanes) -> Planes | None:
+        """How tissue could move at no cost if only so much were held."""
+        found = self._motion(self._problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
+        return None if found is None else host.planes(found.motion)
+
+    def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
+        """Solve in place for ever other states, until none is contradicted by more than `near`.
+
+        Raises
+        ------
+        ConvergenceError
+        """
+        model, states, bound = self._model, self._states, self._model.bounds[1]
+        before = None
+        for _ in range(_MOST_EXCHANGES):
+            states.place(d)
+            model.hold(states.held)
+            self._refinement.run(d, states.load, tolerance)
+            arrived = True
+            if before is not None:
+                way = d - before
+                far, pulls = float(np.abs(way).max()), model.pull(before).copy()
+                # How a way within the tolerance goes on is left to chance.
+                arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
+            elif states.lost:
+                states.follow(d)
+                if self._free(states.held) is not None:
+                    states.hold_all()
+                    states.place(d)
+                arrived = False
+            if states.lost:
+                before = d.copy()
+            energy, _ = model.work(d)
+            self._refinement.settle(energy + states.cost(d))
+            if states.lost:
+                if arrived and not states.contradicted(d, model.pull(d), self._steepness, near):
+                    return
+                if states.relax(d, model.pull, bound * self._steepness, self._free):
+                    before = d.copy()
+                    continue
+            if not states.exchange(d, model.pull(d), self._steepness, near, self._free) and arrived:
+                return
+        raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
+
+    def _confirm(self, d: Planes, exact: float) -> None:
+        """Solve for the states that were found, and exchange those that are wrong after all.
+
+        Raises
+        ------
+        ConvergenceError
+        """
+        states, model, refinement = self._states, self._model, self._refinement
+        for number in range(_MOST_EXCHANGES):
+            play = self._play(states.held)
+            states.place(d)
+            adrift = play.adrift(states.load)
+            if adrift is not None and states.slide(d, adrift):
+                continue
+            model.hold(states.held | play.pins)
+            play.balance(model, refinement, d, states.load, exact)
+            pull = refinement.pull(d)
+            self._least(d, pull, play.free)
+            sure = _PASSED * max(exact, refinement.estimate)
+            if not states.correct(d, pull, sure, _SHARE, number >= _AT_ONCE):
+                break
+        else:
+            raise ConvergenceError(
+                "which observations slip stays open: double precision does not tell. Raise the "
+                "penalty, or hold more of the tissue"
+            )
+        energy, _ = model.work(d)
+        refinement.settle(energy + states.cost(d))
+
+    def _settle(self, d: Planes) -> float:
+        """Of fields of the same energy take that of least motion, in place.
+
+        Returns the norm of its forces.
+        """
+        states, pull = self._states, self._refinement.pull(d)
+        if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
+            known = self._refinement.estimate, self._refinement.residual
+            self._least(d, pull, self._motions(states.certain(pull, _AT_LIMIT)))
+            self._refinement.estimate, self._refinement.residual = known
+        _, forces = self._model.work(d)
+        return forces
+
+    def _clear(self, d: Planes) -> HeldPlanes:
+        """Which components are held whatever a closer look would say."""
+        noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
+        return self._states.certain(self._refinement.pull(d), _NEAR_LIMIT, noise)
+
+    def _motions(self, held: HeldPlanes) -> list[Float64Array]:
+        """All ways in which tissue could move at no cost if only so much were held."""
+        if self._elastic:
+            return list(free_motions(self._problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1)))
+        return self._play(held).free
+
+    def _play(self, held: HeldPlanes) -> Play:
+        """All ways in which tissue could move at next to no cost if only so much were held."""
+        return find_play(self._model, held, self._refinement, self._report)
+
+    def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
+        """Of all fields that differ by motions take that of least motion, in place."""
+        if motions:
+            moved, off, side = (
+                np.moveaxis(each[:, 2:-2, 2:-2], 0, -1)
+                for each in (d, *self._states.sides(d, pull))
+            )
+            least_motion.settle(moved, off, side, motions, self._problem.tissue)

@@ -1,0 +1,97 @@
+"""Having ready what a solve runs: loops compiled, and kernels tried on something small."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.solver.backends import Backend, compiler, host, loops
+from napari_hmrf.solver.backends.compiler import Stage
+from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.watch import LOOPS, watched
+from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+
+#: The job that brings all loops.
+EVERYTHING = ""
+_prepared: set[tuple[str | bool, ...]] = set()
+
+
+def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
+    """Which job of `napari_hmrf.compiling` brings the loops of a solve, or most of them."""
+    if isinstance(prior, ElasticPrior):
+        return "elastic" if prior.kernels == ElasticPrior().kernels else "slipping"
+    name = "schedule" if isinstance(optimizer, ICM) else "converged"
+    if isinstance(prior, SeilerPrior) and prior.conditional == "blanket":
+        return f"blanket-{name}"
+    if len(set(spacing)) > 1:
+        return f"{name}-oblong"
+    return "exact-steps" if isinstance(optimizer, ICM) and optimizer.steps is None else name
+
+
+def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
+    """Have the loops of a job compiled by another process, saying how far that is.
+
+    Parameters
+    ----------
+    job : str
+        As `job_of` calls it, or `EVERYTHING`.
+    report : callable
+        Called several times a second; raises to wait no more.
+    """
+
+    def tell(stage: Stage) -> None:
+        if stage.of and job == EVERYTHING:
+            stage = stage._replace(of=LOOPS[job])
+        report(Monitor(stage.words, stage.fraction))
+
+    compiler.provide(job, tell)
+
+
+def prepare(
+    device: Backend[Any],
+    prior: Prior,
+    optimizer: Optimizer,
+    spacing: tuple[float, ...],
+    report: Callable[[Monitor], None],
+) -> None:
+    """Compile what a schedule needs by running it on a small problem, once per process.
+
+    Small, but with levels between others, something to find, and more sites than would be solved
+    without a cycle. Square pixels have kernels of their own.
+    """
+    rehearsal = optimizer.rehearsal()
+    square = len(set(spacing)) == 1
+    key = (device.name, device.renderer, loops.in_use(), prior.kernels, repr(rehearsal), square)
+    if key in _prepared:
+        return
+    size = 40
+    y, c, m = np.zeros((size, size, 2)), np.zeros((size, size, 2)), np.ones((size, size))
+    c[0] = c[-1] = 1
+    y[-1] = 1
+    small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))
+    tissue = prior.rehearsal(small.shape)
+
+    def go_on(_: Monitor) -> None:
+        report(Monitor("preparing", 0.0))
+
+    with _watched(job_of(prior, optimizer, spacing), report):
+        found = rehearsal.run(small, tissue, device, go_on).displacement
+        host.settle(found, small.tissue, small.unit)
+        if isinstance(rehearsal, Multigrid):
+            # As many as there are kernels for: two at once, and each of the others.
+            three = Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
+            rehearsal.run(small, tissue, device, go_on, three)
+    _prepared.add(key)
+
+
+def _watched(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
+    """Say which loops this process compiles, if any."""
+    if not loops.in_use():
+        return nullcontext()
+    return watched(job, lambda stage: report(Monitor(stage.words, stage.fraction)))

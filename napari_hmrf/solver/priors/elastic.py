@@ -1,0 +1,212 @@
+"""Linear elasticity on the pixel grid: its energy, in NumPy and float64, and its oracle.
+
+Every 2 x 2 block of tissue sites is an *element*, a clique of four sites, within which displacement
+is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the energy
+
+    U = 1/2 integral of  lambda (e_rr + e_cc)^2 + 2 mu (e_rr^2 + e_cc^2) + mu (gamma_rc)^2
+
+so that the most probable field is the finite-element solution, with the pixels as its mesh.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.priors.elements import (
+    ElasticMaterial,
+    ElementShape,
+    Float64Array,
+    Lame,
+    differences,
+    element_forces,
+    lame_parameters,
+    of_elements,
+    stiffest,
+)
+from napari_hmrf.solver.problem import Problem, as_numbers
+from napari_hmrf.solver.rigid_modes import check_held
+
+Plane = Literal["stress", "strain"]
+
+#: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
+POISSON_RANGE = (0.0, 0.499)
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticPrior:
+    """Plane linear elasticity.
+
+    Parameters
+    ----------
+    poisson : float or array_like, shape (H, W)
+        Poisson's ratio, 0 to 0.499, of all tissue or of each site: how much tissue bulges when
+        compressed. 0.5 would be incompressible; soft tissue is 0.45 to 0.499. Values in void do
+        not matter.
+    plane : {"stress", "strain"}
+        ``"stress"``: a thin slice, free to bulge out of the image. ``"strain"``: a slice held
+        between its neighbours. There the twist of an element is not counted as a change of
+        volume (selective reduced integration); counted, it would lock nearly incompressible
+        tissue.
+    penalty : float
+        K of eq. 19: the greatest force with which a site of complete confidence is held at what
+        was observed, relative to the stiffest tissue (1 is what strains a pixel of it by 1).
+        Where tissue needs more it slips. ``inf``: held exactly wherever c > 0.
+    """
+
+    poisson: float | npt.NDArray[np.float32] = 0.45
+    plane: Plane = "stress"
+    penalty: float = math.inf
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
+        if self.plane not in get_args(Plane):
+            raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
+        penalty: Any = self.penalty
+        if not (isinstance(penalty, Real) and float(penalty) > 0):
+            raise ValueError(f"penalty must be a positive number or inf, not {penalty!r}")
+        object.__setattr__(self, "penalty", float(penalty))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name (JSON types only); of a map of ratios, its range and digest."""
+        nu: Any = self.poisson
+        if isinstance(nu, np.ndarray):
+            digest = hashlib.sha256(nu.tobytes()).hexdigest()
+            nu = {"shape": list(nu.shape), "sha256": digest}
+        penalty = "inf" if self.penalty == math.inf else self.penalty
+        return {
+            "name": "ElasticPrior",
+            "poisson": nu,
+            "plane": self.plane,
+            "penalty": penalty,
+        }
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ElasticPrior) and self.parameters == other.parameters
+
+    def __hash__(self) -> int:
+        return hash(repr(self.parameters))
+
+    @property
+    def kernels(self) -> str:
+        """Which kernels it takes: a map of Poisson's ratio and a penalty have some of their own."""
+        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
+        return f"elastic{', mapped' * mapped}{', slipping' * slips}"
+
+    def rehearsal(self, shape: tuple[int, ...]) -> ElasticPrior:
+        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
+        poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
+        return ElasticPrior(poisson, self.plane, 1.0 if slips else math.inf)
+
+    def resolved(self, problem: Problem) -> ElasticPrior:
+        """Return this prior, once it is sure that the problem has one answer.
+
+        Raises
+        ------
+        ProblemError
+            Naming a piece of tissue that could still move freely, or rigid tissue if observations
+            may slip.
+        """
+        if isinstance(self.poisson, np.ndarray):
+            _check_poisson_map(self.poisson, problem)
+        if self.penalty < math.inf and problem.rigid.any():
+            raise ProblemError(
+                "m",
+                "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
+                "prior's penalty at inf, or give that tissue a number.",
+            )
+        check_held(problem)
+        return self
+
+    def limit(self, problem: Problem) -> Float64Array | None:
+        """P = K c of every component (H, W, 2); None where all is held exactly."""
+        if self.penalty == math.inf:
+            return None
+        limit: Float64Array = self.penalty * problem.c.astype(np.float64)
+        return limit
+
+    def material(self, problem: Problem) -> ElasticMaterial:
+        """What the kernels need to know of a problem's tissue."""
+        shape = self.shape(problem.spacing)
+        return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
+
+    def lame(self, problem: Problem) -> Lame:
+        """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
+        m = problem.m / np.float64(stiffest(problem.m))
+        first, shear = lame_parameters(m, self.poisson, self.plane == "strain")
+        if not problem.rigid.any():
+            return Lame(first, shear)
+        # Rigid tissue does not stretch: it has no energy.
+        stretches = np.isfinite(of_elements(m))
+        return Lame(np.where(stretches, first, 0.0), np.where(stretches, shear, 0.0))
+
+    def shape(self, spacing: tuple[float, ...]) -> ElementShape:
+        """The constants of an element of this size of pixel; only the pixel's shape matters."""
+        row, col = spacing
+        volume = 1.0 if self.plane == "stress" else 0.0
+        return ElementShape(
+            col / row / 4, row / col / 4, 0.25, col / row / 12, row / col / 12, volume
+        )
+
+    def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
+        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``."""
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        (first, shear), k = self.lame(problem), self.shape(problem.spacing)
+        (rr, rc), (cr, cc), (xr, xc) = differences(d)
+        stretch = k.rows * rr**2 + k.cols * cc**2
+        volume = first * (stretch + 2 * k.mixed * rr * cc)
+        strain = 2 * shear * stretch
+        slide = shear * (k.cols * cr**2 + k.rows * rc**2 + 2 * k.mixed * cr * rc)
+        own = k.twist_volume * first + 2 * shear
+        twist = (k.twist_rows * own + k.twist_cols * shear) * xr**2
+        twist += (k.twist_cols * own + k.twist_rows * shear) * xc**2
+        return float((volume + strain + slide + twist).sum() / 2)
+
+    def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        return element_forces(self.lame(problem), self.shape(problem.spacing), d)
+
+
+def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
+    """Poisson's ratio as one float, or as an array of its own that nobody can change."""
+    low, high = POISSON_RANGE
+    given = as_numbers("poisson", value)
+    if given.ndim == 0:
+        if not low <= value <= high:
+            raise ValueError(f"poisson must lie between {low} and {high}, not {value!r}")
+        return float(value)
+    made = np.array(given, dtype=np.float32, order="C")
+    if made.ndim != 2:
+        raise ValueError(
+            f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"
+        )
+    made.setflags(write=False)
+    return made
+
+
+def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> None:
+    if poisson.shape != problem.shape:
+        raise ProblemError(
+            "poisson",
+            f"has shape {poisson.shape}, but m has shape {problem.shape}. Give both on the same "
+            "pixel grid.",
+        )
+    low, high = (np.float32(bound) for bound in POISSON_RANGE)
+    wrong = problem.tissue & ~((poisson >= low) & (poisson <= high))
+    if wrong.any():
+        first = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise ProblemError(
+            "poisson",
+            f"has {int(wrong.sum())} values outside {POISSON_RANGE[0]} to {POISSON_RANGE[1]} in "
+            f"tissue, the first at {first}. Soft tissue is 0.45 to 0.499.",
+        )

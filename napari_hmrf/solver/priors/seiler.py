@@ -1,0 +1,249 @@
+"""The energies, as the equations say them.
+
+This is the readable definition, in NumPy and float64, of what the kernels of both backends compute,
+and their oracle in the tests. Lengths are in pixels (``Problem.unit``).
+
+Three sites s - t - u in a line, t in the middle, make a clique; there are four directions of lines
+(figure 2): vertical, horizontal and the two diagonals. With the stiffness ratios r_u = m_t / m_u
+and r_s = m_t / m_s, its potential (eqs. 9-11) is, summed over the components it carries,
+
+    V = (r_u (d_t - d_s) - (d_u - d_t))^2 + (r_s (d_t - d_u) - (d_s - d_t))^2
+
+A clique exists where its three sites lie in the image and in tissue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from numbers import Real
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.priors.cliques import (
+    LINES,
+    Cliques,
+    SeilerMaterial,
+    Slices,
+    cliques,
+    line_weights,
+)
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.quadtree import levels, nearest_pixels
+
+Float64Array = npt.NDArray[np.float64]
+Conditional = Literal["centred", "blanket"]
+
+# K in uniform tissue: one pixel of deviation then weighs as much as 200 pixels from the neighbours.
+_UNIFORM_PENALTY = 1e4
+# Beyond this float32 energies overflow.
+_LARGEST_PENALTY = 1e30
+
+
+class SiteParabola(NamedTuple):
+    """A site's prior energy as a function of its own displacement: curvature * (d - lowest)^2."""
+
+    curvature: Float64Array
+    lowest: Float64Array
+
+
+@dataclass(frozen=True)
+class SeilerPrior:
+    """The paper's prior and observation energy (eqs. 8-11 and 16-19).
+
+    Parameters
+    ----------
+    penalty : float, optional
+        K of eq. 19: the energy, per pixel of deviation from `y`, of a site of complete confidence.
+        By default 10^4 in uniform tissue, and as much more as the energy is steeper at the
+        observed site that has the steepest, so that boundaries hold whatever they lie between.
+    conditional : {"centred", "blanket"}
+        Which cliques count when a site chooses its displacement (line 8 of the algorithm):
+        ``"centred"``, those whose middle it is; ``"blanket"``, all that contain it, which is the
+        textbook reading of eq. 7. See docs/method.md for what either means for accuracy.
+    damping : float, optional
+        Fraction of the way a site goes towards its best displacement when all sites move at once.
+        By default 1 for centred; 0.6 for blanket, which diverges undamped (below 2/3 is safe for
+        any stiffness).
+    """
+
+    penalty: float | None = None
+    conditional: Conditional = "centred"
+    damping: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.penalty is not None and not _is_above_0(self.penalty, _LARGEST_PENALTY):
+            raise ValueError(
+                f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
+                f"{self.penalty!r}"
+            )
+        if self.conditional not in get_args(Conditional):
+            raise ValueError(
+                f'conditional must be "centred" or "blanket", not {self.conditional!r}'
+            )
+        if self.damping is not None and not _is_above_0(self.damping, 1):
+            raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name (JSON types only)."""
+        return {"name": "SeilerPrior", **asdict(self)}
+
+    @property
+    def kernels(self) -> str:
+        """Which kernels it takes: those of its reading."""
+        return self.conditional
+
+    def rehearsal(self, shape: tuple[int, ...]) -> SeilerPrior:
+        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        return self
+
+    @property
+    def relaxation(self) -> float:
+        """The damping in force."""
+        if self.damping is not None:
+            return self.damping
+        return 1.0 if self.conditional == "centred" else 0.6
+
+    def penalty_for(self, problem: Problem) -> float:
+        """K for a problem: the one given, or one that holds its boundaries."""
+        if self.penalty is not None:
+            return self.penalty
+        weights = line_weights(problem.spacing)
+        seen = problem.tissue & ((problem.c[..., 0] > 0) | (problem.c[..., 1] > 0))
+        around = []
+        for level in levels(problem.shape):
+            rows, cols = nearest_pixels(level, problem.shape)
+            m = problem.m.take(rows, axis=0).take(cols, axis=1)
+            around.append(_around(m, seen.take(rows, axis=0).take(cols, axis=1)))
+        steepest = _steepest(np.concatenate(around, axis=-1), weights)
+        uniform = 8.0 * float(weights.sum(axis=0).max())
+        return min(_UNIFORM_PENALTY * max(1.0, steepest / uniform), _LARGEST_PENALTY)
+
+    def resolved(self, problem: Problem) -> SeilerPrior:
+        """Return this prior with the penalty in force for a problem.
+
+        Raises
+        ------
+        ProblemError
+            If there is rigid tissue.
+        """
+        if problem.rigid.any():
+            raise ProblemError(
+                "m",
+                "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
+                "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
+            )
+        return replace(self, penalty=self.penalty_for(problem))
+
+    def limit(self, problem: Problem) -> Float64Array:
+        """P = K c of every component (H, W, 2)."""
+        limit: Float64Array = self.penalty_for(problem) * problem.c.astype(np.float64)
+        return limit
+
+    def material(self, problem: Problem) -> SeilerMaterial:
+        """What the kernels of multigrid need to know of a problem's tissue."""
+        square = len(set(problem.spacing)) == 1
+        blanket = self.conditional == "blanket"
+        return SeilerMaterial(problem.m, line_weights(problem.spacing), square, blanket)
+
+    def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
+
+        Parameters
+        ----------
+        problem : Problem
+        displacement : array_like, shape (H, W, 2)
+            In the unit of ``problem.spacing``.
+
+        Returns
+        -------
+        ndarray, shape (H, W)
+            In pixels squared; the sum over all sites is U_total.
+        """
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        y = problem.y / np.float64(problem.unit)
+        penalty = self.penalty_for(problem)
+        energy: Float64Array = (penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(axis=-1)
+        energy[~problem.tissue] = 0.0
+        energy += self._cliques_of(problem, d).energy[2:-2, 2:-2]
+        return energy
+
+    def mean_energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
+        """U_total divided by the number of sites of tissue, in pixels squared."""
+        return float(self.site_energy(problem, displacement).sum() / problem.tissue.sum())
+
+    def site_parabola(self, problem: Problem, displacement: npt.ArrayLike) -> SiteParabola:
+        """The prior energy that each site minimises, given its neighbours.
+
+        Returns
+        -------
+        SiteParabola
+            Two arrays of shape (H, W, 2): the curvature A (0 where a site is in no clique), and
+            the lowest point q in the unit of ``problem.spacing`` (the site's own displacement
+            where A = 0).
+        """
+        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        found = self._cliques_of(problem, d)
+        curvature, slope = (
+            np.moveaxis(each[:, 2:-2, 2:-2], 0, -1) for each in (found.curvature, found.slope)
+        )
+        way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
+        return SiteParabola(curvature, (d + way) * problem.unit)
+
+    def _cliques_of(self, problem: Problem, d: Float64Array) -> Cliques:
+        """Look at the cliques of a problem, for a displacement (H, W, 2) in pixels."""
+        planes = np.pad(np.moveaxis(d, -1, 0), ((0, 0), (2, 2), (2, 2)))
+        weights, blanket = line_weights(problem.spacing), self.conditional == "blanket"
+        return cliques(planes, np.pad(problem.m, 2), weights, blanket)
+
+
+def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
+    """Which sites are in a clique that carries each component, (H, W, 2)."""
+    found = np.zeros((*problem.shape, 2), dtype=np.bool_)
+    carried = line_weights(problem.spacing) > 0
+    for line, sites in _cliques(problem.shape):
+        exists = np.logical_and.reduce([problem.tissue[at] for at in sites])
+        for at in sites:
+            found[at] |= exists[..., None] & carried[line]
+    return found
+
+
+def _is_above_0(number: object, largest: float) -> bool:
+    return isinstance(number, Real) and 0 < float(number) <= largest
+
+
+def _around(m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_]) -> Float64Array:
+    """The stiffness at and around sites, (3, 3, number of sites), 0 beyond the border."""
+    i, j = np.nonzero(sites)
+    padded = np.pad(m, 1)
+    return np.array([[padded[i + a, j + b] for b in range(3)] for a in range(3)], np.float64)
+
+
+def _steepest(around: Float64Array, weights: Float64Array) -> float:
+    """The largest curvature of the centred energy, given the stiffness around sites."""
+    here = around[1, 1]
+    curvature = np.zeros((2, around.shape[-1]))
+    for (row, col), weight in zip(LINES, weights, strict=True):
+        s, u = around[1 - row, 1 - col], around[1 + row, 1 + col]
+        exists = (s > 0) & (u > 0)
+        steep = (1 + here / np.where(exists, s, 1)) ** 2 + (1 + here / np.where(exists, u, 1)) ** 2
+        curvature += weight[:, None] * (exists * steep)
+    return float(curvature.max(initial=0.0))
+
+
+def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[Slices, Slices, Slices]]]:
+    """All cliques of a grid, line by line, as three views (s, t, u) of equal shape."""
+    for line, step in enumerate(LINES):
+        views = [
+            tuple(
+                slice(abs(along) + end * along, size - abs(along) + end * along)
+                for along, size in zip(step, shape, strict=True)
+            )
+            for end in (-1, 0, 1)
+        ]
+        if all(size > 2 * abs(along) for along, size in zip(step, shape, strict=True)):
+            yield line, (views[0], views[1], views[2])

@@ -1,0 +1,281 @@
+"""From a problem to its solution: the one way to run the solver."""
+
+from __future__ import annotations
+
+import logging
+import platform
+import queue
+import reprlib
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Protocol
+
+import numpy as np
+
+from napari_hmrf.errors import BackendError, Cancelled
+from napari_hmrf.solver.backends import COMPILING, host, open_backend
+from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
+from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
+from napari_hmrf.solver.priors import Prior, SeilerPrior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Provenance, Solution
+from napari_hmrf.solver.warm_start import Start, beginning
+
+Progress = Callable[[Monitor], None]
+_log = logging.getLogger("napari_hmrf")
+_announced: set[str] = set()
+
+#: What those who wait for it are told of a solve.
+_DOING = "a solve that a script asked for, which its cancel flag or Ctrl-C stops"
+# How often a caller looks whether to wait on, and how long the work has to stop, in seconds.
+_LOOK, _GRACE = 0.1, 0.25
+
+
+class CancelFlag(Protocol):
+    """Anything that can say that the work is no longer wanted, such as a `threading.Event`."""
+
+    def is_set(self) -> bool:
+        """Whether to stop."""
+        ...
+
+
+def solve(
+    problem: Problem,
+    prior: Prior | None = None,
+    optimizer: Optimizer | None = None,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+    start: Start | None = None,
+) -> Solution:
+    """Find how the tissue moves.
+
+    The work is done on the process's compute thread; the caller waits, and may be any thread.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : SeilerPrior or ElasticPrior, optional
+        The energy; by default the paper's, centred.
+    optimizer : ICM or Multigrid, optional
+        The schedule; by default the paper's (70 sweeps on each level) for the paper's prior, and
+        multigrid for elastic tissue.
+    backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
+        Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
+        and logs once which.
+    progress : callable, optional
+        Called on the caller's thread with a `Monitor`: a message and the fraction done.
+    cancel : threading.Event or alike, optional
+        Set it to stop; answered within half a second, whatever is being compiled.
+    start : Solution or sequence of Solution, optional
+        Begin with the displacement of an earlier solution of the same grid: after a small edit of
+        the problem multigrid then has less to do. Of several, with the combination that comes
+        closest to what is observed: how far tissue moves is proportional to how far it is pushed,
+        so that a patch moved once more takes a cycle, or none if what each solution is wrong by is
+        within the tolerance altogether. The result is the same to that tolerance. The paper's
+        schedule begins with zero on its coarsest level, and takes none.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another kind.
+    BackendError
+        If the backend is missing or cannot be trusted.
+    ProblemError
+        If the prior finds no single answer: some tissue could still move freely.
+    ConvergenceError
+        If an iteration does not converge.
+    Cancelled
+        If `cancel` was set before the work was done.
+
+    Examples
+    --------
+    >>> from napari_hmrf import phantom, solve
+    >>> solution = solve(phantom("expansion", size=64).problem)
+    >>> solution.displacement.shape
+    (64, 64, 2)
+    """
+    _check_arguments(problem, prior, optimizer, progress, cancel, start)
+    stop = cancel or threading.Event()
+    if compute_thread.is_current():
+        return run_here(problem, prior, optimizer, backend, progress, stop, start)
+    reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
+    # To be told wakes the caller, who then competes with the work.
+    tell = None if progress is None else reports.put
+    interrupted = threading.Event()
+    either = _Either(stop, interrupted)
+    job: Future[Solution] = compute_thread.submit(
+        lambda: run_here(problem, prior, optimizer, backend, tell, either, start),
+        lambda: STOPPED if either.is_set() else _DOING,
+    )
+    job.add_done_callback(lambda _: reports.put(None))
+    try:
+        while (report := _next(reports, cancel)) is not None:
+            if progress is not None:
+                progress(report)
+    except BaseException:
+        # Ctrl-C, or an error in `progress`: the work must not go on behind the caller's back.
+        interrupted.set()
+        job.cancel()
+        raise
+    return job.result()
+
+
+def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None) -> Monitor | None:
+    """Wait for the next report, but not for long once the work is to stop.
+
+    A loop that is being compiled is compiled to its end, for which nobody has to wait.
+    """
+    if cancel is None:
+        return reports.get()
+    for _ in iter(cancel.is_set, True):
+        with suppress(queue.Empty):
+            return reports.get(timeout=_LOOK)
+    try:
+        return reports.get(timeout=_GRACE)
+    except queue.Empty:
+        raise Cancelled from None
+
+
+def _check_arguments(
+    problem: object,
+    prior: object,
+    optimizer: object,
+    progress: object,
+    cancel: object,
+    start: object,
+) -> None:
+    """Say which argument is none of its kind before anything is done."""
+    _need(isinstance(problem, Problem), "problem", problem, "a Problem: Problem(y, c, m)")
+    _need(isinstance(prior, Prior | None), "prior", prior, "a prior, such as ElasticPrior()")
+    schedule = optimizer is None or _has("run", optimizer)
+    _need(schedule, "optimizer", optimizer, "an optimizer, such as Multigrid()")
+    told = progress is None or callable(progress)
+    _need(told, "progress", progress, "something to call with a Monitor, such as print")
+    flag = cancel is None or _has("is_set", cancel)
+    _need(flag, "cancel", cancel, "something that has is_set(), such as a threading.Event")
+    starts = start if isinstance(start, Sequence) else (start,)
+    found = start is None or all(isinstance(each, Solution) for each in starts)
+    _need(found, "start", start, "a Solution, or a list of them")
+
+
+def _has(method: str, value: object) -> bool:
+    return not isinstance(value, type) and callable(getattr(value, method, None))
+
+
+def _need(right: bool, name: str, value: object, what: str) -> None:
+    if not right:
+        kind = type(value).__name__
+        raise TypeError(f"{name} is {reprlib.repr(value)}, of type {kind}. Give {what}.")
+
+
+def run_here(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    cancel: CancelFlag,
+    start: Start | None = None,
+) -> Solution:
+    """Solve on the compute thread itself: for jobs that have more to do there than solve."""
+    if not compute_thread.is_current():
+        raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
+    begun = time.perf_counter()
+    prior = (prior or SeilerPrior()).resolved(problem)
+    optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
+    begin = beginning(start, problem) if start else None
+    resolving = time.perf_counter() - begun
+
+    def checkpoint() -> None:
+        if cancel.is_set():
+            raise Cancelled
+
+    def report(monitor: Monitor) -> None:
+        compute_thread.stage = monitor.message
+        checkpoint()
+        if progress is not None:
+            progress(monitor)
+
+    report(Monitor("preparing", 0.0))
+    started = time.perf_counter()
+    job = job_of(prior, optimizer, problem.spacing)
+    device, reason = open_backend(backend, checkpoint, lambda: provide_loops(job, report))
+    try:
+        _announce(device.renderer, reason)
+        prepare(device, prior, optimizer, problem.spacing, report)
+        ready = time.perf_counter()
+        outcome = optimizer.run(problem, prior, device, report, begin)
+        name, renderer = device.name, device.renderer
+    finally:
+        device.close()
+    done = time.perf_counter()
+    displacement = outcome.displacement
+    finite = host.settle(displacement, problem.tissue, problem.unit)
+    if not (finite and np.isfinite(outcome.energy).all()):
+        raise BackendError(
+            f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
+            'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
+        )
+    return Solution(
+        displacement=displacement,
+        energy=outcome.energy,
+        levels=outcome.levels,
+        convergence=outcome.convergence,
+        tissue=problem.tissue,
+        spacing=problem.spacing,
+        provenance=Provenance(
+            backend=name,
+            renderer=renderer,
+            reason=reason,
+            seconds=resolving + done - ready,
+            preparation_seconds=ready - started,
+            parameters={
+                "prior": prior.parameters,
+                "optimizer": optimizer.parameters,
+            },
+            versions=_versions(),
+            inputs=problem.digests,
+        ),
+    )
+
+
+class _Either:
+    """Set when any of its flags is."""
+
+    def __init__(self, *flags: CancelFlag) -> None:
+        self._flags = flags
+
+    def is_set(self) -> bool:
+        return any(flag.is_set() for flag in self._flags)
+
+
+def _announce(renderer: str, reason: str) -> None:
+    """Say once per device what runs the kernels, and why."""
+    message = f"{renderer} ({reason})"
+    if message not in _announced:
+        _announced.add(message)
+        # A fallback is told even where nobody has set up logging.
+        fallback = reason not in ("asked for", "a GPU is there", COMPILING)
+        _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
+
+
+@cache
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "system": platform.system()}
+    for package in ("napari-hmrf", "numpy", "numba", "moderngl", "napari"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,1 @@
+"""What is where: materials, stiffness, rules for boundaries, and drawings."""

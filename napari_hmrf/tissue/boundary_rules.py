@@ -1,0 +1,321 @@
+"""From painted labels and two small tables to the images the method takes.
+
+A *material* says how stiff the tissue under a label is; a *boundary rule* says how the tissue under
+a label was seen to move, and how sure that is. Both tables belong to integer label images, as
+napari's Labels layers hold them; nothing here needs napari.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.tissue.labels import labels_present, values_at
+from napari_hmrf.tissue.normals import OpenLine, outward_normals
+
+FloatArray = npt.NDArray[np.float32]
+Action = Literal["fixed", "move", "expand"]
+
+#: The common choice for soft tissue, where nothing better is known.
+USUAL_POISSON = 0.45
+#: The stiffness of a body that moves as one, such as bone or an implant.
+RIGID = math.inf
+_RIGID = "rigid"
+#: Single precision holds no larger one: it would come out as rigid.
+LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a tissue label means.
+
+    Attributes
+    ----------
+    label : int
+        Its value in the label image; 0 is what was left unpainted.
+    name : str
+        For people.
+    stiffness : float
+        Young's modulus in any unit, the same for all materials: only ratios matter. 0 is void (no
+        tissue: air, or whatever does not hold on to its surroundings); `RIGID`, which is infinite,
+        moves as one, and only an `ElasticPrior` takes it.
+    poisson : float
+        Poisson's ratio, 0 to 0.499; only elastic tissue knows it, and neither void nor what is
+        rigid has one.
+    """
+
+    label: int
+    name: str
+    stiffness: float
+    poisson: float = USUAL_POISSON
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether it moves as one."""
+        return self.stiffness == RIGID
+
+    @property
+    def is_deformable(self) -> bool:
+        """Whether it is tissue that changes its shape: neither void nor rigid."""
+        return 0 < self.stiffness < RIGID
+
+    def as_row(self) -> dict[str, Any]:
+        """The material in JSON types, which have no infinite number: the stiffness is "rigid"."""
+        row = asdict(self)
+        return {**row, "stiffness": _RIGID} if self.is_rigid else row
+
+    @classmethod
+    def of_row(cls, **row: Any) -> Material:
+        """The material that `as_row` said."""
+        return cls(**{**row, "stiffness": read_stiffness(row["stiffness"])})
+
+
+@dataclass(frozen=True)
+class BoundaryRule:
+    """What a boundary label means.
+
+    Attributes
+    ----------
+    label : int
+        Its value in the label image, above 0: what is unpainted is not observed.
+    action : {"fixed", "move", "expand"}
+        The tissue under the label stays where it is, moves by `vector`, or moves outward by
+        `amount` (inward where negative).
+    vector : (float, float)
+        Displacement in (row, col) direction, in the unit of the pixel spacing.
+    amount : float
+        Displacement along the outward normal, in the unit of the pixel spacing.
+    confidence : (float, float)
+        How sure the (row, col) component is, from 0 (not observed) to 1 (complete).
+    name : str
+        For people.
+    """
+
+    label: int
+    action: Action
+    vector: tuple[float, float] = (0.0, 0.0)
+    amount: float = 0.0
+    confidence: tuple[float, float] = (1.0, 1.0)
+    name: str = ""
+
+
+def read_stiffness(value: Any) -> Any:
+    """Take the word "rigid", however it is spelt, as `RIGID`; anything else is left as it is."""
+    is_word = isinstance(value, str) and value.strip().casefold() == _RIGID
+    return RIGID if is_word else value
+
+
+def stiffness_in_words(stiffness: float, unit: str = "") -> str:
+    """Say a stiffness for people: "20 kPa", or "rigid"."""
+    return _RIGID if stiffness == RIGID else f"{stiffness:g} {unit}".rstrip()
+
+
+def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> FloatArray:
+    """Give every pixel the stiffness of its material.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (H, W)
+    materials : iterable of Material
+        One for each value in `labels`, 0 included; more do no harm.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float32
+        `m` of a `Problem`; infinite where tissue is rigid.
+
+    Raises
+    ------
+    ProblemError
+        If a label has no material or two, or a stiffness is neither `RIGID` nor a number of 0 or
+        more that single precision holds.
+    """
+    image = _as_labels("m", labels)
+    table = _by_label("m", "materials", materials)
+    for material in table.values():
+        if not (0 <= material.stiffness <= LARGEST_STIFFNESS or material.is_rigid):
+            raise ProblemError(
+                "m",
+                f"gives {_quoted(material)} a stiffness of {material.stiffness}. Give a number "
+                f"above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' "
+                "for what moves as one.",
+            )
+    present = labels_present(image)
+    _require("m", "stiffness", present, table)
+    values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
+    return values_at(image, present, values)
+
+
+def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float | FloatArray:
+    """Give every pixel the Poisson's ratio of its material.
+
+    Parameters
+    ----------
+    labels, materials
+        As for `stiffness_image`.
+
+    Returns
+    -------
+    float or ndarray, shape (H, W), float32
+        `poisson` of an `ElasticPrior`: one number if all tissue has the same. 0 in void and in
+        what is rigid, which have none.
+
+    Raises
+    ------
+    ProblemError
+        If a label has no material or two, or a tissue's ratio is out of range.
+    """
+    image = _as_labels("m", labels)
+    table = _by_label("m", "materials", materials)
+    present = labels_present(image)
+    _require("m", "Poisson's ratio", present, table)
+    there = [table[int(label)] for label in present]
+    low, high = POISSON_RANGE
+    tissues = [material for material in there if material.is_deformable]
+    for material in tissues:
+        if not low <= material.poisson <= high:
+            raise ProblemError(
+                "m",
+                f"gives {_quoted(material)} a Poisson's ratio of {material.poisson}. Give a "
+                f"number from {low:g} to {high:g}.",
+            )
+    if len({material.poisson for material in tissues}) <= 1:
+        return float(tissues[0].poisson) if tissues else USUAL_POISSON
+    values = [material.poisson if material.is_deformable else 0.0 for material in there]
+    return values_at(image, present, np.array(values, dtype=np.float32))
+
+
+def boundary_images(
+    labels: npt.ArrayLike,
+    rules: Iterable[BoundaryRule],
+    spacing: Sequence[float] = (1.0, 1.0),
+) -> tuple[FloatArray, FloatArray]:
+    """Give every painted pixel the displacement and the confidence of its rule.
+
+    Each connected part of a label that expands moves along the outward normal of the outline that
+    encloses it (its holes filled): a painted rim of a tumour, or the tumour painted full, moves
+    radially.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (H, W)
+        0 where nothing is observed.
+    rules : iterable of BoundaryRule
+        One for each value in `labels` above 0; more do no harm.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction, in the unit of the displacements.
+
+    Returns
+    -------
+    y : ndarray, shape (H, W, 2), float32
+        Material displacement in (row, col) order, in the unit of `spacing`.
+    c : ndarray, shape (H, W, 2), float32
+        Confidence per component; 0 where nothing is painted, and on an expanding spot so small
+        that it has no direction.
+
+    Raises
+    ------
+    ProblemError
+        If a label has no rule or two, a rule holds numbers out of range, or an open line is to
+        expand (which of its sides is outside, nobody can say).
+    """
+    image = _as_labels("y", labels)
+    table = _by_label("y", "rules", rules)
+    for rule in table.values():
+        _check_rule(rule)
+    present = [int(label) for label in labels_present(image) if label != 0]
+    _require("y", "rule", present, table)
+    y = np.zeros((*image.shape, 2), dtype=np.float32)
+    c = np.zeros_like(y)
+    for label in present:
+        rule = table[label]
+        painted = image == label
+        c[painted] = rule.confidence
+        if rule.action == "move":
+            y[painted] = rule.vector
+        elif rule.action == "expand":
+            normals = _normals(painted, spacing, rule)
+            y[painted] = np.float32(rule.amount) * normals[painted]
+            c[painted & ~normals.any(axis=-1)] = 0
+    return y, c
+
+
+def _normals(
+    painted: npt.NDArray[np.bool_], spacing: Sequence[float], rule: BoundaryRule
+) -> FloatArray:
+    try:
+        return outward_normals(painted, spacing)
+    except OpenLine as line:
+        raise ProblemError(
+            "y",
+            f"lets {_quoted(rule)} expand, but a part of it is an open line (about "
+            f"{line.length:.3g} long and {line.thickness:.3g} thick), which has no outside: it "
+            "would be torn along its middle. Close the line to a ring, or let it move by a vector "
+            "instead ('moves by').",
+        ) from None
+
+
+def _as_labels(field: str, labels: npt.ArrayLike) -> npt.NDArray[Any]:
+    image = np.asarray(labels)
+    if image.dtype.kind not in "biu":
+        raise ProblemError(
+            field, f"has labels of type {image.dtype}. Give whole numbers, one per material."
+        )
+    if image.ndim != 2:
+        raise ProblemError(
+            field, f"has labels of shape {image.shape}, but a 2-D image (H, W) is needed."
+        )
+    return image
+
+
+def _by_label(field: str, what: str, rows: Iterable[Any]) -> dict[int, Any]:
+    table: dict[int, Any] = {}
+    for row in rows:
+        if row.label in table:
+            raise ProblemError(field, f"has two {what} for label {row.label}. Remove one.")
+        table[row.label] = row
+    return table
+
+
+def _require(field: str, what: str, present: Iterable[int], table: dict[int, Any]) -> None:
+    missing = [int(label) for label in present if int(label) not in table]
+    if missing:
+        listed = ", ".join(str(label) for label in missing[:10])
+        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
+        one = len(missing) == 1
+        raise ProblemError(
+            field,
+            f"has {'label' if one else 'labels'} {listed}{more} without a {what}. Give "
+            f"{'it' if one else 'each'} one in the table, or erase {'it' if one else 'them'}.",
+        )
+
+
+def _check_rule(rule: BoundaryRule) -> None:
+    if rule.label <= 0:
+        raise ProblemError(
+            "y", f"has a rule for label {rule.label}. Use labels above 0: 0 is what is unpainted."
+        )
+    if rule.action not in get_args(Action):
+        raise ProblemError(
+            "y",
+            f'gives {_quoted(rule)} the action {rule.action!r}. Take "fixed", "move" or "expand".',
+        )
+    if not all(math.isfinite(value) for value in (*rule.vector, rule.amount)):
+        raise ProblemError(
+            "y", f"moves {_quoted(rule)} by something that is not a number. Give a length."
+        )
+    if not all(0 <= value <= 1 for value in rule.confidence):
+        raise ProblemError(
+            "c", f"gives {_quoted(rule)} the confidence {rule.confidence}. Give values from 0 to 1."
+        )
+
+
+def _quoted(row: Material | BoundaryRule) -> str:
+    return f"label {row.label} ({row.name})" if row.name else f"label {row.label}"

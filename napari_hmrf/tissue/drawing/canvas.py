@@ -1,0 +1,294 @@
+"""The images that are drawn on, and how a mark changes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
+from napari_hmrf.tissue.drawing.marks import (
+    Action,
+    Arrow,
+    Components,
+    Landmark,
+    Mark,
+    Point,
+    Stroke,
+)
+
+FloatArray = npt.NDArray[np.float32]
+#: First row, row after the last, first column, column after the last.
+Box = tuple[int, int, int, int]
+
+_COMPONENTS: dict[Components, slice] = {
+    "both": slice(0, 2),
+    "row": slice(0, 1),
+    "col": slice(1, 2),
+}
+
+
+#: Numbers of what strokes do, in `Canvas.kinds`; what becomes tissue is seen in the labels.
+KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """The images of a problem that marks are drawn on.
+
+    Attributes
+    ----------
+    y : ndarray, shape (H, W, 2), float32
+        Observed displacement, (row, col), in the unit of `spacing`; material.
+    c : ndarray, shape (H, W, 2), float32
+        Confidence per component, 0 to 1.
+    labels : ndarray of int, shape (H, W), optional
+        Which tissue, for strokes that paint tissue.
+    spacing : (float, float)
+        Size of a pixel in (row, col) direction.
+    kinds : ndarray of uint8, shape (H, W), optional
+        What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
+
+    Raises
+    ------
+    ProblemError
+        If the images are not of one size.
+    """
+
+    y: FloatArray
+    c: FloatArray
+    labels: npt.NDArray[Any] | None = None
+    spacing: tuple[float, float] = (1.0, 1.0)
+    kinds: npt.NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        for field, image in (("y", self.y), ("c", self.c)):
+            if image.shape != (*self.shape, 2) or image.dtype != np.float32:
+                raise ProblemError(
+                    field,
+                    f"is an image of {image.dtype}, {image.shape}, but float32, "
+                    f"{(*self.shape, 2)} is needed to draw on.",
+                )
+        if self.labels is not None and self.labels.shape != self.shape:
+            raise ProblemError(
+                "m", f"has labels of shape {self.labels.shape}, but {self.shape} is needed."
+            )
+
+    @classmethod
+    def blank(
+        cls,
+        shape: Sequence[int],
+        spacing: Sequence[float] = (1.0, 1.0),
+        labels: npt.NDArray[Any] | None = None,
+    ) -> Canvas:
+        """Nothing is observed yet."""
+        rows, cols = spacing
+        nothing = np.zeros((*shape, 2), dtype=np.float32)
+        return cls(nothing, nothing.copy(), labels, (float(rows), float(cols)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return int(self.y.shape[0]), int(self.y.shape[1])
+
+    @property
+    def whole(self) -> Box:
+        """The box of all pixels."""
+        rows, cols = self.shape
+        return 0, rows, 0, cols
+
+    def copy(self) -> Canvas:
+        """The same images, to be drawn on."""
+        labels = None if self.labels is None else self.labels.copy()
+        kinds = None if self.kinds is None else self.kinds.copy()
+        return Canvas(self.y.copy(), self.c.copy(), labels, self.spacing, kinds)
+
+
+def box_of(mark: Mark, canvas: Canvas) -> Box:
+    """The pixels a mark may change; empty where it lies outside the image."""
+    lines, radius = _brush(mark)
+    reach = [brush_reach(radius, canvas.spacing) / size for size in canvas.spacing]
+    points = np.array([point for line in lines for point in line])
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    return common(
+        (math.ceil(low[0]), math.floor(high[0]) + 1, math.ceil(low[1]), math.floor(high[1]) + 1),
+        canvas.whole,
+    )
+
+
+def common(one: Box, other: Box) -> Box:
+    """The pixels in both; a box without pixels ends where it begins."""
+    top, left = max(one[0], other[0]), max(one[2], other[2])
+    return (
+        top,
+        max(top, min(one[1], other[1])),
+        left,
+        max(left, min(one[3], other[3])),
+    )
+
+
+def is_empty(box: Box) -> bool:
+    """Whether there are no pixels in it."""
+    return box[0] >= box[1] or box[2] >= box[3]
+
+
+def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
+    """Draw a mark over what is beneath, in place; pixels outside the window stay.
+
+    Raises
+    ------
+    ProblemError
+        If a stroke that is to expand is an open line, or there are no labels to paint tissue in.
+    """
+    box = common(box_of(mark, canvas), window)
+    if is_empty(box):
+        return
+    if isinstance(mark, Landmark):
+        mark = mark.arrow(canvas.spacing)
+    lines, radius = _brush(mark)
+    distance = distance_to(lines, radius, canvas.spacing, box)
+    reach = brush_reach(radius, canvas.spacing)
+    where = distance <= reach
+    at = (slice(box[0], box[1]), slice(box[2], box[3]))
+    which = _COMPONENTS["both" if mark.components == "both" else mark.components]
+    y, c = canvas.y[at][..., which], canvas.c[at][..., which]
+    if isinstance(mark, Arrow) or mark.action == "move":
+        y[where], c[where] = mark.by[which], mark.confidence
+    elif mark.action == "pin":
+        y[where], c[where] = 0, mark.confidence
+    elif mark.action == "free":
+        y[where], c[where] = 0, 0
+    elif mark.action == "expand":
+        moved, sure = _expanded(mark, canvas.spacing, canvas.shape, box)
+        where &= sure.any(axis=-1)
+        y[where], c[where] = moved[where][:, which], mark.confidence
+    elif mark.action == "confidence":
+        soft = mark.softness * reach
+        share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)
+        share = np.where(where, share, 0)[..., None] * (c > 0)
+        c += share * (np.float32(mark.confidence) - c)
+    else:
+        if canvas.labels is None:
+            raise ProblemError(
+                "m", "has no labels to paint tissue in. Choose a Labels layer as tissue."
+            )
+        canvas.labels[at][where] = mark.label
+        return
+    if canvas.kinds is not None:
+        kinds = canvas.kinds[at]
+        if isinstance(mark, Arrow):
+            kinds[where] = 0
+        elif mark.action == "confidence":
+            # What is pinned, moved or freed stays so; the rest shows that it was gone over.
+            kinds[where & (kinds == 0) & (c > 0).any(axis=-1)] = KINDS["confidence"]
+        else:
+            kinds[where] = KINDS[mark.action]
+
+
+def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]) -> None:
+    """Refuse a stroke that is to expand and has no outside.
+
+    Raises
+    ------
+    ProblemError
+        If it is an open line.
+    """
+    _expanded_whole(stroke, spacing, shape)
+
+
+def distance_to(
+    lines: tuple[tuple[Point, ...], ...],
+    radius: float,
+    spacing: tuple[float, float],
+    window: Box,
+) -> FloatArray:
+    """How far the pixels of a window are from lines; infinite well beyond a radius.
+
+    Only the parts of the lines that come near the window are looked at.
+
+    Parameters
+    ----------
+    lines : tuple of tuple of (float, float)
+        In pixels.
+    radius : float
+        In the unit of `spacing`.
+    spacing : (float, float)
+    window : Box
+
+    Returns
+    -------
+    ndarray, shape (rows, cols) of the window, float32
+        In the unit of `spacing`.
+    """
+    top, bottom, left, right = window
+    nearest = np.full((bottom - top, right - left), np.inf, dtype=np.float32)
+    size = np.array(spacing)
+    reach = brush_reach(radius, spacing) / size + 1
+    for line in lines:
+        points = np.array(line)
+        starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
+        low = np.ceil(np.minimum(starts, ends) - reach).astype(np.int64)
+        high = np.floor(np.maximum(starts, ends) + reach).astype(np.int64) + 1
+        low, high = np.maximum(low, (top, left)), np.minimum(high, (bottom, right))
+        for number in np.flatnonzero((low < high).all(axis=1)):
+            (r0, c0), (r1, c1) = low[number].tolist(), high[number].tolist()
+            a, step = starts[number] * size, (ends[number] - starts[number]) * size
+            rows = (np.arange(r0, r1) * size[0] - a[0])[:, None]
+            cols = (np.arange(c0, c1) * size[1] - a[1])[None, :]
+            squared = float(step @ step)
+            if squared > 0:
+                along = np.clip((rows * step[0] + cols * step[1]) / squared, 0, 1)
+                rows, cols = rows - along * step[0], cols - along * step[1]
+            part = nearest[r0 - top : r1 - top, c0 - left : c1 - left]
+            np.minimum(part, np.sqrt(rows**2 + cols**2), out=part, casting="same_kind")
+    return nearest
+
+
+def _brush(mark: Mark) -> tuple[tuple[tuple[Point, ...], ...], float]:
+    """The lines along which a mark lies, and its radius."""
+    if isinstance(mark, Arrow):
+        return ((mark.at,),), mark.radius
+    if isinstance(mark, Landmark):
+        return ((mark.source,),), mark.radius
+    return mark.lines, mark.radius
+
+
+def brush_reach(radius: float, spacing: Sequence[float]) -> float:
+    """The radius, but at least that within which each place has a pixel."""
+    return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
+
+
+def _expanded(
+    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int], window: Box
+) -> tuple[FloatArray, FloatArray]:
+    """Displacement and confidence of an expanding stroke, in a window of the image."""
+    y, c, (top, _, left, _) = _expanded_whole(stroke, spacing, shape)
+    at = (slice(window[0] - top, window[1] - top), slice(window[2] - left, window[3] - left))
+    return y[at], c[at]
+
+
+@lru_cache(maxsize=8)
+def _expanded_whole(
+    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]
+) -> tuple[FloatArray, FloatArray, Box]:
+    """The same of its whole region, and where that lies: normals depend on all of it."""
+    rows, cols = shape
+    radius = brush_reach(stroke.radius, spacing)
+    points = np.array([point for line in stroke.lines for point in line])
+    reach = radius / np.array(spacing) + 1
+    low, high = np.floor(points.min(axis=0) - reach), np.ceil(points.max(axis=0) + reach) + 1
+    # A region that leaves the image has its outline out there, but not endlessly far.
+    around = (-rows, 2 * rows, -cols, 2 * cols)
+    box = common((int(low[0]), int(high[0]), int(low[1]), int(high[1])), around)
+    painted = distance_to(stroke.lines, stroke.radius, spacing, box) <= radius
+    rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
+    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing)
+    y.setflags(write=False)
+    c.setflags(write=False)
+    return y, c, box
