@@ -27,8 +27,8 @@ from napari.layers import Layer
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
-from napari_hmrf.contributions import phantom_layers
-from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.layers.contributions import phantom_layers
+from napari_hmrf.ui.deform_dock import DeformTissue
 
 _STEPS = 20
 _PLACES = 6

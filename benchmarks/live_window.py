@@ -27,8 +27,8 @@ from napari_hmrf import phantom
 from napari_hmrf.field.live_warp import Warper
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
-from napari_hmrf.widgets.grab.arrows import ArrowsLayer
-from napari_hmrf.widgets.grab.live_layers import LiveLayers
+from napari_hmrf.ui.grab.arrows import ArrowsLayer
+from napari_hmrf.ui.grab.live_layers import LiveLayers
 
 #: What is painted with a brush, instead of pulled.
 BRUSHES = ("pin", "move", "tissue")

@@ -83,8 +83,8 @@ def soak(
     import napari
     from qtpy.QtWidgets import QApplication
 
-    from napari_hmrf.contributions import phantom_layers
-    from napari_hmrf.widgets.deform import DeformTissue
+    from napari_hmrf.layers.contributions import phantom_layers
+    from napari_hmrf.ui.deform_dock import DeformTissue
 
     turns = [(backend, energy) for energy in ENERGIES for backend in _available(size)]
     before = {thread.name for thread in threading.enumerate()}

@@ -87,7 +87,7 @@ def widget(qtbot):
     """*Deform tissue* beside a viewer without a window, set to be quick."""
     from napari.components import ViewerModel
 
-    from napari_hmrf.widgets.deform import DeformTissue
+    from napari_hmrf.ui.deform_dock import DeformTissue
 
     found = DeformTissue(ViewerModel())
     qtbot.addWidget(found.native)

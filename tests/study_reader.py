@@ -16,8 +16,8 @@ from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.inputs import Request, copy_layers, prepare
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, rows_of
-from napari_hmrf.layers.stiffness import stiffness_layer
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.stiffness_layers import stiffness_layer
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 

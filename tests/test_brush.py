@@ -5,7 +5,7 @@ import pytest
 from napari.layers import Labels
 
 from napari_hmrf import ProblemError
-from napari_hmrf.layers.painted import COLOURS, number_of, painted_colours
+from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, History, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.drawing.brush import Brush, Paint
 from napari_hmrf.tissue.drawing.landmark_pairs import Pairs

@@ -8,14 +8,14 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QFileDialog, QTabBar
 from screen import Screen
 
-from napari_hmrf.contributions import open_solution, save_solution
 from napari_hmrf.field.warp import warp
+from napari_hmrf.layers.contributions import open_solution, save_solution
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_tables import load_materials
-from napari_hmrf.widgets.deform import DeformTissue
-from napari_hmrf.widgets.grab.dock import GrabAndPull
-from napari_hmrf.widgets.look.dock import LookAtResult
+from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.grab.grab_dock import GrabAndPull
+from napari_hmrf.ui.look.look_dock import LookAtResult
 
 GEL = "gel"
 

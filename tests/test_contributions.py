@@ -8,18 +8,18 @@ from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
 
 from napari_hmrf import Problem, solve
-from napari_hmrf.contributions import (
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.layers.contributions import (
     open_solution,
     sample_bar,
     sample_expansion,
     sample_mass_effect,
     save_solution,
 )
-from napari_hmrf.errors import FileFormatError
-from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import METADATA, rows_of
-from napari_hmrf.layers.outputs import result_layers
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
 

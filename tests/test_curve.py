@@ -12,15 +12,15 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
-from napari_hmrf.layers.stiffness import curve_of
+from napari_hmrf.layers.stiffness_layers import curve_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.widgets.curve.axes import CurveAxes
-from napari_hmrf.widgets.curve.editor import CurveEditor
-from napari_hmrf.widgets.grab.dock import GrabAndPull
-from napari_hmrf.widgets.material_menu import own_library
+from napari_hmrf.ui.curve.axes import CurveAxes
+from napari_hmrf.ui.curve.editor import CurveEditor
+from napari_hmrf.ui.grab.grab_dock import GrabAndPull
+from napari_hmrf.ui.material_menu import own_library
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
 
@@ -304,7 +304,7 @@ def test_tissue_from_intensity_is_pulled(qtbot):
     from napari.components import ViewerModel
 
     from napari_hmrf.layers.ground import read_ground
-    from napari_hmrf.widgets.deform import DeformTissue
+    from napari_hmrf.ui.deform_dock import DeformTissue
 
     viewer = ViewerModel()
     widget, grab = DeformTissue(viewer), GrabAndPull(viewer)
@@ -530,7 +530,7 @@ def test_a_stack_s_curve_may_be_edited_by_any_of_its_slices(widget):
 
 
 def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sample, run, tmp_path):
-    from napari_hmrf.contributions import open_solution, save_solution
+    from napari_hmrf.layers.contributions import open_solution, save_solution
 
     viewer = widget._viewer
     small_sample(viewer)
@@ -558,7 +558,7 @@ def test_a_result_keeps_the_curve_it_was_made_with(widget, run):
 
 
 def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run, qtbot):
-    from napari_hmrf.widgets.look.dock import LookAtResult
+    from napari_hmrf.ui.look.look_dock import LookAtResult
 
     viewer, _, layer = made(widget)
     widget.make_layers()

@@ -5,12 +5,12 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image
 
-from napari_hmrf.layers.directions import Directions
-from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, described
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.ui.deform_dock import DeformTissue
 
 TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, columns down
 

@@ -11,10 +11,10 @@ from qtpy.QtWidgets import QApplication, QDockWidget, QLabel, QTabBar
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.widgets.commands import dock
-from napari_hmrf.widgets.deform import DeformTissue
-from napari_hmrf.widgets.grab.dock import GrabAndPull
-from napari_hmrf.widgets.look.dock import LookAtResult
+from napari_hmrf.ui.commands import dock
+from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.grab.grab_dock import GrabAndPull
+from napari_hmrf.ui.look.look_dock import LookAtResult
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 KINDS = [DeformTissue, GrabAndPull, LookAtResult]

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from napari_hmrf.study.edits import Edits
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, History
+from napari_hmrf.tissue.drawing.edits import Edits
 
 #: What each slot may hold; of the kinds there are.
 VALUES = {

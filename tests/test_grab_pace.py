@@ -8,13 +8,13 @@ from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf.layers.colours import SELECTED
 from napari_hmrf.layers.ground import read_ground
+from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.widgets.grab.follow import Follower
+from napari_hmrf.ui.grab.live_tissue import Follower
 
 
 def pulled(by):

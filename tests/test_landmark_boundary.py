@@ -13,9 +13,9 @@ from qtpy.QtTest import QTest
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.landmarks import LandmarkLayers
-from napari_hmrf.layers.shared import shared
+from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.widgets.point_steps import PointSteps
+from napari_hmrf.ui.point_steps import PointSteps
 
 SHAPE = (40, 48)
 SIZE = (0.5, 2.0)

@@ -5,9 +5,9 @@ import pytest
 from napari.layers import Image, Points
 
 from napari_hmrf import ProblemError
-from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.landmarks import LandmarkLayers, landmarks_of, read_landmarks
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.drawing import Landmark
 
 

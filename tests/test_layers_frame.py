@@ -8,11 +8,11 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
-from napari_hmrf.contributions import open_solution
 from napari_hmrf.errors import FileFormatError, ProblemError
-from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.observations import preview_arrows
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.contributions import open_solution
+from napari_hmrf.layers.observed_arrows import preview_arrows
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.tissue.boundary_rules import BoundaryRule

@@ -10,9 +10,9 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.inputs import Request, copy_layers, prepare, read_layers
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 

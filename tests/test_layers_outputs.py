@@ -5,10 +5,10 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
-from napari_hmrf.layers.frame import Frame
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.outputs import ARROWS, KINDS, Pictures, result_layers
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import ARROWS, KINDS, Pictures, result_layers
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
 

@@ -10,7 +10,6 @@ from patience import LONG
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.solver.live_solver import LiveSolver
-from napari_hmrf.study.edits import Edits
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -19,6 +18,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Rendering, Stroke
+from napari_hmrf.tissue.drawing.edits import Edits
 
 SHAPE = (18, 20)
 ROWS, COLS = np.indices(SHAPE)

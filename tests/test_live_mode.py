@@ -12,7 +12,7 @@ from napari_hmrf import Multigrid, solve
 from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.widgets import live_mode
+from napari_hmrf.ui import live_mode
 
 LEFT, PLAIN = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 CTRL = Qt.KeyboardModifier.ControlModifier
@@ -151,7 +151,7 @@ def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkey
     widget, (_, _, boundary) = living
     popups, said = [], []
     for kind in ("show_error", "show_warning"):
-        monkeypatch.setattr(f"napari_hmrf.widgets.deform.{kind}", popups.append)
+        monkeypatch.setattr(f"napari_hmrf.ui.deform_dock.{kind}", popups.append)
     footer = widget.footer
     say = footer.say
     monkeypatch.setattr(footer, "say", lambda *words: (said.append(words[0]), say(*words)))
@@ -561,7 +561,7 @@ def test_a_curve_is_undone_with_its_layer(widget, small_sample):
 
 
 def test_what_is_looked_at_is_the_result_that_has_followed(living, settle, qtbot, wait_for):
-    from napari_hmrf.widgets.look.dock import LookAtResult
+    from napari_hmrf.ui.look.look_dock import LookAtResult
 
     widget, (_, _, boundary) = living
     look = LookAtResult(viewer_of(widget))

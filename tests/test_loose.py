@@ -15,7 +15,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.ui.deform_dock import DeformTissue
 
 
 def block_and_specks(size=24):

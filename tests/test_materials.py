@@ -9,7 +9,7 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.layers.defaults import default_material
+from napari_hmrf.layers.label_defaults import default_material
 from napari_hmrf.layers.metadata import (
     METADATA,
     TISSUE,

@@ -5,8 +5,8 @@ import pytest
 
 from napari_hmrf import Problem, solve
 from napari_hmrf.field.warp import inverse_map
-from napari_hmrf.layers.moving import Motion
-from napari_hmrf.layers.point import Points
+from napari_hmrf.layers.animation import Motion
+from napari_hmrf.layers.tissue_point import Points
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import ICM
 

@@ -8,10 +8,10 @@ from napari.layers import Image, Labels
 
 from napari_hmrf import Multigrid, ProblemError, solve
 from napari_hmrf.field.inverse_point import origin
-from napari_hmrf.layers.drawn import arrow_layer, arrow_lines
-from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.place import Frame
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, History, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.drawing.pull import Grip, Pull
@@ -291,7 +291,7 @@ def test_grounds_are_the_same_until_something_is_painted():
 
 
 def test_only_the_newest_result_reaches_the_window(qtbot):
-    from napari_hmrf.widgets.newest import Newest
+    from napari_hmrf.ui.newest_result import Newest
 
     answered = []
     newest = Newest(lambda value: answered.append((value, threading.current_thread())))

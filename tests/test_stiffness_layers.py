@@ -9,7 +9,8 @@ from napari.layers import Image, Layer
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import BOUNDARY, described
-from napari_hmrf.layers.stiffness import (
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.stiffness_layers import (
     StiffnessStack,
     curve_of,
     first_curve,
@@ -18,7 +19,6 @@ from napari_hmrf.layers.stiffness import (
     stiffness_layer,
     update_stiffness,
 )
-from napari_hmrf.layers.view import View
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 

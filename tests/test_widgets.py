@@ -18,7 +18,7 @@ from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.widgets.deform import DeformTissue
+from napari_hmrf.ui.deform_dock import DeformTissue
 
 
 def names(viewer):
@@ -653,7 +653,7 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     def fail(*_, **__):
         raise MemoryError("no room")
 
-    monkeypatch.setattr("napari_hmrf.widgets.job.run_here", fail)
+    monkeypatch.setattr("napari_hmrf.ui.job.run_here", fail)
     assert run(docked) is None
     assert "MemoryError: no room" in docked.status
     assert [each.severity for each in popped_up] == ["error"], "it stays"
@@ -684,7 +684,7 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
     from napari_hmrf.solver.optimizers import Monitor
-    from napari_hmrf.widgets.words import COMPILING, DRAWING, progress
+    from napari_hmrf.ui.messages import COMPILING, DRAWING, progress
 
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
     assert progress(preparing, 0.1) == "Preparing ..."
@@ -700,7 +700,7 @@ def test_one_sweep_is_told_as_one():
 
     from napari_hmrf import Problem, solve
     from napari_hmrf.solver.optimizers import ICM
-    from napari_hmrf.widgets.words import details
+    from napari_hmrf.ui.messages import details
 
     y = np.zeros((8, 8, 2))
     problem = Problem(y, np.ones_like(y), np.ones((8, 8)))

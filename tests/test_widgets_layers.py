@@ -8,10 +8,10 @@ from napari.layers import Image, Labels
 
 from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.outputs import result_layers
+from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.widgets.painting import labels_in
-from napari_hmrf.widgets.results import ResultLayers
+from napari_hmrf.ui.label_sync import labels_in
+from napari_hmrf.ui.results import ResultLayers
 
 
 class Breakable:
@@ -156,7 +156,7 @@ def test_a_preview_that_fails_for_any_reason_is_told(widget, small_sample, wait_
     def fail(*_, **__):
         raise ZeroDivisionError("no such arrow")
 
-    monkeypatch.setattr("napari_hmrf.widgets.preview.preview_arrows", fail)
+    monkeypatch.setattr("napari_hmrf.ui.preview.preview_arrows", fail)
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 0.0)))
     wait_for(lambda: "no such arrow" in widget.status)
 

@@ -14,20 +14,20 @@ from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
 
 from napari_hmrf import Problem, solve
-from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.strain import green_lagrange_strain
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
-from napari_hmrf.layers.directions import Directions
+from napari_hmrf.layers.contributions import open_solution
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.point import Probe
-from napari_hmrf.layers.quantity_layers import quantity_layer
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.strain_layers import quantity_layer
+from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.widgets.look.dock import LookAtResult
-from napari_hmrf.widgets.look.saving import save_canvas
-from napari_hmrf.widgets.look.words import at_point, how_far, stiffness_of
+from napari_hmrf.ui.look.look_dock import LookAtResult
+from napari_hmrf.ui.look.look_messages import at_point, how_far, stiffness_of
+from napari_hmrf.ui.look.saving import save_canvas
 
 
 def names(viewer):
@@ -154,7 +154,7 @@ def test_labels_and_grid_move_along(look, set_to):
 
 
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
-    monkeypatch.setattr("napari_hmrf.widgets.look.player.SECONDS", 0.3)
+    monkeypatch.setattr("napari_hmrf.ui.look.player.SECONDS", 0.3)
     seen = []
     look._scene.player.moved.connect(seen.append)
     look._face.play.native.click()

@@ -10,7 +10,7 @@ from napari_hmrf.layers.snapshot import Request
 from napari_hmrf.study.models import converges
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.widgets.words import READY, when_to_take
+from napari_hmrf.ui.messages import READY, when_to_take
 
 POISSON = 3  # the column of the table of tissues
 

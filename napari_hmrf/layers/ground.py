@@ -13,18 +13,18 @@ import numpy.typing as npt
 from napari.layers import Labels
 from scipy import ndimage
 
+from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.background import background_of, surrounds
-from napari_hmrf.layers.defaults import default_material, default_rule
-from napari_hmrf.layers.drawn import NAME as ARROWS
-from napari_hmrf.layers.frame import Frame
+from napari_hmrf.layers.label_defaults import default_material, default_rule
 from napari_hmrf.layers.landmarks import usual_radius, usual_step
+from napari_hmrf.layers.layer_names import LayerError, Named, naming
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
-from napari_hmrf.layers.naming import LayerError, Named, naming
-from napari_hmrf.layers.outputs import Pictures
 from napari_hmrf.layers.palette import OTHER, Palette
-from napari_hmrf.layers.reading import copy_slice, plane_shape, take_slice
+from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape, take_slice
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import Pictures
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.snapshot import look_of
-from napari_hmrf.layers.view import View
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.unconnected import scraps

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.layers.background import air_that_is_tissue
-from napari_hmrf.layers.caveats import caveats, lacks
-from napari_hmrf.layers.defaults import default_material, default_rule
-from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.naming import LayerError, Named, naming
-from napari_hmrf.layers.observations import arrow_observations
-from napari_hmrf.layers.outputs import Pictures
+from napari_hmrf.layers.label_defaults import default_material, default_rule
+from napari_hmrf.layers.layer_names import LayerError, Named, naming
+from napari_hmrf.layers.observed_arrows import arrow_observations
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.reading_warnings import caveats, lacks
+from napari_hmrf.layers.result_layers import Pictures
 from napari_hmrf.layers.snapshot import Request, Snapshot, copy_layers
 from napari_hmrf.solver.optimizers import ICM, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior

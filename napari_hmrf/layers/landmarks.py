@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from napari_hmrf.layers.ends import Ends, ends_of
-from napari_hmrf.layers.frame import Frame
-from napari_hmrf.layers.naming import LayerError, Named, naming
-from napari_hmrf.layers.view import View
+from napari_hmrf.layers.landmark_ends import Ends, ends_of
+from napari_hmrf.layers.layer_names import LayerError, Named, naming
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.drawing.canvas import common, distance_to
 

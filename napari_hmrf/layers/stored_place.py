@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.layers.slice_view import is_unit, unit_factor
 from napari_hmrf.layers.transform import Matrix, flat, floats, floats_or_rows, rows
-from napari_hmrf.layers.view import is_unit, unit_factor
 
 #: Slices beyond this are nobody's.
 _FARTHEST = 2**31

@@ -8,7 +8,7 @@ from typing import Any
 
 from napari.layers import Labels
 
-from napari_hmrf.study.edits import Edits
+from napari_hmrf.tissue.drawing.edits import Edits
 
 #: Keys, and what they do.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}

@@ -1,1 +1,1 @@
-"""What somebody works on: which model, and how edits are taken back."""
+"""What somebody works on: which model it is."""

@@ -4,9 +4,9 @@ A `Drawing` is marks in their order; `Rendering` puts it on top of the images of
 `History` goes back and forth between drawings. Nothing here needs Qt or napari.
 """
 
-from napari_hmrf.study.drawing_history import History
 from napari_hmrf.tissue.drawing.canvas import Canvas
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit
+from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.rendering import Rendering
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.study.drawing_history import History
 from napari_hmrf.tissue.drawing.canvas import refuse_open_line
+from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Action, Components, Mark, Point, Stroke
 from napari_hmrf.tissue.drawing.tool import Hand, Origin, unmoved
 

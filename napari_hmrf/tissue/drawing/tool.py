@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from napari_hmrf.study.drawing_history import History
 from napari_hmrf.tissue.drawing.drawing import Drawing
+from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Mark, Point
 
 #: Where the tissue seen at a point is when nothing moves; None if there is none.

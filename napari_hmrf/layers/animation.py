@@ -1,0 +1,107 @@
+"""A result on its way: image, labels and grid after any part of the deformation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.deformation import deformation_grid, pixels_between
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import emptiness
+from napari_hmrf.layers.result_layers import LINES
+from napari_hmrf.solver.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What is seen at one moment; what was not asked for is None.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+    labels : ndarray of int, shape (H, W), optional
+    colours : ndarray of float, shape (H, W), optional
+    grid : ndarray, shape (N, 2, 2), optional
+        Segments as (start, direction), each (row, col) in pixels.
+    """
+
+    image: npt.NDArray[Any] | None = None
+    labels: npt.NDArray[Any] | None = None
+    colours: npt.NDArray[np.float32] | None = None
+    grid: npt.NDArray[np.float32] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """How much memory it takes."""
+        parts = (self.image, self.labels, self.colours, self.grid)
+        return sum(part.nbytes for part in parts if part is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A deformation between rest (0) and what was solved for (1): the tissue at X is at X + f d(X).
+
+    Attributes
+    ----------
+    solution : Solution
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+        Before it moves.
+    labels : ndarray of int, shape (H, W), optional
+        Before they move.
+    colours : ndarray of float, shape (H, W), optional
+        A quantity of the tissue before it moves, NaN where there is none.
+    grid : bool
+        Whether the deformation grid moves, too.
+    """
+
+    solution: Solution
+    image: npt.NDArray[Any] | None = None
+    labels: npt.NDArray[Any] | None = None
+    colours: npt.NDArray[np.float32] | None = None
+    grid: bool = False
+
+    def at(self, fraction: float) -> Moment:
+        """Move everything by a part of the displacement; on the compute thread only.
+
+        Parameters
+        ----------
+        fraction : float
+            From 0, nothing has moved, to 1, all has.
+
+        Returns
+        -------
+        Moment
+            At 1 exactly what the layers of the result show.
+        """
+        solution, grid = self.solution, None
+        parts: dict[str, npt.NDArray[Any]] = {}
+        if self._pictures:
+            moved = self._warper(solution.displacement, solution.tissue, fraction)
+            parts = dict(zip(self._pictures, moved, strict=True))
+        if self.grid:
+            displacement = solution.displacement * np.float32(fraction)
+            every = pixels_between(LINES, solution.tissue.shape, solution.spacing)
+            # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
+            pieces = 5 if fraction == 1 else 2
+            field = (displacement, solution.spacing, every, solution.tissue)
+            grid = deformation_grid(*field, pieces)
+        return Moment(**parts, grid=grid)
+
+    @cached_property
+    def _pictures(self) -> dict[str, Picture]:
+        pictures = {}
+        if self.image is not None:
+            pictures["image"] = Picture(self.image, order=1, fill=emptiness(self.image))
+        if self.labels is not None:
+            pictures["labels"] = Picture(self.labels, order=0)
+        if self.colours is not None:
+            pictures["colours"] = Picture(self.colours, order=0, fill=np.nan)
+        return pictures
+
+    @cached_property
+    def _warper(self) -> Warper:
+        return Warper(list(self._pictures.values()), self.solution.spacing)

@@ -1,0 +1,129 @@
+"""What napari asks of this package beside the widget: samples, and files of results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from napari_hmrf.samples.phantoms import Phantom
+
+LayerData = tuple[Any, dict[str, Any], str]
+PathOrPaths = str | list[str]
+
+
+def sample_expansion() -> list[LayerData]:
+    """Open the brain that expands outward."""
+    return _sample("expansion")
+
+
+def sample_mass_effect() -> list[LayerData]:
+    """Open the brain with a growing tumour."""
+    return _sample("mass-effect")
+
+
+def sample_bar() -> list[LayerData]:
+    """Open the bar of two tissues."""
+    return _sample("bar")
+
+
+def _sample(name: str) -> list[LayerData]:
+    from napari_hmrf.samples.phantoms import sample
+
+    return phantom_layers(sample(name))
+
+
+def phantom_layers(found: Phantom) -> list[LayerData]:
+    """An image and its two painted layers, with the tables that the widget opens with."""
+    from napari_hmrf.layers.label_colours import boundary_colours
+    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
+
+    # The stored arrays are read-only; layers are there to be painted on.
+    return [
+        (
+            found.image.copy(),
+            {"name": found.title.split(maxsplit=1)[0], "metadata": described(IMAGE)},
+            "image",
+        ),
+        (
+            found.tissue_labels.copy(),
+            {
+                "name": "Tissue",
+                "opacity": 0.3,
+                "metadata": described(TISSUE, found.materials, "MPa"),
+            },
+            "labels",
+        ),
+        (
+            found.boundary_labels.copy(),
+            {
+                "name": "Boundary",
+                "opacity": 0.9,
+                "colormap": boundary_colours(),
+                "metadata": described(BOUNDARY, found.boundary),
+            },
+            "labels",
+        ),
+    ]
+
+
+def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
+    """Offer to read a saved result; None for any other file."""
+    from napari_hmrf.solver.solution import is_solution_file
+
+    paths = [path] if isinstance(path, str) else path
+    return _read if paths and all(is_solution_file(each) for each in paths) else None
+
+
+def _read(path: PathOrPaths) -> list[LayerData]:
+    from pathlib import Path
+
+    from napari_hmrf.errors import FileFormatError
+    from napari_hmrf.layers.result_layers import RESTORED, result_layers
+    from napari_hmrf.solver.solution import Solution
+
+    layers: list[LayerData] = []
+    for each in [path] if isinstance(path, str) else path:
+        try:
+            outputs = result_layers(Solution.load(each), kinds=RESTORED)
+        except ValueError as error:
+            if isinstance(error, FileFormatError):
+                raise
+            raise FileFormatError(f"{Path(each).name}: not a valid result: {error}") from error
+        made = outputs.layers["arrows"]
+        layers.append((made.data, {**made.attributes, "name": Path(each).stem}, made.kind))
+    return layers
+
+
+def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
+    """Save the result that a layer of arrows belongs to, whole.
+
+    Parameters
+    ----------
+    path : str
+    data : ndarray, shape (N, 2, D)
+        The arrows; only some of what is saved.
+    attributes : dict
+        Of the layer; its metadata hold the solution.
+
+    Returns
+    -------
+    list of str
+        The file written.
+
+    Raises
+    ------
+    ValueError
+        If the arrows are not a result of this package.
+    """
+    from napari_hmrf.layers.metadata import METADATA
+    from napari_hmrf.solver.solution import Solution
+
+    known = attributes.get("metadata", {}).get(METADATA)
+    solution = known.get("solution") if isinstance(known, dict) else None
+    if not isinstance(solution, Solution):
+        raise ValueError(
+            f"the Vectors layer '{attributes.get('name', '')}' is not a result of Deform tissue, "
+            "so there is no solution to save. Save the layer of displacement arrows that it made."
+        )
+    return [str(solution.save(path))]

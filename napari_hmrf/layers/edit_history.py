@@ -1,0 +1,232 @@
+"""All edits of ours in a viewer, in the order they were made: undo, redo and their keys."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from psygnal import Signal
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View, unit_factor
+from napari_hmrf.layers.table_state import Table
+from napari_hmrf.layers.undo_keys import UndoKeys
+from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.tissue.drawing.edits import Edits, Step
+
+#: What a slot with a drawing is called; those with tables are called by the role of their layer.
+DRAWING = "drawing"
+#: And that with the curve of a layer of stiffness.
+CURVE = "curve"
+#: And that with what was painted as no tissue at once, in a slice.
+BACKGROUND = "background"
+#: And that with the points of a Points layer, or the lines of a Shapes layer.
+POINTS = "points"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A slice: the axes of a layer it shows, and where it lies on each; as of a `Frame`.
+
+    `numbers` are what the viewer's sliders show there, if not the index.
+    """
+
+    plane: tuple[int, int]
+    index: tuple[int, ...]
+    numbers: tuple[int, ...] = field(default=(), compare=False)
+
+    @classmethod
+    def of(cls, frame: Frame) -> Place:
+        """Where a slice lies."""
+        return cls(frame.plane, frame.index, frame.numbers)
+
+    @property
+    def name(self) -> str:
+        """The slice in words; empty for a two-dimensional layer."""
+        others = [
+            str(at) for axis, at in enumerate(self.numbers or self.index) if axis not in self.plane
+        ]
+        return f"slice {', '.join(others)}" if others else ""
+
+
+class Slot(NamedTuple):
+    """Something of a layer that is edited.
+
+    Attributes
+    ----------
+    what : str
+        `DRAWING`, or "tissue" or "boundary" for the layer's table, or whatever else there will be.
+    layer : napari.layers.Layer
+        With it goes all that is edited of it.
+    place : Place, optional
+        Of a drawing, and of what was painted in a slice at once.
+    """
+
+    what: str
+    layer: Any
+    place: Place | None = None
+
+
+class Owner(Protocol):
+    """Who edits: it may be in the middle of something."""
+
+    def interrupt(self) -> bool:
+        """Give up what is half done; whether there was anything, which then is what is undone."""
+        ...
+
+
+class ViewerSteps:
+    """The steps of a viewer; have them from `steps_of`.
+
+    To have something else undone, open a `Slot` in `edits`, do steps, and show what
+    `edits.changed` brings back. Values must not change once they are given.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+
+    Attributes
+    ----------
+    edits : Edits
+        By `Slot`.
+    said : Signal(str, object)
+        What was taken back or done again, in words, and the `Slot` it was of, or None.
+    """
+
+    said = Signal(str, object)
+
+    def __init__(self, viewer: Any) -> None:
+        self.edits = Edits()
+        self._viewer = weakref.ref(viewer)
+        self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
+        self._keys: UndoKeys | None = None
+        self.edits.changed.connect(self._on_changed)
+        viewer.layers.events.removed.connect(self._on_removed)
+
+    def undo(self) -> None:
+        """Take back what was done last, and go to where that was."""
+        if self._interrupted():
+            return
+        self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
+
+    def redo(self) -> None:
+        """Do again what was taken back last, and go to where that is."""
+        if self._interrupted():
+            return
+        self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
+
+    @property
+    def undo_tooltip(self) -> str:
+        """What `undo` would do, for its button; it ends with the key."""
+        step = self.edits.next_undo
+        return "Nothing to take back (Ctrl+Z)" if step is None else self._tip("Take back", step)
+
+    @property
+    def redo_tooltip(self) -> str:
+        """What `redo` would do, for its button; it ends with the key."""
+        step = self.edits.next_redo
+        nothing = "Nothing to do again (Ctrl+Shift+Z)"
+        return nothing if step is None else self._tip("Do again", step, "Ctrl+Shift+Z")
+
+    def bind_keys(self, owner: Owner) -> None:
+        """Undo and redo by keys, beside napari's for paint, wherever no layer has others for them.
+
+        Parameters
+        ----------
+        owner : Owner
+            Who wants it; the keys stay until nobody does.
+        """
+        viewer = self._viewer()
+        self._owners.add(owner)
+        if viewer is None or self._keys is not None:
+            return
+        go = {"undo": self.undo, "redo": self.redo}
+        self._keys = UndoKeys(viewer, self.edits, _is_paint, go)
+
+    def unbind_keys(self, owner: Owner) -> None:
+        """Leave the viewer's keys alone, unless somebody else still wants them."""
+        self._owners.discard(owner)
+        if self._keys is not None and not self._owners:
+            self._keys.release()
+            self._keys = None
+
+    def where(self, slot: Any) -> str:
+        """Where something is edited, in words, if there is more than one place; else nothing."""
+        if not isinstance(slot, Slot) or slot.what != DRAWING:
+            return ""
+        drawn = [each for each in self.edits.slots if isinstance(each, Slot)]
+        images = {id(each.layer) for each in drawn if each.what == DRAWING}
+        where = "" if slot.place is None else slot.place.name
+        if len(images) > 1:
+            where += f" of '{slot.layer.name}'" if where else f"'{slot.layer.name}'"
+        return where
+
+    def _interrupted(self) -> bool:
+        return any(owner.interrupt() for owner in tuple(self._owners))
+
+    def _tip(self, what: str, step: Step, key: str = "Ctrl+Z") -> str:
+        where = self.where(step.slot)
+        return f"{what}: {step.word}{f' (in {where})' if where else ''} ({key})"
+
+    def _tell(self, what: str, step: Step | None, nothing: str) -> None:
+        if step is None:
+            self.said.emit(nothing, None)
+            return
+        where = self.where(step.slot)
+        self._go_to(step.slot)
+        self.said.emit(f"{what}{f', in {where}' if where else ''}: {step.word}.", step.slot)
+
+    def _go_to(self, slot: Any) -> None:
+        """Show the slice that something was drawn on, unless the viewer shows other axes."""
+        viewer = self._viewer()
+        if viewer is None or not isinstance(slot, Slot) or slot.place is None:
+            return
+        plane, index = slot.place.plane, slot.place.index
+        dims, layer = viewer.dims, slot.layer
+        try:
+            view = View.of(dims)
+            missing = dims.ndim - layer.ndim
+            if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
+                return
+            shown = _index_shown(layer, view)
+        except (HmrfError, ValueError):
+            return
+        if shown == index:
+            return
+        there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
+        for axis in range(layer.ndim):
+            if axis not in plane:
+                unit = 1.0
+                if view.units is not None:
+                    unit = unit_factor(str(layer.units[axis]), view.units[axis + missing])
+                dims.set_point(axis + missing, float(there[axis]) * unit)
+
+    def _on_changed(self, slot: Any, value: Any) -> None:
+        """Have the layer carry its table; whoever shows it listens for itself."""
+        if isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY) and isinstance(value, Table):
+            value.give_to(slot.layer, TISSUE if slot.what == TISSUE else BOUNDARY)
+
+    def _on_removed(self, event: Any) -> None:
+        gone = event.value
+        self.edits.drop(lambda slot: isinstance(slot, Slot) and slot.layer is gone)
+
+
+def steps_of(viewer: Any) -> ViewerSteps:
+    """The steps of a viewer; the same ones for all that edit in it."""
+    return shared(getattr(viewer, "__wrapped__", viewer), ViewerSteps)
+
+
+def _is_paint(slot: Any) -> bool:
+    return isinstance(slot, Slot) and slot.what == BACKGROUND
+
+
+def _index_shown(layer: Any, view: View) -> tuple[int, ...]:
+    """Where the slice that is shown lies; nowhere, beyond the ends of the layer."""
+    try:
+        return Frame.of(layer, view).index
+    except HmrfError:
+        return ()

@@ -1,0 +1,113 @@
+"""Which of several images somebody looks at: the one that is selected, or lies in front."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from napari.layers import Image
+
+from napari_hmrf.layers.layer_names import full_resolution
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, role_of
+from napari_hmrf.layers.pixel_copy import fits
+from napari_hmrf.layers.slice_view import View
+
+#: Ways of drawing an image that leave nothing to be seen of what lies beneath.
+_OPAQUE = ("opaque", "translucent", "translucent_no_depth")
+
+
+def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] = ()) -> Any:
+    """Find the image that somebody means who says nothing.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    images : iterable of napari.layers.Image
+        Those it may be, lowest first.
+    worked_on : iterable of napari.layers.Layer
+        If there are any among `images`, it is one of these.
+
+    Returns
+    -------
+    napari.layers.Image or None
+        The active one, or else the topmost that is selected, or visible, or there.
+    """
+    there = list(images)
+    known = set(worked_on)
+    there = [image for image in there if image in known] or there
+    selection = viewer.layers.selection
+    if selection.active in there:
+        return selection.active
+    selected = [image for image in there if image in selection]
+    visible = [image for image in there if image.visible]
+    return next((some[-1] for some in (selected, visible, there) if some), None)
+
+
+def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:
+    """Those of some layers that are tissues or boundaries on the pixels of an image."""
+    painted = [layer for layer in layers if role_of(layer) in (TISSUE, BOUNDARY)]
+    return [layer for layer in painted if fits(layer, image, view)]
+
+
+def image_covering(viewer: Any, image: Any) -> Any:
+    """Find the topmost image that hides all of another one, as far as is plain; else None.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    image : napari.layers.Image
+        In the viewer.
+    """
+    displayed = [axis - viewer.dims.ndim for axis in viewer.dims.displayed]
+    return next(
+        (layer for layer in _opaque_above(viewer, image) if _covers(layer, image, displayed)), None
+    )
+
+
+def image_covering_at(viewer: Any, image: Any, place: Sequence[float]) -> Any:
+    """Find the topmost image that hides a place of another one; else None.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    image : napari.layers.Image
+        In the viewer.
+    place : sequence of float
+        In the world.
+    """
+    return next((layer for layer in _opaque_above(viewer, image) if _holds(layer, place)), None)
+
+
+def _opaque_above(viewer: Any, image: Any) -> Iterator[Any]:
+    """The images that hide what lies beneath, of those above another; topmost first."""
+    layers = list(viewer.layers)
+    return filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
+
+
+def _is_opaque(layer: Any) -> bool:
+    plain = isinstance(layer, Image) and "kind" not in known_of(layer)  # that is a result
+    seen = plain and layer.visible and layer.blending in _OPAQUE
+    # Of colours the fourth is how much is seen through them.
+    return seen and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
+
+
+def _holds(layer: Any, place: Sequence[float]) -> bool:
+    """Whether a place in the world is one of a layer's pixels."""
+    if layer.ndim > len(place):
+        return False
+    pixel = np.rint(layer.world_to_data(place[len(place) - layer.ndim :]))
+    extents = np.array(full_resolution(layer).shape[: layer.ndim])
+    return bool(((pixel >= 0) & (pixel < extents)).all())
+
+
+def _covers(layer: Any, image: Any, displayed: list[int]) -> bool:
+    """Whether one layer's extent holds the other's; of layers that lie askew that is not known."""
+    if max(-axis for axis in displayed) > min(layer.ndim, image.ndim):
+        return False
+    linear = np.asarray(layer.affine.linear_matrix)
+    askew = np.any(layer.rotate != np.eye(layer.ndim)) or np.any(layer.shear)
+    if askew or np.any(linear != np.diag(np.diag(linear))):
+        return False
+    upper, lower = (np.asarray(each.extent.world)[:, displayed] for each in (layer, image))
+    return bool((upper[0] <= lower[0]).all() and (upper[1] >= lower[1]).all())

@@ -1,0 +1,252 @@
+"""How what was painted looks: a Labels layer of what it does, and marks that say it without colour.
+
+Hues are those of Okabe and Ito, which no colour blindness confuses; how opaque they are says how
+sure it is. What is freed is striped, and so is tissue that was painted where something else was.
+Crosses lie where nothing moves, arrows where tissue is moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.layers.arrow_layer import Lines
+from napari_hmrf.layers.label_colours import SELECTED
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.palette import Palette
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.tissue.drawing import Canvas, Stroke
+from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
+from napari_hmrf.tissue.drawing.marks import Action
+
+FloatArray = npt.NDArray[np.float32]
+
+NAME = "Painted"
+#: Red, green and blue, 0 to 1.
+COLOURS: dict[str, tuple[float, float, float]] = {
+    "pin": (0.90, 0.62, 0.0),
+    "free": (1.0, 1.0, 1.0),
+    "move": (0.34, 0.71, 0.91),
+    "expand": (0.80, 0.47, 0.65),
+    "confidence": (0.0, 0.62, 0.45),
+}
+#: Of tissues without a layer of their own.
+_HUES = (
+    (0.95, 0.9, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0), (0.6, 0.95, 0.6), (0.5, 0.3, 0.9),
+    (0.95, 0.7, 0.8), (0.3, 0.85, 0.85),
+)  # fmt: skip
+#: How sure it is, in so many steps.
+_LEVELS = 8
+#: Where the numbers of tissues begin, and how many there are.
+_TISSUE, _TISSUES = 64, 128
+#: How opaque what hardly counts is, what is certain, and painted tissue.
+_PALEST, _FULL, _TISSUE_OPACITY = 0.12, 0.55, 0.6
+#: Marks that fit across the shorter side of a picture.
+_ACROSS = 32
+
+
+def number_of(action: Action, confidence: float = 1.0, label: int = 0) -> int:
+    """The value that a pixel has where a stroke was painted."""
+    if action == "tissue":
+        return _TISSUE + label % _TISSUES
+    level = _LEVELS - 1 if action == "free" else round(confidence * (_LEVELS - 1))
+    return 1 + (KINDS[action] - 1) * _LEVELS + level
+
+
+def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray[np.uint8]) -> None:
+    """Bring the picture of what was painted up to date in a window, in place.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        With what was painted; it has kinds.
+    base : Canvas
+        Beneath it.
+    window : Box
+        Which pixels.
+    picture : ndarray of uint8, shape (H, W)
+        0 where nothing was painted, else as `number_of`.
+    """
+    assert canvas.kinds is not None
+    top, bottom, left, right = window
+    at = (slice(top, bottom), slice(left, right))
+    kinds = canvas.kinds[at]
+    level = np.rint(canvas.c[at].max(axis=-1) * (_LEVELS - 1)).astype(np.uint8)
+    level[kinds == KINDS["free"]] = _LEVELS - 1
+    shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
+    width = max(1, min(canvas.shape) // 90)
+    rows, cols = np.ogrid[top:bottom, left:right]
+    stripe = (rows + cols) // width % 2 == 0
+    shown[(kinds == KINDS["free"]) & stripe] = 0
+    if canvas.labels is not None and base.labels is not None:
+        labels = canvas.labels[at]
+        tissue = (labels != base.labels[at]) & ((kinds == 0) | stripe)
+        shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
+    picture[at] = shown
+
+
+def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Any]:
+    """Red, green and blue, 0 to 1, of each tissue: those of its layer, if that has the table."""
+    if palette.own and layer is not None:
+        found = {row.label: layer.get_color(row.label) for row in palette.materials}
+        return {
+            label: tuple((0.5, 0.5, 0.5) if colour is None else map(float, colour[:3]))
+            for label, colour in found.items()
+        }
+    rows = [row for row in palette.materials if row.stiffness > 0]
+    hues = {row.label: _HUES[at % len(_HUES)] for at, row in enumerate(rows)}
+    return {row.label: hues.get(row.label, (0.0, 0.0, 0.0)) for row in palette.materials}
+
+
+def painted_colours(tissues: dict[int, Any]) -> Any:
+    """The colormap of what was painted.
+
+    Parameters
+    ----------
+    tissues : dict of int to colour
+        Red, green and blue of each tissue's label, 0 to 1.
+    """
+    from napari.utils.colormaps import CyclicLabelColormap
+
+    # As many colours as there are values, so that none comes twice; of a colormap for some values
+    # napari would compile the mapping first, for seconds.
+    colours = np.zeros((256, 4))
+    for action, kind in KINDS.items():
+        for level in range(_LEVELS):
+            opacity = _PALEST + (_FULL - _PALEST) * level / (_LEVELS - 1)
+            colours[1 + (kind - 1) * _LEVELS + level] = (*COLOURS[action], opacity)
+    for label, colour in tissues.items():
+        colours[_TISSUE + label % _TISSUES] = (*(float(c) for c in colour[:3]), _TISSUE_OPACITY)
+    return CyclicLabelColormap(colors=colours)
+
+
+def painted_layer(
+    frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]
+) -> LayerData:
+    """A Labels layer of what was painted."""
+    return LayerData(
+        frame.put_image(picture),
+        {
+            **frame.placement(image=True),
+            "name": NAME,
+            "opacity": 1.0,
+            "colormap": painted_colours(tissues),
+            "metadata": {METADATA: {"kind": "painted", "by": "grab", "slice": frame.slice_name}},
+        },
+        "labels",
+    )
+
+
+def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
+    """Crosses where tissue is pinned, and arrows where it is moved; thin strokes have some, too.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        With what was painted; it has kinds.
+
+    Returns
+    -------
+    lines : ndarray, shape (N, 2, 2), float32
+        (start, step) in pixels.
+    colours : ndarray, shape (N, 4), float32
+        Red, green, blue and opacity of each, 0 to 1.
+    """
+    kinds, size = canvas.kinds, np.array(canvas.spacing)
+    assert kinds is not None
+    shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
+    apart = max(shorter / _ACROSS, 4 * float(size.max()))
+    counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.c > 0).any(axis=-1)
+    places = _spread(counts, apart / size)
+    lines: list[npt.NDArray[np.float64]] = []
+    colours: list[npt.NDArray[np.float64]] = []
+    for action in _MARKED:
+        at = places[kinds[tuple(places.T)] == KINDS[action]]
+        by = np.where(canvas.c[tuple(at.T)] > 0, canvas.y[tuple(at.T)], 0)
+        drawn = [_arrows(at * size, by), _crosses(at * size, by, 0.2 * apart)]
+        for part in drawn:
+            lines.append(part / size)
+            colours.append(np.tile([*(0.6 + 0.4 * np.array(COLOURS[action])), 1.0], (len(part), 1)))
+    return (
+        np.concatenate(lines).astype(np.float32).reshape(-1, 2, 2),
+        np.concatenate(colours).astype(np.float32).reshape(-1, 4),
+    )
+
+
+#: What has marks beside its colour.
+_MARKED: tuple[Action, ...] = ("pin", "move", "expand")
+
+
+def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
+    """Pixels of a region, one in each cell of a size in pixels, the nearest to its middle."""
+    pixels = np.argwhere(where)
+    if not len(pixels):
+        return pixels
+    cells = (pixels / apart).astype(np.int64)
+    off = np.abs(pixels / apart - cells - 0.5).max(axis=1)
+    order = np.argsort(off, kind="stable")
+    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    _, first = np.unique(key[order], return_index=True)
+    return pixels[order[first]]
+
+
+def _arrows(at: FloatArray, by: FloatArray) -> npt.NDArray[np.float64]:
+    """(start, step) of shafts and barbs, where anything moves."""
+    length = np.linalg.norm(by, axis=-1, keepdims=True)
+    moves = length[:, 0] > 0
+    at, by, length = at[moves], by[moves], length[moves]
+    along = by / length
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    back = 0.35 * length
+    barbs = [np.stack([at + by, -back * (along + side * 0.5 * across)], axis=1) for side in (-1, 1)]
+    return np.concatenate([np.stack([at, by], axis=1), *barbs])
+
+
+def _crosses(at: FloatArray, by: FloatArray, arm: float) -> npt.NDArray[np.float64]:
+    """(start, step) of crosses, where nothing moves."""
+    at = at[~by.any(axis=-1)]
+    arms = [np.array([arm, arm]), np.array([arm, -arm])]
+    return np.concatenate(
+        [np.stack([at - a, np.broadcast_to(2 * a, at.shape)], axis=1) for a in arms]
+    )
+
+
+def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
+    """Whether a stroke covers any pixel of a mask, shape (H, W)."""
+    top, bottom, left, right = box = box_of(stroke, canvas)
+    distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
+    covered = distance <= brush_reach(stroke.radius, canvas.spacing)
+    return bool((covered & where[top:bottom, left:right]).any())
+
+
+def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) -> Lines:
+    """The outline of a stroke that is selected, as lines like those of arrows.
+
+    Parameters
+    ----------
+    stroke : Stroke
+    canvas : Canvas
+        What it is painted on.
+    goes_to : callable
+        Where places, (N, 2) in pixels, are seen.
+    """
+    from skimage.measure import find_contours
+
+    box = box_of(stroke, canvas)
+    lines = [np.zeros((0, 2, 2), np.float32)]
+    if not is_empty(box):
+        distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
+        reach = max(stroke.radius, 0.5 * max(canvas.spacing))
+        # A stroke over the edge of the image is closed along it.
+        padded = np.pad(np.minimum(distance, 2 * reach), 1, constant_values=2 * reach)
+        for contour in find_contours(padded, reach):
+            places = contour[:: max(1, len(contour) // 400)]
+            seen = goes_to(places + np.array([box[0] - 1, box[2] - 1]))
+            seen = np.concatenate([seen, seen[:1]])
+            lines.append(np.stack([seen[:-1], np.diff(seen, axis=0)], axis=1).astype(np.float32))
+    drawn = np.concatenate(lines)
+    return drawn, np.tile(np.array(SELECTED, np.float32), (len(drawn), 1))

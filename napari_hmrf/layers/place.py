@@ -1,0 +1,310 @@
+"""Where a slice of a layer lies in the world, as a value that outlives the layer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.layers.layer_names import LayerError
+from napari_hmrf.layers.slice_view import View, slice_shown, sliders_of, unit_factor
+from napari_hmrf.layers.stored_place import stored_place
+from napari_hmrf.layers.transform import Matrix, flat, floats, floats_or_rows, rows
+
+#: Two layers lie in the same place if their corners agree to this fraction of a pixel.
+_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The place of a slice: which of a layer's axes are its rows and columns, and the transform.
+
+    Attributes
+    ----------
+    plane : (int, int)
+        The layer's axes that are the rows and columns of the slice.
+    index : tuple of int
+        Where the slice lies on each axis of the layer; 0 on the two of the plane.
+    scale, translate, rotate, shear, affine, units, axis_labels
+        The layer's own, as it takes them.
+    matrix : (D + 1) x (D + 1) numbers
+        From the layer's pixels to the world, homogeneous.
+    sliders : tuple of (float, float)
+        Where the viewer's slider of each axis begins and its step, in the world; nothing if there
+        was no viewer. Of no consequence but for the number of the slice that people read.
+    """
+
+    plane: tuple[int, int]
+    index: tuple[int, ...]
+    scale: tuple[float, ...]
+    translate: tuple[float, ...]
+    rotate: Matrix
+    shear: tuple[float, ...] | Matrix
+    affine: Matrix
+    units: tuple[str, ...]
+    axis_labels: tuple[str, ...]
+    matrix: Matrix
+    sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
+
+    @classmethod
+    def of(cls, layer: Any, view: View | None = None) -> Frame:
+        """The slice of a layer that a viewer shows.
+
+        Parameters
+        ----------
+        layer : napari.layers.Layer
+        view : View, optional
+            By default the last two axes, first slice.
+
+        Raises
+        ------
+        ProblemError
+            If the transform holds no numbers, or the viewer shows the layer at an angle, across
+            an axis it lacks, or beyond its ends.
+        """
+        ndim = int(layer.ndim)
+        origin = np.asarray(layer.data_to_world(np.zeros(ndim)), dtype=float)
+        steps = [
+            np.asarray(layer.data_to_world(unit), dtype=float) - origin for unit in np.eye(ndim)
+        ]
+        matrix = np.eye(ndim + 1)
+        matrix[:ndim, :ndim] = np.stack(steps, axis=1)
+        matrix[:ndim, ndim] = origin
+        if not np.isfinite(matrix).all():
+            raise LayerError(
+                layer,
+                "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
+            )
+        if flat(matrix[:-1, :-1]):
+            raise LayerError(
+                layer,
+                "has a scale, rotation or affine that flattens it to less than its axes. Set one "
+                "that keeps all its axes apart.",
+            )
+        plane, index = slice_shown(layer, matrix, view)
+        row_unit, col_unit = (str(layer.units[axis]) for axis in plane)
+        if np.isnan(unit_factor(col_unit, row_unit)):
+            raise LayerError(
+                layer,
+                f"measures rows in {row_unit} and columns in {col_unit}. Give both axes a unit of "
+                "length.",
+            )
+        return cls(
+            plane=plane,
+            index=index,
+            scale=floats(layer.scale),
+            translate=floats(layer.translate),
+            rotate=rows(layer.rotate),
+            shear=floats_or_rows(layer.shear),
+            affine=rows(layer.affine.affine_matrix),
+            units=tuple(str(unit) for unit in layer.units),
+            axis_labels=tuple(str(label) for label in layer.axis_labels),
+            matrix=rows(matrix),
+            sliders=sliders_of(layer, view),
+        )
+
+    @property
+    def ndim(self) -> int:
+        """Axes of the layer."""
+        return len(self.index)
+
+    @property
+    def unit(self) -> str:
+        """The unit of length of `spacing`: that of the rows' axis."""
+        return self.units[self.plane[0]]
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Length of a pixel along (row, col) in the world, in `unit`."""
+        steps = self._steps()
+        lengths = np.linalg.norm(steps, axis=0)
+        return float(lengths[0]), float(lengths[1])
+
+    @property
+    def skew(self) -> float:
+        """By how many degrees the pixels' sides fail to be at right angles."""
+        steps = self._steps()
+        cosine = steps[:, 0] @ steps[:, 1] / np.linalg.norm(steps, axis=0).prod()
+        return float(abs(np.degrees(np.arcsin(np.clip(cosine, -1, 1)))))
+
+    def _steps(self) -> npt.NDArray[np.float64]:
+        """World steps of one pixel along rows and columns, as columns, all in `unit`."""
+        linear = np.array(self.matrix)[:-1, list(self.plane)]
+        factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
+        # The axes of the slices play no part, and may have a unit of their own (time).
+        linear[[axis for axis in range(self.ndim) if axis not in self.plane]] = 0
+        steps: npt.NDArray[np.float64] = linear * np.nan_to_num(factors)[:, None]
+        return steps
+
+    @property
+    def slice_name(self) -> str:
+        """Which slice, by its pixels, such as "z = 12"; empty for a two-dimensional layer."""
+        return self._named(self.index)
+
+    @property
+    def slice_seen(self) -> str:
+        """Which slice, by the number that the viewer's slider shows: for people to read.
+
+        Of one slider whose axis nobody has named, "slice 7".
+        """
+        others = [axis for axis in range(self.ndim) if axis not in self.plane]
+        if len(others) == 1 and not self._is_named(others[0]):
+            return f"slice {self.numbers[others[0]]}"
+        return self._named(self.numbers)
+
+    @property
+    def slice_said(self) -> str:
+        """The same within a sentence: "slice 7", or "slice z = 7"."""
+        seen = self.slice_seen
+        return seen if seen.startswith("slice ") or not seen else f"slice {seen}"
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """What the viewer's sliders show; without a viewer, the index.
+
+        A slider counts from the end of the world where the coordinates are lowest, which is the
+        last slice of an axis that runs backwards.
+        """
+        world = (np.array(self.matrix) @ np.array([*self.index, 1.0]))[:-1]
+        return tuple(
+            round((float(at) - start) / step) if step else index
+            for at, (start, step), index in zip(
+                world, self.sliders or ((0.0, 0.0),) * self.ndim, self.index, strict=True
+            )
+        )
+
+    def _named(self, numbers: tuple[int, ...]) -> str:
+        return ", ".join(
+            f"{self._axis_name(axis)} = {numbers[axis]}"
+            for axis in range(self.ndim)
+            if axis not in self.plane
+        )
+
+    def _axis_name(self, axis: int) -> str:
+        return self.axis_labels[axis] if self._is_named(axis) else f"axis {axis}"
+
+    def _is_named(self, axis: int) -> bool:
+        return not self.axis_labels[axis].lstrip("-").isdigit()
+
+    def take(self, data: Any) -> npt.NDArray[Any]:
+        """Copy the slice out of a layer's data, rows first; colours stay last."""
+        chosen = tuple(
+            slice(None) if axis in self.plane else self.index[axis] for axis in range(self.ndim)
+        )
+        part = data[chosen]
+        if hasattr(part, "compute"):  # of dask, whose own conversion would lose a mask
+            part = part.compute()
+        # A mask is kept, for whoever can say whose it is.
+        masked = isinstance(part, np.ma.MaskedArray)
+        picture: npt.NDArray[Any] = np.ma.array(part, copy=True) if masked else np.array(part)
+        return picture.swapaxes(0, 1) if self.plane[0] > self.plane[1] else picture
+
+    def put_image(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Give a picture (H, W[, colours]) the layer's axes, of one slice each beyond the plane."""
+        if self.plane[0] > self.plane[1]:
+            picture = picture.swapaxes(0, 1)
+        others = [axis for axis in range(self.ndim) if axis not in self.plane]
+        return np.ascontiguousarray(np.expand_dims(picture, others) if others else picture)
+
+    def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes.
+
+        Without any, a two-dimensional layer gets one of no length, which is not seen: an empty one
+        napari cannot draw in three dimensions.
+        """
+        if not len(arrows) and self.ndim == 2:
+            arrows = np.zeros((1, 2, 2))
+        placed = np.zeros((len(arrows), 2, self.ndim), dtype=np.float32)
+        placed[:, 0] = self.index
+        placed[:, :, list(self.plane)] = arrows
+        return placed
+
+    def placement(self, image: bool = False) -> dict[str, Any]:
+        """Keyword arguments that make a layer lie where the source does.
+
+        Parameters
+        ----------
+        image : bool
+            Whether the layer's data come from `put_image`, and so begin at the slice itself.
+        """
+        translate = np.array(self.translate)
+        if image:
+            world = np.array(self.matrix) @ np.array([*self.index, 1.0])
+            translate = (np.linalg.inv(np.array(self.affine)) @ world)[:-1]
+        return {
+            "scale": np.array(self.scale),
+            "translate": translate,
+            "rotate": np.array(self.rotate),
+            "shear": np.array(self.shear),
+            "affine": np.array(self.affine),
+            "units": self.units,
+            "axis_labels": self.axis_labels,
+        }
+
+    def same_place(self, other: Frame, shape: tuple[int, int]) -> bool:
+        """Whether a slice of that shape covers the same part of the world in both frames.
+
+        Layers of fewer dimensions lie on every slice: only the axes that both have are compared.
+        """
+        shared = min(self.ndim, other.ndim)
+        mine, theirs = self._corners(shape)[:, -shared:], other._corners(shape)[:, -shared:]
+        factors = [
+            unit_factor(unit, to)
+            for unit, to in zip(other.units[-shared:], self.units[-shared:], strict=True)
+        ]
+        if not np.isfinite(factors).all():
+            return False
+        # In pixels, axis by axis: a length in the world says nothing of the pixels of all axes.
+        apart = np.zeros((len(mine), self.ndim))
+        apart[:, -shared:] = theirs * factors - mine
+        pixels = apart @ np.linalg.inv(np.array(self.matrix)[:-1, :-1]).T
+        return bool(np.abs(pixels).max() <= _TOLERANCE)
+
+    def _corners(self, shape: tuple[int, int]) -> npt.NDArray[np.float64]:
+        corners = np.tile(np.array([*self.index, 1.0]), (4, 1))
+        corners[:, self.plane[0]] = [0, 0, shape[0], shape[0]]
+        corners[:, self.plane[1]] = [0, shape[1], 0, shape[1]]
+        world: npt.NDArray[np.float64] = (corners @ np.array(self.matrix).T)[:, :-1]
+        return world
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON types, for `Solution.frame`."""
+        kept = asdict(self)
+        del kept["sliders"]  # of one viewer, at one time
+        return kept
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Frame:
+        """The inverse of `as_dict`.
+
+        Raises
+        ------
+        ValueError
+            If it is not what `as_dict` made, or no layer can lie there.
+        """
+        try:
+            return cls(**stored_place(values))
+        except KeyError as error:
+            raise ValueError(f"not the place of a slice: it lacks {error}") from error
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(f"not the place of a slice: {error}") from error
+
+    @classmethod
+    def of_pixels(cls, spacing: tuple[float, ...]) -> Frame:
+        """A two-dimensional frame at the origin, for a solution that came from no layer."""
+        scale = floats(spacing)
+        return cls(
+            plane=(0, 1),
+            index=(0, 0),
+            scale=scale,
+            translate=(0.0, 0.0),
+            rotate=((1.0, 0.0), (0.0, 1.0)),
+            shear=(0.0,),
+            affine=rows(np.eye(3)),
+            units=("pixel", "pixel"),
+            axis_labels=("-2", "-1"),
+            matrix=rows(np.diag([*scale, 1.0])),
+        )

@@ -1,0 +1,301 @@
+"""A solution becomes layers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.deformation import (
+    arrows,
+    deformation_grid,
+    magnitude,
+    pixels_between,
+    smallest_determinant,
+)
+from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.warp import inverse_map_and_overlaps
+from napari_hmrf.layers.arrow_thinning import apart
+from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
+from napari_hmrf.layers.label_colours import fold_colours
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import unit_symbol
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.models import in_words, short_name
+
+Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
+#: The layers there can be, in the order they are stacked, lowest first.
+KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "folds", "grid", "arrows")
+#: Those that fill their pixels, and so belong under what is painted.
+FILLING: tuple[Kind, ...] = ("image", "magnitude", "labels")
+
+#: What a file of a solution alone can show.
+RESTORED: tuple[Kind, ...] = ("arrows",)
+
+#: Arrows enough to see the motion, few enough to see the image.
+ARROWS = 500
+#: Lines of the deformation grid across the longer side.
+LINES = 30
+
+
+class LayerData(NamedTuple):
+    """A layer before it is one, as napari's readers and samples give it."""
+
+    data: Any
+    attributes: dict[str, Any]
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """What may be deformed along with the field.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+    labels : ndarray of int, shape (H, W), optional
+    name, labels_name : str
+        Of the layers they came from; results are named after them.
+    level : int, optional
+        Of a multiscale layer, where there was one: 0, the finest.
+    look, labels_look : dict
+        How they are drawn: colormap and the like, as a new layer takes it.
+    """
+
+    image: npt.NDArray[Any] | None = None
+    labels: npt.NDArray[Any] | None = None
+    name: str = ""
+    labels_name: str = ""
+    level: int | None = None
+    look: dict[str, Any] = field(default_factory=dict)
+    labels_look: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """The layers of a result, and what there is to say of it.
+
+    Attributes
+    ----------
+    solution : Solution
+        With its frame.
+    layers : dict of kind to LayerData
+        In stacking order.
+    folds : int
+        Sites at which the tissue folds over itself (Jacobian determinant <= 0).
+    overlaps : int
+        Pixels at which one part of the tissue has moved onto another; only counted where there
+        are pictures.
+    worst : (int, int), optional
+        Row and column of the worst of them.
+    """
+
+    solution: Solution
+    layers: dict[Kind, LayerData]
+    folds: int
+    overlaps: int = 0
+    worst: tuple[int, int] | None = None
+
+
+def result_layers(
+    solution: Solution,
+    frame: Frame | None = None,
+    pictures: Pictures | None = None,
+    kinds: Collection[Kind] = ("arrows", "image"),
+    checkpoint: Callable[[], None] = lambda: None,
+) -> Outputs:
+    """Turn a solution into layer data; the one way to do so. Needs neither window nor layer.
+
+    Parameters
+    ----------
+    solution : Solution
+    frame : Frame, optional
+        Where it lies; by default as its `frame` says, or at the origin.
+    pictures : Pictures, optional
+        What to deform with it.
+    kinds : collection of {"image", "arrows", "grid", "magnitude", "labels", "folds"}
+        The layers to make; those that lack their picture are left out.
+    checkpoint : callable
+        Called between the parts; raises to stop the work.
+
+    Returns
+    -------
+    Outputs
+
+    Raises
+    ------
+    ValueError
+        If the solution's frame is not one that layers have.
+    """
+    if frame is None:
+        stored = solution.frame
+        frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
+    solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
+    checkpoint()
+    smallest = smallest_determinant(solution.displacement, solution.spacing, solution.tissue)
+    folded = smallest <= 0
+    worst = None
+    if folded.any():
+        row, col = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
+        worst = (int(row), int(col))
+    maker = _Maker(solution, frame, pictures or Pictures(), folded)
+    # A file that is opened shows arrows, and need not wait for the compiler of the loops.
+    overlaps = 0 if pictures is None else maker.count_overlaps()
+    layers: dict[Kind, LayerData] = {}
+    for kind in KINDS:
+        checkpoint()
+        if kind in kinds and (made := getattr(maker, kind)()) is not None:
+            layers[kind] = made
+    return Outputs(solution, layers, int(folded.sum()), overlaps, worst)
+
+
+def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[np.float32], float]:
+    """Pick about so many arrows of which none lies on another, and how thick they are drawn.
+
+    Returns
+    -------
+    segments : ndarray, shape (N, 2, 2), float32
+        Arrows as (start, direction), each (row, col) in pixels.
+    width : float
+        In pixels.
+    """
+    found = arrows(solution.displacement, solution.spacing, solution.tissue, about=about)
+    pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
+    chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
+    return found[chosen], pixels / 8
+
+
+class _Maker:
+    """One method per kind of layer."""
+
+    def __init__(
+        self,
+        solution: Solution,
+        frame: Frame,
+        pictures: Pictures,
+        folded: npt.NDArray[np.bool_],
+    ) -> None:
+        self._solution = solution
+        self._folded = folded
+        self._frame = frame
+        self._pictures = pictures
+        self._field = (solution.displacement, solution.spacing)
+        self._facts: dict[str, Any] = {
+            "source": pictures.name,
+            "slice": frame.slice_name,
+            "slice_seen": frame.slice_seen,
+            "unit": frame.unit,
+            "model": in_words(solution.provenance.parameters),
+            "folds": int(folded.sum()),
+            "provenance": asdict(solution.provenance),
+        }
+        if pictures.level is not None:
+            self._facts["level"] = pictures.level
+
+    def count_overlaps(self) -> int:
+        """Count the pixels that hold tissue twice, and keep the number with the layers' facts."""
+        self._facts["overlaps"] = int(self._inverted[2].sum())
+        return int(self._facts["overlaps"])
+
+    def image(self) -> LayerData | None:
+        """The image, moved with the tissue."""
+        picture = self._pictures.image
+        if picture is None:
+            return None
+        moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
+        return self._picture("image", moved, "deformed", self._pictures.look, rgb=moved.ndim == 3)
+
+    def labels(self) -> LayerData | None:
+        """The tissue labels, moved with the tissue."""
+        labels = self._pictures.labels
+        if labels is None:
+            return None
+        moved = resample(labels, *self._inverse, order=0)
+        data = self._picture("labels", moved, "deformed", self._pictures.labels_look)
+        return data._replace(
+            attributes={**data.attributes, "name": self._name("deformed", labels=True)},
+            kind="labels",
+        )
+
+    def magnitude(self) -> LayerData:
+        """How far the tissue moves."""
+        length = magnitude(self._solution.displacement)
+        look = {
+            "colormap": "viridis",
+            "blending": "translucent",
+            "opacity": 0.6,
+            "contrast_limits": (0.0, float(length.max()) or 1.0),
+        }
+        what = f"magnitude ({unit_symbol(self._frame.unit)})"
+        return self._picture("magnitude", length, what, look, rgb=False)
+
+    def grid(self) -> LayerData:
+        """A grid that has moved with the tissue."""
+        tissue = self._solution.tissue
+        every = pixels_between(LINES, tissue.shape, self._solution.spacing)
+        segments = deformation_grid(*self._field, every=every, tissue=tissue)
+        width = max(tissue.shape) / 500
+        look = {"vector_style": "line", "edge_color": "cyan", "edge_width": width}
+        return self._vectors("grid", segments, "grid", look)
+
+    def folds(self) -> LayerData | None:
+        """Where the tissue folds over itself, before it moved."""
+        if not self._folded.any():
+            return None
+        look = {"colormap": fold_colours(), "opacity": 1.0}
+        folded = self._folded.astype(np.uint8)
+        return self._picture("folds", folded, "folds", look)._replace(kind="labels")
+
+    def arrows(self) -> LayerData:
+        """Where the tissue goes."""
+        found, width = arrows_apart(self._solution)
+        look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": width}
+        return self._vectors("arrows", found, "arrows", look)
+
+    @cached_property
+    def _inverted(
+        self,
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        return inverse_map_and_overlaps(*self._field, self._solution.tissue)
+
+    @property
+    def _inverse(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        return self._inverted[:2]
+
+    def _picture(
+        self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any], **more: Any
+    ) -> LayerData:
+        attributes = {
+            **look,
+            **more,
+            **self._frame.placement(image=True),
+            "name": self._name(what),
+            "metadata": {METADATA: {"kind": kind, **self._facts}},
+        }
+        return LayerData(self._frame.put_image(picture), attributes, "image")
+
+    def _vectors(
+        self, kind: Kind, segments: npt.NDArray[Any], what: str, look: dict[str, Any]
+    ) -> LayerData:
+        facts = {"kind": kind, **self._facts, "solution": self._solution}
+        attributes = {
+            **look,
+            **self._frame.placement(),
+            "length": 1.0,
+            "opacity": 1.0,
+            "name": self._name(what),
+            "metadata": {METADATA: facts},
+        }
+        return LayerData(self._frame.put_vectors(segments), attributes, "vectors")
+
+    def _name(self, what: str, labels: bool = False) -> str:
+        source = self._pictures.labels_name if labels else self._pictures.name
+        where = f" ({self._frame.slice_seen})" if self._frame.slice_seen else ""
+        model = short_name(self._solution.provenance.parameters)
+        return f"{source} {what}".strip() + (f", {model}" if model else "") + where

@@ -1,0 +1,202 @@
+"""Results among a viewer's layers, found by what their metadata say, and what they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from napari.layers import Image
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
+from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import Kind
+from napari_hmrf.layers.slice_view import View, unit_factor, unit_symbol
+from napari_hmrf.solver.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class FoundResult:
+    """A result that a layer of arrows holds.
+
+    Attributes
+    ----------
+    solution : Solution
+    frame : Frame
+        Where it lies.
+    facts : dict
+        What the layer's metadata say of it beside.
+    """
+
+    solution: Solution
+    frame: Frame
+    facts: dict[str, Any]
+
+    @property
+    def unit(self) -> str:
+        """The unit of its lengths, as tables show it: "px", "mm"."""
+        return unit_symbol(self.frame.unit)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.solution.tissue.shape
+        return int(rows), int(cols)
+
+    @property
+    def source(self) -> str:
+        """The name that the deformed image's layer had; empty for a result from a file."""
+        return str(self.facts.get("source") or "")
+
+
+def result_of(layer: Any) -> FoundResult | None:
+    """Read the result out of a layer of arrows; None if it holds none."""
+    known = known_of(layer)
+    solution = known.get("solution")
+    if known.get("kind") != "arrows" or not isinstance(solution, Solution):
+        return None
+    stored = solution.frame
+    try:
+        frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
+    except ValueError:
+        return None
+    facts = {key: value for key, value in known.items() if key not in ("solution", "kind")}
+    return FoundResult(solution, frame, facts)
+
+
+def companion(layers: Iterable[Any], result: FoundResult, kind: Kind) -> Any:
+    """Find another layer that the same dock made of a source and slice; the topmost, or None."""
+    if not result.source:
+        return None
+    for layer in reversed(list(layers)):
+        known = known_of(layer)
+        same = all(known.get(key) == result.facts.get(key) for key in ("by", "source", "slice"))
+        if known.get("kind") == kind and same and "folds" in known:
+            return layer
+    return None
+
+
+def source_of(layers: Iterable[Any], result: FoundResult) -> Any:
+    """Find the image that a result deforms: by its name, else one that lies where it does."""
+    images = [layer for layer in layers if can_be_source(layer, result)]
+    named = [layer for layer in images if layer.name == result.source]
+    meant = [layer for layer in images if role_of(layer) == IMAGE]
+    return next(iter([*named, *meant, *images]), None)
+
+
+def can_be_source(layer: Any, result: FoundResult) -> bool:
+    """Whether a layer is an image on the pixels of a result, and not itself made of one."""
+    own = isinstance(layer, Image) and "kind" not in known_of(layer)
+    return own and frame_in(layer, result) is not None
+
+
+def tissue_of(layers: Iterable[Any], result: FoundResult) -> Any:
+    """Find the layer that says how stiff the tissue of a result is, or None.
+
+    That is one of labels with a table, or one of stiffness made from an image's intensity.
+    """
+    for layer in reversed(list(layers)):
+        if role_of(layer) != TISSUE:
+            continue
+        described = isinstance(layer, Image) or rows_of(layer, TISSUE)
+        if described and frame_in(layer, result) is not None:
+            return layer
+    return None
+
+
+def frame_in(layer: Any, result: FoundResult) -> Frame | None:
+    """The frame of the slice of a layer that lies on a result's pixels; None if none does."""
+    try:
+        own = Frame.of(layer)
+        more = own.ndim - result.frame.ndim
+        plane = tuple(axis + more for axis in result.frame.plane)
+        index = ((0,) * more + result.frame.index)[-own.ndim :]
+        if min(plane) < 0:
+            return None
+        own = replace(own, plane=(plane[0], plane[1]), index=index)
+        fits = plane_shape(layer, own) == result.shape
+        return own if fits and result.frame.same_place(own, result.shape) else None
+    except (ProblemError, ValueError, IndexError):
+        return None
+
+
+def picture_of(layer: Any, result: FoundResult) -> npt.NDArray[Any] | None:
+    """Copy what a layer shows on a result's pixels, rows first; None if it lies elsewhere.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be read.
+    """
+    own = frame_in(layer, result)
+    return None if own is None else copy_slice(layer, own)
+
+
+def place_at(
+    layer: Any, result: FoundResult, position: Any, view: View
+) -> tuple[float, float] | None:
+    """Where a point of the world lies on the pixels of a result; None beside it or its slice.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        That holds the result.
+    result : FoundResult
+    position : sequence of float
+        World coordinates, as of a viewer's cursor.
+    view : View
+        What the viewer shows.
+
+    Returns
+    -------
+    (float, float) or None
+        (row, col), whole numbers at the middle of a pixel.
+    """
+    point = np.asarray(position, dtype=float)[-layer.ndim :]
+    if len(point) < layer.ndim:
+        return None
+    if view.units is not None:
+        units = zip(view.units[-layer.ndim :], layer.units, strict=True)
+        point = point * [unit_factor(unit, str(to)) for unit, to in units]
+    found = np.asarray(layer.world_to_data(np.nan_to_num(point)), dtype=float)
+    index = np.floor(np.nan_to_num(found) + 0.5)
+    frame = result.frame
+    if any(
+        index[axis] != frame.index[axis] for axis in range(frame.ndim) if axis not in frame.plane
+    ):
+        return None
+    rows, cols = frame.plane
+    inside = 0 <= index[rows] < result.shape[0] and 0 <= index[cols] < result.shape[1]
+    return (float(found[rows]), float(found[cols])) if inside else None
+
+
+def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str] | None:
+    """The slice of a result and the one that is shown, if they are two: `slice_said`, `slice_seen`.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        That holds the result.
+    result : FoundResult
+    view : View
+        What the viewer shows.
+    """
+    if result.frame.ndim < 3 or len(view.displayed) != 2:
+        return None
+    try:
+        shown = Frame.of(layer, view)
+    except (ProblemError, ValueError):
+        return None
+    frame = result.frame
+    if shown.plane != frame.plane or shown.index == frame.index:
+        return None
+    return replace(frame, sliders=shown.sliders).slice_said, shown.slice_seen
+
+
+def facts_for(result: FoundResult, kind: str, **more: Any) -> dict[str, Any]:
+    """Metadata of another layer of a result."""
+    return {METADATA: {"kind": kind, **result.facts, **more}}

@@ -1,0 +1,153 @@
+"""Which slice of a layer a viewer shows, and in what units it is measured."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.layers.layer_names import LayerError, full_resolution
+
+#: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
+_UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
+
+
+@dataclass(frozen=True)
+class View:
+    """What a viewer shows: a copy of the parts of its `Dims` that pick a slice.
+
+    Attributes
+    ----------
+    displayed : tuple of int
+        World axes drawn, in the order (rows, columns).
+    point : tuple of float
+        World coordinates of the slice on every axis.
+    units : tuple of str, optional
+        Of `point`, if the viewer has them.
+    sliders : tuple of (float, float), optional
+        Where the slider of each axis begins, and its step; it counts steps.
+    """
+
+    displayed: tuple[int, ...]
+    point: tuple[float, ...]
+    units: tuple[str, ...] | None = None
+    sliders: tuple[tuple[float, float], ...] | None = field(default=None, compare=False)
+
+    @classmethod
+    def of(cls, dims: Any) -> View:
+        """Copy a viewer's dims."""
+        units = getattr(dims, "units", None)
+        return cls(
+            tuple(int(axis) for axis in dims.displayed),
+            tuple(float(value) for value in dims.point),
+            None if units is None else tuple(str(unit) for unit in units),
+            tuple((float(span.start), float(span.step)) for span in dims.range),
+        )
+
+
+def slice_shown(
+    layer: Any, matrix: npt.NDArray[np.float64], view: View | None
+) -> tuple[tuple[int, int], tuple[int, ...]]:
+    """The layer's axes that a viewer draws as rows and columns, and its slice on the others."""
+    ndim = int(layer.ndim)
+    if view is None:
+        return (ndim - 2, ndim - 1), (0,) * ndim
+    missing = len(view.point) - ndim
+    rows, cols = (axis - missing for axis in view.displayed[-2:])
+    if min(rows, cols) < 0:
+        raise LayerError(
+            layer,
+            f"has {ndim} axes, and not the one the viewer shows as world axis "
+            f"{min(view.displayed[-2:])}. Show its own axes (the roll button below the canvas).",
+        )
+    others = [axis for axis in range(ndim) if axis not in (rows, cols)]
+    size = np.abs(matrix[:-1, :-1]).max()
+    if others and np.abs(matrix[np.ix_(others, [rows, cols])]).max() > 1e-9 * size:
+        raise LayerError(
+            layer,
+            "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
+            "others. Show the axes it was taken in, or resample it.",
+        )
+    index = [0] * ndim
+    if others:
+        point = np.array(view.point[missing:])
+        if view.units is not None:
+            point = point * [
+                unit_factor(unit, str(to))
+                for unit, to in zip(view.units[missing:], layer.units, strict=True)
+            ]
+        pixel = np.asarray(layer.world_to_data(np.nan_to_num(point)))
+        extents = layer_extents(layer)
+        for axis in others:
+            index[axis] = round(float(pixel[axis]))
+            if extents and not 0 <= index[axis] < extents[axis]:
+                raise LayerError(
+                    layer,
+                    f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
+                    f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
+                )
+    return (rows, cols), tuple(index)
+
+
+def sliders_of(layer: Any, view: View | None) -> tuple[tuple[float, float], ...]:
+    """Where the slider of each of a layer's axes begins, and its step, in the layer's units."""
+    if view is None or view.sliders is None:
+        return ()
+    missing = len(view.point) - int(layer.ndim)
+    found = []
+    for axis in range(int(layer.ndim)):
+        unit, to = "" if view.units is None else view.units[axis + missing], str(layer.units[axis])
+        factor = unit_factor(unit, to) if unit else 1.0
+        start, step = view.sliders[axis + missing]
+        found.append((start * factor, step * factor))
+    return tuple(found)
+
+
+def layer_extents(layer: Any) -> tuple[int, ...]:
+    """Pixels of an image-like layer along its axes; nothing for vectors, points and shapes."""
+    if layer.__class__.__name__ in ("Vectors", "Points", "Shapes"):
+        return ()
+    return tuple(full_resolution(layer).shape[: layer.ndim])
+
+
+def unit_factor(unit: str, to: str) -> float:
+    """How many `to` make one `unit`; NaN if they measure different things."""
+    if unit == to:
+        return 1.0
+    import pint
+
+    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
+    try:
+        return float(registry.Quantity(1, unit).to(to).magnitude)
+    except pint.errors.PintError:
+        return float("nan")
+
+
+def is_unit(unit: str) -> bool:
+    """Whether layers know a unit of that name."""
+    if not _UNIT.fullmatch(unit):
+        return False
+    import pint
+
+    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
+    try:
+        registry.Unit(unit)
+    except Exception:  # noqa: BLE001 - parsing text of others raises what it likes
+        return False
+    return True
+
+
+def unit_symbol(unit: str) -> str:
+    """A unit of length as tables show it: "px", "mm"."""
+    if unit == "pixel":
+        return "px"
+    import pint
+
+    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
+    try:
+        return f"{registry.Unit(unit):~}" or unit
+    except (pint.errors.PintError, ValueError):
+        return unit

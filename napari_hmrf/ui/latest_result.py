@@ -1,0 +1,84 @@
+"""The latest result, and whether it still is that of the layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any
+
+from napari_hmrf.layers.inputs import Request, copy_layers
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import Kind
+from napari_hmrf.ui.job import Done
+from napari_hmrf.ui.messages import CHANGED, OTHER_SLICE, details, report
+
+
+class Latest:
+    """What came out last, and what it was made with.
+
+    Attributes
+    ----------
+    done : Done or None
+        The result.
+    settings : tuple
+        Prior and optimizer it was made with.
+    fresh : bool
+        Whether layers, tables and settings were still the same when last looked at.
+    here : bool
+        Whether the slice was.
+    note : str
+        What was found in the paint since.
+    """
+
+    def __init__(self) -> None:
+        self.done: Done | None = None
+        self.settings: tuple[Any, ...] = ()
+        self.fresh = self.here = True
+        self.note = ""
+
+    def forget(self) -> None:
+        """The layers it came from are gone."""
+        self.done = None
+
+    def compare(self, request: Callable[[], Request], settings: tuple[Any, ...]) -> bool:
+        """Look whether a solve would give the same now; whether the answer is another than before.
+
+        Layers that cannot be read, for whatever reason, would not give the same.
+        """
+        assert self.done is not None
+        before = (self.fresh, self.here)
+        self.fresh, self.here = False, True
+        try:
+            now = request()
+            index = Frame.of(now.layers[0], now.view).index
+            self.here = index == self.done.snapshot.frame.index
+            if self.here and settings == self.settings:
+                self.fresh = self.done.snapshot.same_as(copy_layers(now))
+        except Exception:  # noqa: BLE001 - a layer may raise anything; the result is there
+            self.fresh = False
+        return (self.fresh, self.here) != before
+
+    def outdate(self) -> None:
+        """There is nothing to compare with any more."""
+        self.fresh, self.here = False, True
+
+    def lacks(self, kinds: Collection[Kind]) -> bool:
+        """Whether it could show more than it does."""
+        if self.done is None:
+            return False
+        outputs, pictures = self.done.outputs, self.done.snapshot.pictures
+        possible = set(kinds) - set(outputs.layers)
+        without = {
+            "image": pictures.image is None,
+            "labels": pictures.labels is None,
+            "folds": not outputs.folds,
+        }
+        return any(not without.get(kind, False) for kind in possible)
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """What to say of it, and in small."""
+        if self.done is None:
+            return "", ""
+        if self.fresh:
+            return report(self.done), details(self.done)
+        return f"{CHANGED if self.here else OTHER_SLICE} {self.note}".rstrip(), ""

@@ -1,0 +1,97 @@
+"""Colours and grid: made when they are asked for, hidden when they are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_lookup import FoundResult
+from napari_hmrf.layers.strain_layers import FloatArray, Quantity
+from napari_hmrf.ui.look.cursor import UnderCursor
+from napari_hmrf.ui.look.errands import Errands
+from napari_hmrf.ui.look.look_form import LookFace
+from napari_hmrf.ui.look.look_layers import ShownLayers
+from napari_hmrf.ui.look.look_messages import NOTHING
+from napari_hmrf.ui.look.look_work import coloured, grid_of
+from napari_hmrf.ui.result_turns import hide
+
+
+class LayerChoices:
+    """Has colours and grid drawn as the widget says.
+
+    Parameters
+    ----------
+    face : LookFace
+    shown : ShownLayers
+    errands : Errands
+    cursor : UnderCursor
+        Told what colours show.
+    moves_anew : callable
+        Called when other layers move than before; given whether they are to be drawn at once.
+    """
+
+    def __init__(
+        self,
+        face: LookFace,
+        shown: ShownLayers,
+        errands: Errands,
+        cursor: UnderCursor,
+        moves_anew: Callable[[bool], None],
+    ) -> None:
+        self._shown, self._errands, self._cursor = shown, errands, cursor
+        self._moves_anew = moves_anew
+        face.colours.changed.connect(self._on_colours)
+        face.grid.changed.connect(self._on_grid)
+
+    def make_colours(self, result: FoundResult, quantity: Quantity) -> None:
+        """Colour the tissue of a result."""
+        work = partial(coloured, result, quantity)
+        self._errands.send("colours", work, partial(self._show_colours, result))
+
+    def make_grid(self, result: FoundResult) -> None:
+        """Draw the deformation grid of a result."""
+        self._errands.send("grid", partial(grid_of, result), partial(self._put, "grid"))
+
+    def _on_colours(self, quantity: Any) -> None:
+        result = self._shown.result
+        if result is None:
+            return
+        if quantity == NOTHING:
+            self._cursor.coloured = None
+            layer = self._shown.layer("colours")
+            if layer is not None:
+                hide(layer)
+            self._moves_anew(False)
+            return
+        self.make_colours(result, quantity)
+        self._shown.take_turn()
+
+    def _show_colours(self, result: FoundResult, found: tuple[LayerData, FloatArray]) -> None:
+        if result is not self._shown.result:
+            return
+        made, values = found
+        known = made.attributes["metadata"][METADATA]
+        self._cursor.coloured = known["kind"], values
+        known["percent"] = 0
+        self._put("colours", made)
+        self._moves_anew(True)
+
+    def _on_grid(self, drawn: bool) -> None:
+        result, layer = self._shown.result, self._shown.layer("grid")
+        if result is None:
+            return
+        if layer is not None:
+            layer.visible = drawn
+        elif drawn:
+            self.make_grid(result)
+        if drawn:
+            self._shown.take_turn()
+        self._moves_anew(drawn)
+
+    def _put(self, kind: str, made: LayerData) -> None:
+        """Show what was made for this result, now or when it is its turn."""
+        self._shown.put(kind, made)
+        self._shown.give_way()

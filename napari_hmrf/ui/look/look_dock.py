@@ -1,0 +1,276 @@
+"""The dock widget *Look at the result*: the tissue on its way, and what happens to it."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from napari.utils.key_bindings import coerce_keybinding
+from psygnal import Signal
+from qtpy.QtWidgets import QFileDialog
+
+from napari_hmrf.layers.result_lookup import result_of
+from napari_hmrf.layers.tissue_point import Probe
+from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.look.look_controls import LookControls
+from napari_hmrf.ui.look.look_form import BEFORE_KEY, PAUSE, PLAY
+from napari_hmrf.ui.look.look_layers import is_seen, seen_instead
+from napari_hmrf.ui.look.look_messages import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, POINT
+from napari_hmrf.ui.timers import single_shot
+
+_BEFORE = coerce_keybinding(BEFORE_KEY)
+#: How long a result has to stand still before it is looked at anew, in milliseconds.
+_SETTLED = 150
+
+
+class LookAtResult(LookControls):
+    """Go through a deformation, colour it by what it does to the tissue, and save pictures.
+
+    Everything the user can do a script can do too: set `result`, `image`, `percent`, `before`,
+    `colours`, `grid`, `arrows`, `arrow_count` and `arrow_length`; `play` and `stop`; `at` and
+    `save_pictures`. What takes longer is computed on the compute thread: `idle` tells when it is
+    done.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    saved : Signal(object)
+        Emitted when pictures are written: a list of `Path`.
+    """
+
+    saved = Signal(object)
+
+    def __init__(self, napari_viewer: Any) -> None:
+        super().__init__(napari_viewer)
+        self._settling = single_shot(self.native, _SETTLED, self._on_settled)
+        # A layer is known to be the grid of a result only after it has come.
+        self._eyes = single_shot(self.native, 0, self._on_eye)
+        self._followed: Any = None
+        self._grid: Any = None
+        self._nothing = NO_RESULT
+        self._connect()
+        self._on_theme()
+        self._choose(seen=True)
+        if self.result is None:
+            self._take()
+
+    @property
+    def idle(self) -> bool:
+        """Whether all that was asked for is seen."""
+        waiting = self._settling.isActive() or self._eyes.isActive()
+        return not (waiting or self._scene.busy)
+
+    # What can be done
+
+    def play(self) -> None:
+        """Go back and forth between 0 and 100 % until `stop`."""
+        if self.result is None:
+            self._face.status.say(self._nothing)
+        elif self._scene.ready_to_move():
+            self._scene.player.play()
+        else:
+            self._face.status.say(NO_IMAGE)
+
+    def stop(self) -> None:
+        """Stay at what is seen."""
+        self._scene.player.stop()
+
+    def at(self, position: Any) -> Probe | None:
+        """Say what happens to the tissue that is seen at a point of the world; None beside it."""
+        return self._scene.cursor.at(position)[0]
+
+    def save_pictures(self, folder: str | Path) -> None:
+        """Write pictures into a folder that exists; `saved` is emitted when they are there."""
+        self._scene.save(Path(folder), self.saved.emit)
+
+    # What Qt and napari tell
+
+    def _connect(self) -> None:
+        face, viewer = self._face, self._viewer
+        face.result.changed.connect(self._on_result)
+        face.image.changed.connect(self._on_image)
+        face.slider.changed.connect(self._on_slider)
+        face.play.changed.connect(self._on_play)
+        face.save.changed.connect(self._on_save)
+        for signal, hold in (
+            (face.before.native.pressed, True),
+            (face.before.native.released, False),
+        ):
+            signal.connect(partial(setattr, self, "before", hold))
+        self._scene.player.moved.connect(self._on_moved)
+        self._scene.player.playing_changed.connect(self._on_playing)
+        self._events = Listening(
+            (viewer.layers.events.inserted, self._on_inserted),
+            (viewer.layers.events.removed, self._on_layers),
+            (viewer.layers.events.renamed, self._on_layers),
+            (viewer.dims.events.current_step, self._on_slice),
+            (viewer.dims.events.order, self._on_slice),
+            (viewer.dims.events.ndisplay, self._on_slice),
+            (viewer.events.theme, self._on_theme),
+        )
+        self._bind_key()
+
+    def _choose(self, seen: bool = False) -> None:
+        """Look at the newest result, or at the newest of those that are seen."""
+        self._face.result.refresh()
+        offered = self._face.result.offered
+        if seen:
+            offered = [each for each in offered if is_seen(self._viewer, each)] or offered
+        if offered and offered[-1] is not self.result:
+            with self._face.result.changed.blocked():
+                self._face.result.value = offered[-1]
+            self._take()
+
+    def _on_result(self, *_: Any) -> None:
+        self._take(chosen=True)
+
+    def _take(self, chosen: bool = False) -> None:
+        """Look at the result that is chosen, as it is now."""
+        if self.away:
+            return
+        gone = self._followed
+        self._nothing = NO_CHOICE if self._face.result.offered else NO_RESULT
+        if self.result is None and gone is not None and gone not in self._viewer.layers:
+            self._nothing = LOST.format(layer=gone.name)
+        self._follow(self.result)
+        self._taken = None if self.result is None else result_of(self.result)
+        self._scene.take(self.result, chosen)
+        self._follow_grid(self._scene.shown.layer("grid"))
+        self._face.status.say(self._nothing if self.result is None else self._scene.words)
+
+    def _follow(self, layer: Any) -> None:
+        if layer is self._followed:
+            return
+        if self._followed is not None:
+            self._followed.events.data.disconnect(self._on_arrows)
+            self._followed.events.visible.disconnect(self._on_eye)
+        self._followed = layer
+        if layer is not None:
+            layer.events.data.connect(self._on_arrows)
+            layer.events.visible.connect(self._on_eye)
+
+    def _follow_grid(self, layer: Any) -> None:
+        if layer is self._grid:
+            return
+        if self._grid is not None:
+            self._grid.events.visible.disconnect(self._on_eye)
+        self._grid = layer
+        if layer is not None:
+            layer.events.visible.connect(self._on_eye)
+
+    def _on_arrows(self, *_: Any) -> None:
+        """Arrows were drawn anew: by whom is seen when their metadata have followed."""
+        if not self.away:
+            self._settling.start()
+
+    def _on_eye(self, *_: Any) -> None:
+        if not self.away:
+            self._follow_grid(self._scene.shown.layer("grid"))
+            self._scene.look_at_eyes()
+
+    def _on_settled(self) -> None:
+        if not self.away and self._scene.outdated:
+            self._take()
+
+    def _on_inserted(self, event: Any) -> None:
+        if self.away:
+            return
+        if self._is_result(event.value):
+            self._choose()
+        self._on_layers()
+
+    def _on_layers(self, *_: Any) -> None:
+        if not self.away:
+            self._face.result.refresh()
+            self._face.image.refresh()
+            self._eyes.start()
+
+    def _on_slice(self, *_: Any) -> None:
+        if not self.away:
+            self._scene.say_where()
+
+    def _on_image(self, *_: Any) -> None:
+        if not self.away:
+            self._scene.prepare()
+
+    def _on_slider(self, percent: int) -> None:
+        if self.result is None:
+            return
+        self.stop()
+        if self._scene.ready_to_move():
+            self._scene.go(percent)
+        else:
+            self._face.status.say(NO_IMAGE)
+
+    def _on_moved(self, percent: int) -> None:
+        with self._face.slider.changed.blocked():
+            self._face.slider.value = percent
+        self._scene.go(percent)
+
+    def _on_play(self, *_: Any) -> None:
+        if self.playing:
+            self.stop()
+        else:
+            self.play()
+
+    def _on_playing(self, playing: bool) -> None:
+        self._face.play.text = PAUSE if playing else PLAY
+
+    def _on_save(self, *_: Any) -> None:
+        title = "Where to make a folder of pictures"
+        chosen = QFileDialog.getExistingDirectory(self.native, title)
+        if chosen:
+            self._scene.save(Path(chosen), self.saved.emit, own_folder=True)
+
+    def _on_theme(self, *_: Any) -> None:
+        theme = getattr(self._viewer, "theme", None)
+        if theme is not None and not self.away:
+            self._face.energy.show_theme(str(theme))
+
+    @property
+    def _key(self) -> Any:
+        """What the key does that is held to see the image as it was, if it does anything."""
+        keys = getattr(self._viewer, "keymap", {})
+        return next((does for key, does in keys.items() if key == _BEFORE), None)
+
+    def _bind_key(self) -> None:
+        if self._key is None:
+            self._viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
+
+    def _unbind_key(self) -> None:
+        if self._key == self._while_key_is_held:
+            self._viewer.bind_key(BEFORE_KEY, None)
+
+    def _while_key_is_held(self, _: Any) -> Any:
+        self.before = True
+        yield
+        self.before = False
+
+    def _on_opened(self) -> None:
+        self._bind_key()
+        self._choose(seen=True)
+        self._take()
+
+    def _on_front(self) -> None:
+        """What has been seen since, by the work of another dock, is what is looked at."""
+        if self.away or self.result is None:
+            return
+        other = seen_instead(self._viewer, self.result, self._face.result.offered)
+        if other is not None:
+            self.result = other
+
+    def _on_closed(self) -> None:
+        self._unbind_key()
+        self._scene.rest()
+        self._face.point.say(POINT)
+
+    def _on_end(self) -> None:
+        self._follow(None)
+        self._follow_grid(None)
+        self._events.release()
+        self._unbind_key()
+        self._scene.release()

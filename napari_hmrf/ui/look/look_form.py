@@ -1,0 +1,163 @@
+"""How *Look at the result* looks: its parts in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from magicgui.widgets import CheckBox, ComboBox, Container, FloatSlider, PushButton, Slider, SpinBox
+
+from napari_hmrf.layers.result_layers import ARROWS
+from napari_hmrf.ui.energy_plot import EnergyPlot
+from napari_hmrf.ui.forms import Prose, put_scrolled
+from napari_hmrf.ui.layer_choice import LayerChoice
+from napari_hmrf.ui.look.look_messages import COLOURS_TIP, KEYS, NOTHING, POINT, colour_choices
+from napari_hmrf.ui.remembered_settings import remember
+
+Layers = Callable[[], list[Any]]
+Accept = Callable[[Any], bool]
+
+#: What is held to see the image as it was.
+BEFORE_KEY = "Shift-B"
+PLAY, PAUSE = "Play", "Pause"
+#: Of the dock, in pixels: as narrow as its longest row of words.
+_WIDTH = 250
+
+
+class LookFace:
+    """The widgets of *Look at the result*, put into its container.
+
+    Parameters
+    ----------
+    outer : Container
+        The dock widget.
+    layers : callable
+        The viewer's layers, lowest first.
+    is_result, is_source : callable
+        Whether a layer holds a result; whether one can be the image that it deforms.
+    """
+
+    def __init__(
+        self, outer: Container, layers: Layers, is_result: Accept, is_source: Accept
+    ) -> None:
+        self.result = LayerChoice(
+            layers,
+            is_result,
+            label="result",
+            tooltip="The layer of displacement arrows that Deform tissue made, or a file has",
+        )
+        self.image = LayerChoice(
+            layers,
+            is_source,
+            label="image",
+            tooltip="What is moved: an image on the pixels of the result",
+        )
+        self.slider = Slider(
+            value=100,
+            max=100,
+            readout=False,
+            tooltip="How much of the displacement the tissue has moved by: 0 % is the image as it "
+            "was, 100 % the result",
+        )
+        self.play = PushButton(text=PLAY, tooltip="Go back and forth between 0 and 100 %")
+        self.before = PushButton(
+            text="Hold: before",
+            tooltip=f"The image as it was, as long as this is held (or {BEFORE_KEY} on the canvas)",
+        )
+        self.how_far = Prose()
+        self.colours = ComboBox(
+            choices=colour_choices("px"), value=NOTHING, label="colours", tooltip=COLOURS_TIP
+        )
+        box = self.colours.native
+        box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.arrows = CheckBox(
+            value=True, text="arrows", tooltip="From where tissue was to where it is"
+        )
+        self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
+        self.count = SpinBox(
+            value=ARROWS,
+            min=10,
+            max=10_000,
+            step=100,
+            label="arrows, about",
+            tooltip="How many arrows, roughly; of those that would lie on each other the longer "
+            "one stays",
+        )
+        # Only when it is all there: 2000 begins with 2, which is too few.
+        self.count.native.setKeyboardTracking(False)
+        self.length = FloatSlider(
+            value=1.0,
+            min=0.25,
+            max=10.0,
+            step=0.25,
+            label="length x",
+            tooltip="How much longer than true arrows are drawn; at 1 their tips are where the "
+            "tissue is",
+        )
+        self.point = Prose()
+        self.point.native.setToolTip(
+            "The tissue that is seen under the cursor, also in the status bar: its displacement in "
+            "the unit of the image, its change of area, the stiffness painted in the tissue layer"
+        )
+        self.point.say(POINT)
+        self.energy = EnergyPlot()
+        self.save = PushButton(
+            text="Save pictures ...",
+            tooltip="PNG files, in a new folder: the canvas with a scale bar, and figures of "
+            "displacement, before and after, grid, Jacobian, strain and energy",
+        )
+        self.status = Prose()
+        self.keys = Prose()
+        self.keys.say(KEYS)
+        # Not how long they are: arrows that are not true to scale are asked for each time.
+        remember("look", {"count": self.count})
+        self._assemble(outer)
+
+    def _assemble(self, outer: Container) -> None:
+        buttons = _row(self.play, self.before)
+        marks = _row(self.arrows, self.grid)
+        sized = Container(widgets=[self.count, self.length])
+        body = Container(
+            widgets=[
+                Container(widgets=[self.result, self.image]),
+                Container(widgets=[self.slider], labels=False),
+                self.how_far,
+                buttons,
+                Container(widgets=[self.colours]),
+                marks,
+                sized,
+                self.point,
+                self.save,
+                self.status,
+                self.keys,
+            ],
+            labels=False,
+        )
+        for part in (outer, body, *body):
+            if isinstance(part, Container):
+                part.margins = (2, 2, 2, 2)
+        layout = body.native.layout()
+        layout.setSpacing(4)
+        layout.insertWidget(layout.count() - 3, self.energy)
+        layout.addStretch()
+        put_scrolled(outer, body, _WIDTH)
+
+    @property
+    def of_result(self) -> tuple[Any, ...]:
+        """What is of no use without a result."""
+        return (
+            self.image,
+            self.slider,
+            self.play,
+            self.before,
+            self.colours,
+            self.arrows,
+            self.grid,
+            self.count,
+            self.length,
+            self.save,
+        )
+
+
+def _row(*widgets: Any) -> Container:
+    return Container(widgets=list(widgets), layout="horizontal", labels=False)

@@ -1,0 +1,206 @@
+"""What the widget says about a result, and while there is none yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.layers.layer_names import LayerError
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
+from napari_hmrf.layers.slice_view import unit_symbol
+from napari_hmrf.layers.snapshot import Snapshot
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.models import Model, Schedule, in_words, is_multigrid
+from napari_hmrf.ui.job import Done
+
+WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
+MAKE = "Press 'Make layers to paint on', or choose a tissue and a boundary layer."
+CHOOSE = "Open or choose an image first, or choose a tissue and a boundary layer."
+READY = "Press Deform."
+PAINT = (
+    "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
+    "paint with its label. Then press Deform."
+)
+PAINT_BOUNDARY = (
+    "Paint what holds or moves in 'Boundary': click a row of the table, then paint with its label. "
+    "Then press Deform."
+)
+UNPAINTED = "For landmarks nothing needs to be painted: what is left unpainted is tissue, too."
+CURVE = (
+    "A first guess: the brighter, the stiffer. Drag the points of the curve; 'Make layers to paint "
+    "on' then adds the boundary."
+)
+AIR = "The dark surroundings of the image are now no tissue, in the slice that is shown."
+CHANGED = "Changed since the last result: press Deform."
+OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
+NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
+CANCELLED = "Cancelled; nothing was changed."
+DRAWING = "Drawing the result; the first time after the start that takes some seconds."
+COMPILING = "Getting the kernels ready, as for the first time on this machine: some seconds."
+
+MODELS: dict[Model, str] = {
+    "paper": "paper's: Markov random field",
+    "elastic": "elastic: as finite elements",
+}
+SCHEDULES: dict[Schedule, str] = {
+    "paper": "paper's schedule: 70 sweeps per level",
+    "converged": "to convergence",
+}
+PLANES: dict[Plane, str] = {
+    "stress": "thin slice, free to bulge",
+    "strain": "slice held between its neighbours",
+}
+# The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
+_WHEN_PAPERS: dict[Schedule, str] = {
+    "paper": "The paper's own results. It stops a little early: where the sample brain moves by "
+    "7.4 px, it is 1.03 px from finite elements, the engineers' standard (0.02 s). "
+    "Squeezed tissue does not bulge.",
+    "converged": "The paper's model, computed to the end: where the sample brain moves by 7.4 px, "
+    "it is 0.23 px from finite elements, the engineers' standard (0.02 s). "
+    "Squeezed tissue does not bulge.",
+}
+_WHEN_ELASTIC = (
+    "Tissue stretches and bulges as elastic material does: where the sample brain moves by 7.4 px, "
+    "it is 0.0002 px from finite elements, the engineers' standard (0.02 s). Boundaries are held "
+    "exactly. "
+)
+_WHEN_PLANE: dict[Plane, str] = {
+    "stress": "Squeezed tissue can bulge out of the image.",
+    "strain": "Squeezed tissue can give way only within the image.",
+}
+ABOUT_POISSON = (
+    "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
+    "hardly any volume.\n0.45 is common for soft tissue."
+)
+PAPERS = "Back to the paper's"
+ELASTIC = "Take the elastic model"
+
+#: So few folded pixels are noise of the rounding, and nothing to warn of.
+_HANDFUL = 5
+
+
+def when_to_take(model: Model, schedule: Schedule, plane: Plane) -> str:
+    """What a choice is good for, and what was measured of it."""
+    if model == "elastic":
+        return _WHEN_ELASTIC + _WHEN_PLANE[plane]
+    return _WHEN_PAPERS[schedule]
+
+
+def cannot_be_rigid(names: Sequence[str]) -> str:
+    """Why the paper's model does not go with rigid tissues of these names; "" if there are none."""
+    if not names:
+        return ""
+    which, isare = " and ".join(f"'{name}'" for name in names), "is" if len(names) == 1 else "are"
+    return (
+        f"{which} {isare} rigid, which the paper's model cannot have: it compares stiffness by "
+        "ratios. Take the elastic model, or give a number in the table."
+    )
+
+
+def report(done: Done) -> str:
+    """What came out, and what to beware of; for people.
+
+    Parameters
+    ----------
+    done : Done
+    """
+    outputs, frame = done.outputs, done.snapshot.frame
+    where = f"S{frame.slice_said[1:]}: tissue" if frame.slice_said else "Tissue"
+    parts = [f"{where} moved up to {_farthest(done)}."]
+    if outputs.folds > _HANDFUL and outputs.worst is not None:
+        row, col = outputs.worst
+        where = "'folds' shows where" if "folds" in outputs.layers else "tick 'folds' to see where"
+        parts.append(
+            f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
+            f"pushed through itself (it folds), which no tissue does. {_less(done.snapshot)}; "
+            f"{where}."
+        )
+    if outputs.overlaps > _HANDFUL:
+        parts.append(
+            f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
+            "and hides it; parts do not feel each other across a gap."
+        )
+    if done.ignored:
+        what = "1 boundary pixel" if done.ignored == 1 else f"{done.ignored} boundary pixels"
+        parts.append(f"{what} outside tissue {'was' if done.ignored == 1 else 'were'} ignored.")
+    parts += map(sentence_of, done.notes)
+    return " ".join(parts)
+
+
+def sentence_of(clause: str) -> str:
+    """A clause as a sentence of its own."""
+    return f"{clause[0].upper()}{clause[1:]}."
+
+
+def _less(snapshot: Snapshot) -> str:
+    """What keeps tissue from folding, of what there is to change."""
+    painted = not snapshot.boundary_labelled or bool(snapshot.boundary.any())
+    if snapshot.landmarks is None:
+        return "Let it move less or over a wider boundary"
+    if painted:
+        return "Let it move less, over a wider boundary, or by landmarks of a larger radius"
+    return "Let the landmarks move it less, or give them a larger radius"
+
+
+def in_short(error: Exception) -> str:
+    """Why there is no result, as one sentence or two, without the technical details of a layer."""
+    if isinstance(error, LayerError):
+        return error.sentence
+    if isinstance(error, ConvergenceError):
+        return f"No result: {str(error).rstrip('.')}."
+    if isinstance(error, HmrfError | ValueError):
+        return str(error)
+    return f"The deformation failed: {type(error).__name__}: {error}"
+
+
+def details(done: Done) -> str:
+    """What ran, how long and how well; for those who want to know."""
+    solution = done.outputs.solution
+    run = solution.provenance
+    seconds = f"{run.seconds:.2g} s"
+    if run.preparation_seconds >= 0.1:
+        seconds += f" (after {run.preparation_seconds:.1f} s of preparation)"
+    count = done.outputs.folds
+    folds = f", {count} folded pixel{'s' if count > 1 else ''}" if count else ""
+    turn = "cycle" if is_multigrid(run.parameters) else "sweep"
+    turns = turn if solution.iterations == 1 else f"{turn}s"
+    model, reached = in_words(run.parameters), solution.convergence
+    near = "" if reached is None else f", within {reached.error:.1g} px of the converged field"
+    return (
+        f"{model[0].upper()}{model[1:]}: {solution.iterations} {turns} in {seconds}{near}, on "
+        f"{run.renderer}; mean energy {solution.mean_energy:.3g} px²{folds}."
+    )
+
+
+def painting(layer: Any) -> str:
+    """What is painted with from now on, by its name in the table if it has one."""
+    label, role = int(layer.selected_label), role_of(layer)
+    rows = rows_of(layer, role) if role in (TISSUE, BOUNDARY) else ()
+    name = next((row.name for row in rows or () if row.label == label), "")
+    what = f"'{name}' (label {label})" if name else f"label {label}"
+    return f"Painting {what} in '{layer.name}'."
+
+
+def progress(monitor: Monitor, seconds: float) -> str:
+    """What is going on, after so many seconds of it."""
+    if monitor.message.startswith("preparing"):
+        return COMPILING if seconds >= 1 else "Preparing ..."
+    if monitor.message.startswith("drawing") and seconds > 1:
+        return DRAWING
+    return f"{monitor.message[0].upper()}{monitor.message[1:]} ..."
+
+
+def _farthest(done: Done) -> str:
+    """The longest displacement, in the unit of the image; in pixels, too, if they are square."""
+    solution = done.outputs.solution
+    squares = (solution.displacement.astype(np.float32) ** 2).sum(axis=-1)
+    length = float(np.sqrt(squares.max()))
+    unit, size = unit_symbol(done.snapshot.frame.unit), solution.spacing[0]
+    if any(other != size for other in solution.spacing):
+        return f"{length:.3g} {unit}"
+    pixels = f"{length / size:.1f} px"
+    return pixels if unit == "px" and size == 1 else f"{pixels} ({length:.3g} {unit})"

@@ -1,0 +1,119 @@
+"""Empty layers to paint on, with tables that make sense from the first stroke."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+
+from napari_hmrf.layers.label_colours import boundary_colours
+from napari_hmrf.layers.label_defaults import UNPAINTED
+from napari_hmrf.layers.landmarks import usual_step
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.pixel_copy import fits
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View, layer_extents
+from napari_hmrf.layers.transform import place_of
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS
+
+#: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
+_LARGEST = 2**30
+
+
+def add_missing(
+    viewer: Any, image: Any, tissue: Any, boundary: Any, view: View | None = None
+) -> tuple[Any, Any]:
+    """Add what an image lacks to be painted on, and put a brush into the user's hand.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    image : napari.layers.Image
+    tissue, boundary : napari.layers.Layer or None
+        What is chosen, of this image or another.
+    view : View, optional
+
+    Returns
+    -------
+    tissue, boundary : napari.layers.Layer
+        Those that were there, and those that are new.
+
+    Raises
+    ------
+    ProblemError
+        As `layers_to_paint_on`.
+    """
+    tissue_there, boundary_there = (
+        layer is not None and fits(layer, image, view) for layer in (tissue, boundary)
+    )
+    if not (tissue_there and boundary_there):
+        layers, (new_tissue, new_boundary) = viewer.layers, layers_to_paint_on(image, view)
+        if not tissue_there:
+            tissue = new_tissue
+            # What holds is to be seen on top.
+            layers.insert(layers.index(boundary) if boundary_there else len(layers), tissue)
+        if not boundary_there:
+            boundary = new_boundary
+            layers.append(boundary)
+    first = tissue
+    if not isinstance(tissue, Labels) or (tissue_there and not boundary_there):
+        first = boundary
+    viewer.layers.selection = {first}
+    if isinstance(first, Labels):
+        first.selected_label, first.mode = 2 if first is tissue else 1, "paint"
+    return tissue, boundary
+
+
+def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
+    """Make a tissue and a boundary layer on an image's pixels, in its place.
+
+    What stays unpainted is normal tissue; the boundary's first two labels hold and push.
+
+    Parameters
+    ----------
+    image : napari.layers.Image
+    view : View, optional
+
+    Returns
+    -------
+    tissue, boundary : napari.layers.Labels
+
+    Raises
+    ------
+    ProblemError
+        If the slice that is shown is none of the image's.
+    """
+    frame = Frame.of(image, view)
+    shape = layer_extents(image)
+    place = place_of(image)
+    if math.prod(shape) > _LARGEST:
+        shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
+        place = frame.placement(image=True)
+    paper = PRESETS[0]
+    materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
+    rows, cols = (shape[axis] for axis in frame.plane)
+    push = usual_step((rows, cols), frame.spacing)
+    rules = (
+        BoundaryRule(1, "fixed", name="holds"),
+        BoundaryRule(2, "expand", amount=push, name="grows"),
+    )
+    tissue = Labels(
+        np.zeros(shape, np.uint8),
+        name="Tissue",
+        opacity=0.4,
+        metadata=described(TISSUE, materials, paper.unit),
+        **place,
+    )
+    boundary = Labels(
+        np.zeros(shape, np.uint8),
+        name="Boundary",
+        colormap=boundary_colours(),
+        metadata=described(BOUNDARY, rules),
+        **place,
+    )
+    for layer in (tissue, boundary):
+        layer.brush_size = max(3, round(max(shape[axis] for axis in frame.plane) / 40))
+    return tissue, boundary

@@ -1,0 +1,226 @@
+"""The part of *Deform tissue* that shows results, and says what there is to say."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+from psygnal import Signal
+
+from napari_hmrf.layers.inputs import Snapshot
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.ui.chooser import Chooser
+from napari_hmrf.ui.footer import Footer
+from napari_hmrf.ui.job import Done
+from napari_hmrf.ui.latest_result import Latest
+from napari_hmrf.ui.live_job import News
+from napari_hmrf.ui.messages import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
+from napari_hmrf.ui.messages import details as details_of
+from napari_hmrf.ui.remembered_settings import keep
+from napari_hmrf.ui.results import ResultLayers
+
+
+class ResultDock(Chooser):
+    """What came out last, in layers and in words; what is asked for, and when, comes on top.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    followed : Signal(object)
+        Emitted with `Outputs` when the result has followed an edit, in live mode.
+    """
+
+    followed = Signal(object)
+
+    def __init__(self, napari_viewer: Any) -> None:
+        super().__init__(napari_viewer)
+        self._status = ""
+        self._latest = Latest()
+        self._painting: tuple[str, weakref.ref[Any] | None] = ("", None)
+        keep(self._viewer, self._face.solved)
+        self._results = shared(self._viewer, ResultLayers)
+        self._face.folds.changed.connect(self._on_folds)
+        self._source: weakref.ref[Any] | None = None
+
+    # What there is to see
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being computed for this widget."""
+        return self._life.job is None
+
+    @property
+    def status(self) -> str:
+        """The sentence at the bottom."""
+        return self._status
+
+    @property
+    def details(self) -> str:
+        """What ran to make the latest result, how long and how well."""
+        done = self._latest.done
+        return "" if done is None else details_of(done)
+
+    @property
+    def solution(self) -> Solution | None:
+        """Of the latest result."""
+        done = self._latest.done
+        return None if done is None else done.outputs.solution
+
+    @property
+    def shown(self) -> tuple[Snapshot, tuple[Any, ...]] | None:
+        """What the latest result was made from, and prior and optimizer."""
+        done = self._latest.done
+        return None if done is None else (done.snapshot, self._latest.settings)
+
+    @property
+    def footer(self) -> Footer:
+        """What always stays in sight."""
+        return self._face.footer
+
+    @property
+    def dims(self) -> Any:
+        """Which slice is shown."""
+        return self._viewer.dims
+
+    @property
+    def solver(self) -> tuple[Prior, Optimizer, str]:
+        """What a deformation is computed with."""
+        return (*self._solver, self.settings.backend)
+
+    # What is said and shown
+
+    def say(self, status: str) -> None:
+        """Say something at the bottom, unless there is something more important going on."""
+        if self.idle:
+            self._say(status)
+
+    def note(self, found: str) -> None:
+        """Say what was found in the paint, until the next result."""
+        self._latest.note = found
+        self.say(found)
+
+    def say_painting(self, sentence: str, layer: Any) -> None:
+        """Say what is painted, as long as its layer is the active one."""
+        self._painting = sentence, weakref.ref(layer)
+        self.say(sentence)
+
+    def active_changed(self, active: Any) -> None:
+        """Another layer feels the mouse: nothing is painted in the one before."""
+        sentence, reference = self._painting
+        if self._status != sentence or reference is None or active is reference():
+            return
+        if self._latest.done is None:
+            self.say(self.invitation)
+        else:
+            self.say_result()
+
+    @property
+    def can_deform(self) -> bool:
+        """Whether there is tissue, and a boundary or landmarks that say how it moves."""
+        held = self.boundary is not None or self._face.boundary.landmarks.complete
+        return self.tissue is not None and held
+
+    @property
+    def invitation(self) -> str:
+        """What can be done first."""
+        if self.can_deform:
+            return self.model.objection or READY
+        if self.image is None:
+            return CHOOSE if self._viewer.layers else WELCOME
+        return MAKE
+
+    def image_gone(self, image: Any) -> None:
+        """The image was removed: what was said of its result is over."""
+        if self._source is not None and self._source() is image:
+            self._latest.forget()
+            self._face.energy.show_solution(None)
+        next_one = "choose or open another image."
+        if self.image is not None:
+            next_one = f"'{self.image.name}' is chosen now."
+        self.say(f"'{image.name}' is gone: {next_one}")
+
+    def show_live(self, done: Done, source: Any, turn: bool = True) -> None:
+        """The result has followed an edit, which has a turn, or the slice that is shown."""
+        if source not in self._viewer.layers:
+            return
+        self._latest.done, self._latest.settings = done, self._solver
+        self._latest.compare(self.request, self._solver)
+        self._put(done.outputs, source, turn)
+        if self._latest.fresh:
+            self.say_result()
+        self.followed.emit(done.outputs)
+
+    def show_picture(self, news: News, source: Any, turn: bool = True) -> bool:
+        """Show at once how the image has followed an edit; whether there was a place for it."""
+        here = source in self._viewer.layers and "image" in self.outputs
+        if not here or news.picture is None:
+            return False
+        frame = news.snapshot.frame
+        data = frame.put_image(news.picture)
+        return self._results.show_picture(source, frame.slice_name, data, turn=turn)
+
+    def outdate(self) -> None:
+        """The result is not that of the layers."""
+        self._latest.outdate()
+
+    def say_result(self) -> None:
+        """Say what came out."""
+        if self.idle:
+            words, small = self._latest.words
+            self._say(f"{words} {self._latest.note}".rstrip(), small)
+            self._latest.note = ""
+
+    def _put(self, outputs: Outputs, source: Any, turn: bool = True) -> None:
+        for made in outputs.layers.values():
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
+        self._hide_preview()
+        self._source = weakref.ref(source)
+        self._results.show(outputs, source, turn=turn)
+        self._face.energy.show_solution(outputs.solution)
+
+    def _on_folds(self, ticked: bool) -> None:
+        done = self._latest.done
+        if ticked and done is not None and self._latest.fresh and not done.outputs.folds:
+            self.say(NO_FOLDS)
+
+    def _take_over(self) -> Any:
+        """Go on with the result of a dock that was closed, if it is still that of the layers.
+
+        Returns
+        -------
+        napari.layers.Layer or None
+            What was deformed.
+        """
+        latest, source = self._results.left()
+        if latest is None or latest.done is None:
+            return None
+        latest.compare(self.request, self._solver)
+        if not latest.fresh:
+            return None
+        self._latest, self._source = latest, weakref.ref(source)
+        self._face.energy.show_solution(latest.done.outputs.solution)
+        self.say_result()
+        return source
+
+    @property
+    def _worked_on(self) -> tuple[Any, ...]:
+        return (self._results.left()[1],)
+
+    @property
+    def _solver(self) -> tuple[Prior, Optimizer]:
+        return self.settings.prior, self.settings.optimizer
+
+    def _say(self, status: str, details: str = "") -> None:
+        self._status = status
+        self._face.footer.say(status, details)
+
+    def _hide_preview(self) -> None:
+        """Make way for a result."""
