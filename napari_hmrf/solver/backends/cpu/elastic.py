@@ -2,7 +2,7 @@
 
 Arrays are padded as those of the other kernels are, by two sites of void. A site that is
 prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0. `weight`, the
-diagonal of a coarse level's springs W, is None on the finest level, which has none.
+diagonal of a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
 
 Each kernel divides the rows among threads, `count` of them. A thread begins with the row above its
 first, for the sake of what that leaves in `carry`; what comes out of it is nobody's. Kernels write
@@ -62,7 +62,7 @@ def apply(d, lame, inverse, shape, spans, out, row_totals, count):
 
 
 @callee
-def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
+def _smooth_row(rows, tissue, weights, i, span, carry, pace, out_row, out_col):
     load, lame, inverse, shape = tissue
     scale, ahead, back = pace
     d_row, _, d_col, _ = rows
@@ -72,7 +72,7 @@ def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
     for k in range(past - start):
         j = start + k + 2
         row, col, left = row_force(rows, moduli, shape, carry, left, j)
-        row, col = left_over(row, col, d_row[j], d_col[j], load, weight, i, j)
+        row, col = left_over(row, col, d_row[j], d_col[j], load, weights, i, j)
         row = scale * inverse[0, i, j] * row + ahead * d_row[j]
         col = scale * inverse[1, i, j] * col + ahead * d_col[j]
         out_row[j] = d_row[j] + (row - back * out_row[j])
@@ -80,17 +80,17 @@ def _smooth_row(rows, tissue, weight, i, span, carry, pace, out_row, out_col):
 
 
 @callee
-def _smooth_part(d, tissue, weight, spans, out, pace, first, last):
+def _smooth_part(d, tissue, weights, spans, out, pace, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
         _smooth_row(
-            rows_of(d, i + 2), tissue, weight, i + 2, reach(spans, i), carry, pace, row, col
+            rows_of(d, i + 2), tissue, weights, i + 2, reach(spans, i), carry, pace, row, col
         )
 
 
 @parallel
-def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back, count):
+def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ahead, back, count):
     """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
     What `out` holds before is the displacement before the last step: d - out was that step.
@@ -98,7 +98,7 @@ def smooth(d, load, lame, inverse, weight, shape, spans, out, scale, ahead, back
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
-        _smooth_part(d, tissue, weight, spans, out, pace, first, last)
+        _smooth_part(d, tissue, (weight, springs), spans, out, pace, first, last)
 
 
 @callee
@@ -110,7 +110,7 @@ def _start_row(load, inverse, scale, i, out):
 
 
 @callee
-def _begin_part(tissue, weight, spans, out, start, pace, first, last):
+def _begin_part(tissue, weights, spans, out, start, pace, first, last):
     load, _, inverse, _ = tissue
     carry, nobody = np.zeros_like(load[:, 0]), np.zeros_like(load[:, 0])
     here, below = np.zeros_like(carry), np.zeros_like(carry)
@@ -120,21 +120,23 @@ def _begin_part(tissue, weight, spans, out, start, pace, first, last):
         _start_row(load, inverse, start, i + 3, below)
         rows = here[0], below[0], here[1], below[1]
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
-        _smooth_row(rows, tissue, weight, i + 2, reach(spans, i), carry, pace, row, col)
+        _smooth_row(rows, tissue, weights, i + 2, reach(spans, i), carry, pace, row, col)
         here, below = below, here
 
 
 @parallel
-def begin(load, lame, inverse, weight, shape, spans, out, start, scale, ahead, back, count):
+def begin(
+    load, lame, inverse, weight, springs, shape, spans, out, start, scale, ahead, back, count
+):
     """The first two Chebyshev steps, from zero: as `smooth`, from d = start D^-1 load."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
-        _begin_part(tissue, weight, spans, out, start, pace, first, last)
+        _begin_part(tissue, (weight, springs), spans, out, start, pace, first, last)
 
 
 @callee
-def _rest_row(d, tissue, weight, i, span, carry, out):
+def _rest_row(d, tissue, weights, i, span, carry, out):
     load, lame, inverse, shape = tissue
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
@@ -143,20 +145,20 @@ def _rest_row(d, tissue, weight, i, span, carry, out):
     for k in range(past - start):
         j = start + k + 2
         row, col, left = row_force(rows, moduli, shape, carry, left, j)
-        row, col = left_over(row, col, d[0, i, j], d[1, i, j], load, weight, i, j)
+        row, col = left_over(row, col, d[0, i, j], d[1, i, j], load, weights, i, j)
         out[0, j] = row if inverse[0, i, j] > float32(0) else row - row
         out[1, j] = col if inverse[1, i, j] > float32(0) else col - col
 
 
 @callee
-def _leave_part(d, tissue, weight, spans, coarse, first, last):
+def _leave_part(d, tissue, weights, spans, coarse, first, last):
     """Rows of the coarse level; the row above the first is wanted, and so the one above that."""
     carry = np.zeros_like(d[:, 0])
     rest = np.zeros((3, *carry.shape), dtype=d.dtype)
     for i in range(max(2 * first - 2, 0), 2 * last):
         row = rest[i % 3]
         if i < len(spans):
-            _rest_row(d, tissue, weight, i + 2, reach(spans, i), carry, row)
+            _rest_row(d, tissue, weights, i + 2, reach(spans, i), carry, row)
         else:
             row[:] = 0
         if i % 2 == 1 and i > 2 * first:
@@ -170,9 +172,9 @@ def _leave_part(d, tissue, weight, spans, coarse, first, last):
 
 
 @parallel
-def leave(d, load, lame, inverse, weight, shape, spans, coarse, count):
+def leave(d, load, lame, inverse, weight, springs, shape, spans, coarse, count):
     """Coarse = what d leaves of the load, load - (A + W) d where sites move, restricted."""
     for number in prange(count):
         first, last = part(number, count, coarse.shape[1] - 4)
         tissue = load, lame, inverse, shape
-        _leave_part(d, tissue, weight, spans, coarse, first, last)
+        _leave_part(d, tissue, (weight, springs), spans, coarse, first, last)

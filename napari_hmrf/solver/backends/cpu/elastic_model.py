@@ -163,7 +163,7 @@ class CpuElasticLevel(CpuLevel):
     @property
     def _about(self) -> tuple[Any, ...]:
         """What smoothing goes by."""
-        return self.load, self.lame, self.inverse, self.weight, self.shape, self.spans
+        return self.load, self.lame, self.inverse, *self._springs, self.shape, self.spans
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""

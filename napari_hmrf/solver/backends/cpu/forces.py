@@ -69,11 +69,11 @@ def force(d, lame, shape, i, j):
 
 
 @inline
-def left_over(row, col, d_row, d_col, load, weight, i, j):
+def left_over(row, col, d_row, d_col, load, weights, i, j):
     """What a force leaves of the load at site (i, j), which is displaced by d."""
-    if weight is not None:
-        row += weight[0, i, j] * d_row
-        col += weight[1, i, j] * d_col
+    weight, springs = weights
+    row += springs * weight[0, i, j] * d_row
+    col += springs * weight[1, i, j] * d_col
     return load[0, i, j] - row, load[1, i, j] - col
 
 
@@ -81,7 +81,9 @@ def left_over(row, col, d_row, d_col, load, weight, i, j):
 def rest(d, load, lame, weight, shape, i, j):
     """Load - (A + W) d at site (i, j), whatever was looked at before."""
     row, col = force(d, lame, shape, i, j)
-    return left_over(row, col, d[0, i, j], d[1, i, j], load, weight, i, j)
+    row += weight[0, i, j] * d[0, i, j]
+    col += weight[1, i, j] * d[1, i, j]
+    return load[0, i, j] - row, load[1, i, j] - col
 
 
 @inline

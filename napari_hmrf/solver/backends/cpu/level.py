@@ -54,6 +54,16 @@ class CpuLevel:
         self.load, self.correction, self._other = (self.vector() for _ in range(3))
         self._rows, self._most = np.zeros((2, grid[0]))
 
+    @property
+    def _springs(self) -> tuple[Vector, np.float32]:
+        """The springs for kernels, and how often they count.
+
+        Where there are none, 0 times, and they are numbers that a kernel reads anyway.
+        """
+        if self.weight is None:
+            return self.inverse, np.float32(0)
+        return self.weight, np.float32(1)
+
     @cached_property
     def _rest(self) -> Vector:
         """What is left of a load, for models whose kernels do not restrict it at once."""

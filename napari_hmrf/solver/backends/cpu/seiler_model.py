@@ -108,16 +108,6 @@ class CpuSeilerLevel(CpuLevel):
         for vector in (self.correction, self._other, self._step, self._rest):
             vector.fill(0)
 
-    @property
-    def _springs(self) -> tuple[Vector, np.float32]:
-        """The springs for kernels, and how often they count.
-
-        Where there are none, 0 times, and they are numbers that a kernel reads anyway.
-        """
-        if self.weight is None:
-            return self.inverse, np.float32(0)
-        return self.weight, np.float32(1)
-
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
         seiler.smooth(
             self.correction,
