@@ -50,7 +50,8 @@ def compile_once() -> None:
 
 def compile_most(backwards: bool) -> None:
     """Run what brings nearly all loops to disk."""
+    from napari_hmrf.backends.thread import compute_thread
     from napari_hmrf.compiling import jobs
 
     for job in reversed(jobs()) if backwards else jobs():
-        job()
+        compute_thread.submit(job.run).result()
