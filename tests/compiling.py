@@ -51,6 +51,7 @@ def compile_once() -> None:
 def compile_most(backwards: bool) -> None:
     """Run what brings nearly all loops to disk."""
     from napari_hmrf.compiling import jobs
+    from napari_hmrf.solver.backends.thread import compute_thread
 
     for job in reversed(jobs()) if backwards else jobs():
-        job()
+        compute_thread.submit(job.run).result()

@@ -54,7 +54,7 @@ class CpuLevel:
         self.load, self.correction, self._other = (self.vector() for _ in range(3))
         self._rows, self._most = np.zeros((2, grid[0]))
 
-    @property
+    @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
         """The springs for kernels, and how often they count.
 

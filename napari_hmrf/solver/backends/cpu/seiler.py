@@ -25,7 +25,7 @@ from napari_hmrf.solver.backends.cpu.kernels import (
     square,
     weighted,
 )
-from napari_hmrf.solver.backends.cpu.vectors import row_product, span
+from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product, span
 
 _TINY = float32(1e-30)
 # From a site to the next one on each line.
@@ -89,16 +89,21 @@ def pull(d, stiffness, lines, blanket, spans, out):
 
 
 @parallel
-def leave(rest, load, given, inverse, scale, out):
-    """Rest += given * load, 0 at sites that do not move; out = rest / scale in single precision."""
-    for number in prange(rest.shape[1] - 4):
+def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
+    """Out = share (pulls + given load) in single precision, and 0 at sites that do not move.
+
+    Its largest absolute value and its square are returned row by row.
+    """
+    for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
         for component in range(2):
-            for j in range(rest.shape[2]):
-                here = rest[component, i, j] + given * load[component, i, j]
-                here = here if inverse[component, i, j] > float32(0) else here - here
-                rest[component, i, j] = here
-                out[component, i, j] = float32(here / scale)
+            for j in range(out.shape[2]):
+                here = pulls[component, i, j] + given * load[component, i, j]
+                here = float32(share * here)
+                moves = inverse[component, i, j] > float32(0)
+                out[component, i, j] = here if moves else here - here
+        row_most[number] = row_largest(out, i)
+        row_squares[number] = row_product(out, out, i)
 
 
 @parallel

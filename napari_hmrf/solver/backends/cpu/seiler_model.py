@@ -181,9 +181,10 @@ class CpuSeilerModel(HostModel):
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
-        self._exact_rest, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
+        self._exact_pulls, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
         self._rest = np.zeros(self._stiffness.shape, dtype=np.float32)
         height, width = finest.grid
+        self._rows: npt.NDArray[np.float64] = np.zeros((2, height))
         self._whole = np.tile(np.array([0, width], dtype=np.int64), (height, 1))
         finest.settle()
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
@@ -195,16 +196,16 @@ class CpuSeilerModel(HostModel):
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
-        self._exact_rest.fill(0)
+        self._exact_pulls.fill(0)
         super().hold(held)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        finest, out = self.levels[0], self._exact_rest
-        seiler.pull(d, self._stiffness, self._lines, self._blanket, finest.spans, out)
-        given = (d, 0.0) if load is None else (load, 1.0)
-        seiler.leave(out, *given, finest.inverse, unit, self._rest)
-        most, norm = host.measure(out)
-        return most / unit, norm / unit
+        finest, pulls = self.levels[0], self._exact_pulls
+        seiler.pull(d, self._stiffness, self._lines, self._blanket, finest.spans, pulls)
+        given = (pulls, 0.0) if load is None else (load, 1.0)
+        most, squares = self._rows
+        seiler.balance(pulls, *given, finest.inverse, 1 / unit, self._rest, most, squares)
+        return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision; valid until the next call."""
