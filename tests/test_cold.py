@@ -31,7 +31,7 @@ from napari_hmrf.solver.backends import COMPILING, compiler, kept, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.preparation import job_of
 
-solving = sys.modules["napari_hmrf.solve"]
+solving = sys.modules["napari_hmrf.solver.solve"]
 
 MODELS = {
     "schedule": (SeilerPrior(), ICM()),

@@ -204,7 +204,7 @@ def test_one_release_that_fails_does_not_keep_the_others():
 REHEARSED = """
 import sys, pkgutil
 import numpy as np
-import napari_hmrf.solve
+import napari_hmrf.solver.solve
 from napari_hmrf import *
 from napari_hmrf.solver.backends import cpu
 from napari_hmrf.solver.backends import BATCH_SECONDS
@@ -244,7 +244,7 @@ def test_kernels_are_made_before_the_clock_starts():
 
 
 def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
-    monkeypatch.setattr(sys.modules["napari_hmrf.solve"], "_announced", set())
+    monkeypatch.setattr(sys.modules["napari_hmrf.solver.solve"], "_announced", set())
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.is_software_renderer", lambda _: True)
     for _ in range(2):
         solve(frame_problem((6, 6)), backend="auto")

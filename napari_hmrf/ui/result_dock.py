@@ -17,11 +17,11 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.ui.chooser import Chooser
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.job import Done
-from napari_hmrf.ui.latest_result import Latest
 from napari_hmrf.ui.live_job import News
 from napari_hmrf.ui.messages import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.ui.messages import details as details_of
 from napari_hmrf.ui.remembered_settings import keep
+from napari_hmrf.ui.result_state import Latest
 from napari_hmrf.ui.results import ResultLayers
 
 

@@ -11,7 +11,7 @@ from napari.layers import Layer
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import FILLING, Kind, LayerData, Outputs
-from napari_hmrf.ui.latest_result import Latest
+from napari_hmrf.ui.result_state import Latest
 from napari_hmrf.ui.result_turns import give_way, sign, take_turn
 from napari_hmrf.ui.viewer_layers import same_selection, still_there, update_layer
 

@@ -13,18 +13,18 @@ from napari_hmrf.solver.backends.loader import before_numba, loops_there
 
 #: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
 LOOPS = {
-    "elastic": 25,
+    "elastic": 22,
     "pictures": 5,
     "schedule": 4,
-    "converged": 29,
-    "slipping": 25,
+    "converged": 25,
+    "slipping": 22,
     "rigid": 26,
     "schedule-oblong": 4,
-    "converged-oblong": 29,
+    "converged-oblong": 25,
     "blanket-schedule": 4,
-    "blanket-converged": 26,
+    "blanket-converged": 22,
     "exact-steps": 4,
-    "": 86,
+    "": 63,
 }
 
 
