@@ -93,12 +93,8 @@ def _pictures() -> None:
 
 
 def _follow(image: npt.NDArray[Any], still: npt.NDArray[np.float32]) -> None:
-    """Move a picture, by tissue of its own and by a solution's, which to numba is another type."""
-    warper = Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1))
-    warper(still)
-    tissue = np.ones(image.shape, dtype=bool)
-    tissue.setflags(write=False)
-    warper(still, tissue)
+    """Move a picture as while tissue is pulled."""
+    Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1))(still)
 
 
 def _kept() -> bool:
