@@ -43,8 +43,9 @@ setup-for-report:
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
+# Three processes: some of them wait, for a window or for shaders, while two cores compute.
 test: setup-for-windows
-	@$(HEADLESS) $(RUN) -m pytest -n 2 --dist worksteal
+	@$(HEADLESS) $(RUN) -m pytest -n 3 --dist worksteal
 
 format: setup
 	@$(RUN) -m ruff format .
