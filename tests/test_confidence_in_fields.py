@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from cancelling import During
 from elastic_oracle import direct_solution
 from opengl_here import require_opengl
 from scipy import ndimage
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, phantom, solve
 
 PRIOR = ElasticPrior(0.3)
 
@@ -94,20 +95,6 @@ def test_nearly_incompressible_tissue_takes_forty_cycles_at_most(contrast):
 
 
 def test_a_cancel_during_factors_is_answered():
-    class AfterThreeLooks:
-        looks = 0
-
-        def is_set(self):
-            return self.looks > 0
-
-    from napari_hmrf import Cancelled
-
-    flag = AfterThreeLooks()
-
-    def look(monitor):
-        flag.looks += "factorising" in monitor.message
-
+    flag = During("factorising")
     with pytest.raises(Cancelled):
-        solve(
-            pushed(fibres(129, 1e6)), PRIOR, Multigrid(), backend="cpu", progress=look, cancel=flag
-        )
+        solve(pushed(fibres(129, 1e6)), PRIOR, Multigrid(), backend="cpu", cancel=flag)

@@ -1,0 +1,13 @@
+"""A cancel flag for tests of what happens when it is set on the way."""
+
+from napari_hmrf.solver.backends.thread import compute_thread
+
+
+class During:
+    """Set while the work says that it is at some stage, before anybody else is told."""
+
+    def __init__(self, words: str) -> None:
+        self._words = words
+
+    def is_set(self) -> bool:
+        return self._words in compute_thread.stage
