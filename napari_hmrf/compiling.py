@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.warp import warp
@@ -41,7 +40,7 @@ class Job(NamedTuple):
     Attributes
     ----------
     name : str
-        As `backends.needed` calls it.
+        As `preparation.job_of` calls it.
     run : callable
     """
 
@@ -89,12 +88,8 @@ def _pictures() -> None:
     for kind in (np.uint8, np.float32, np.float64):
         image = np.zeros((9, 9), kind)
         warp(image, still)
-        _follow(image, still)
-
-
-def _follow(image: npt.NDArray[Any], still: npt.NDArray[np.float32]) -> None:
-    """Move a picture as while tissue is pulled."""
-    Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1))(still)
+        # As while tissue is pulled: labels by the nearest pixel.
+        Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1))(still)
 
 
 def _kept() -> bool:

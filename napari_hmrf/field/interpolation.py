@@ -1,6 +1,6 @@
 """The compiled loop that looks a picture up at an inverse map: `resample`, on all cores.
 
-Imports numba; `warper` imports this module when it is first needed, on the compute thread.
+Imports numba; `live_warp` imports this module when it is first needed, on the compute thread.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -24,7 +24,7 @@ def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, mo
     gaps : bool
         Whether the two differ: a pixel that is not finite stays one such pixel.
     source, state
-        Of `rasterise`.
+        Of `triangle_raster.rasterise`.
     tissue : ndarray, shape (H, W), bool
         Void stays in place where no tissue came.
     nearest : bool

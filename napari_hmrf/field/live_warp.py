@@ -16,7 +16,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, check_order, checked_fill, filled_in, resample
-from napari_hmrf.field.warp import checked_sizes, moved_sites
+from napari_hmrf.field.warp import checked_sizes, moved_sites, only_read
 from napari_hmrf.solver.backends import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
@@ -140,20 +140,16 @@ class Warper:
         if not loops.ready_for_pictures():
             compiler.compile_meanwhile()
             return self._without_loops(d, mask, fraction)
-        # A solution's tissue is read-only, which to numba is a type of its own: here all is.
-        mask = mask.view()
-        mask.setflags(write=False)
-        d = _only_read(d)
         loader.before_numba()
         import numba
 
         from napari_hmrf.field.triangle_raster import rasterise_displaced
 
         finite = rasterise_displaced(
-            d,
+            only_read(d),
             self._spacing,
             float(fraction),
-            mask,
+            only_read(mask),
             numba.get_num_threads(),
             self._moved,
             self._reach,
@@ -212,12 +208,12 @@ class _Look:
 
         moved = np.empty_like(self._values)
         look_up(
-            _only_read(self._values),
-            _only_read(self._smooth),
+            only_read(self._values),
+            only_read(self._smooth),
             self._gaps,
             source,
             state,
-            tissue,
+            only_read(tissue),
             self._order == 0,
             self._image.dtype.kind != "f",
             self._taken(self._fill)[()],
@@ -238,13 +234,6 @@ class _Look:
         source = source.copy()
         source[still] = np.argwhere(still)
         return resample(self._image, source, (state > 0) | still, self._order, self._fill.item())
-
-
-def _only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A view that nobody writes to, as some images are: one type to numba."""
-    view = values.view()
-    view.setflags(write=False)
-    return view
 
 
 def _as_pictures(given: Picture | Sequence[Picture] | npt.ArrayLike) -> list[Picture]:

@@ -1,4 +1,4 @@
-"""`rasterise` in NumPy: what is drawn before any loop is compiled.
+"""`triangle_raster` in NumPy: what is drawn before any loop is compiled.
 
 All triangles are drawn at once: each pixel in a triangle's box is asked whether it lies inside, and
 of those that claim a pixel the first has it, as if they were drawn one after the other.
@@ -15,7 +15,7 @@ Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-# As in `rasterise`.
+# As in `triangle_raster`.
 _EDGE, _COLLAPSED, _NEAR = 1e-9, 1e-12, 1.0
 _EMPTY, _TURNED, _KEPT, TWICE = 0, 1, 2, 3
 # Pixels that are asked at once.
@@ -23,7 +23,7 @@ _AT_ONCE = 1_000_000
 
 
 def rasterise(moved: Float64Array, tissue: Mask) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of the sites; parameters and result are those of `rasterise.rasterise`."""
+    """Invert the motion of the sites, with parameters and result of `triangle_raster.rasterise`."""
     height, width = tissue.shape
     source, state = np.zeros((height, width, 2)), np.zeros((height, width), np.uint8)
     corners = _corners(tissue)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from napari_hmrf.errors import BackendError
-from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.backends import compiler, loops
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -85,7 +85,6 @@ def open_backend(
 
 def _compiled(checkpoint: Checkpoint) -> Backend[Any]:
     """Return the backend of loops."""
-    loader.before_numba()
     from napari_hmrf.solver.backends.cpu import CpuBackend
 
     return CpuBackend(checkpoint)

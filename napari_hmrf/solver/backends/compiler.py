@@ -105,21 +105,17 @@ def provide(job: str, report: Report) -> None:
     report : callable
         Called several times a second; raises to wait no more. What is being compiled goes on.
     """
-    if not (loops.compile_here() or _compiled(job)):
+    if not (loops.compile_here() or kept.compiled(job)):
         with suppress(OSError):
             _wanted_file().write_text(job, encoding="utf-8")
         compile_meanwhile()
-        while not _compiled(job):
-            if not (_at_work() or _compiled(job)):
+        while not kept.compiled(job):
+            if not (_at_work() or kept.compiled(job)):
                 loops.compile_alone()
                 break
             report(stage())
             time.sleep(_POLL)
     loops.use()
-
-
-def _compiled(job: str) -> bool:
-    return kept.mark().exists() or (bool(job) and kept.mark(job).exists())
 
 
 def _at_work() -> bool:

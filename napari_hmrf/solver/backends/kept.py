@@ -52,6 +52,11 @@ def mark(job: str = "") -> Path:
     return folder() / f"loops-{_key()}{job and '-'}{job}.compiled"
 
 
+def compiled(job: str) -> bool:
+    """Whether the loops of a job, or all of them, are compiled."""
+    return mark().exists() or mark(job).exists()
+
+
 @cache
 def folder() -> Path:
     """Where numba keeps loops; if it would find no place, it is told one."""

@@ -16,9 +16,8 @@ import os
 from dataclasses import dataclass
 
 from napari_hmrf.solver.backends import kept, loader
-from napari_hmrf.solver.backends.kept import sources
 
-__all__ = ["HERE", "compile_here", "in_use", "ready", "ready_for_pictures", "sources", "use"]
+__all__ = ["HERE", "compile_here", "in_use", "ready", "ready_for_pictures", "use"]
 
 #: What tells each process to compile for itself, if it is "here".
 HERE = "NAPARI_HMRF_COMPILE"
@@ -86,6 +85,6 @@ def _ready(part: _Part, job: str = "") -> bool:
     if part.begun_without:
         part.in_use = kept.mark().exists() and loader.loaded()
     else:
-        part.in_use = kept.mark().exists() or (bool(job) and kept.mark(job).exists())
+        part.in_use = kept.compiled(job)
         part.begun_without = not part.in_use
     return part.in_use

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends import loader
 from napari_hmrf.solver.backends.base import (
     BATCH_SECONDS,
     Checkpoint,
@@ -70,10 +70,7 @@ class CpuBackend:
     name = "cpu"
 
     def __init__(self, checkpoint: Checkpoint) -> None:
-        # GNU OpenMP lets a thread that waits for the others burn its core for milliseconds unless
-        # told otherwise before it is loaded. Beside a GUI that wants a core too, sweeps of 0.1 ms
-        # then take 10 ms; with a short wait they take 0.3 ms, and alone they lose nothing.
-        os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+        loader.before_numba()
         # Numba is imported, and its kernels loaded, only by a solve that uses them.
         import numba
 
