@@ -10,12 +10,12 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from napari_hmrf.layers.edit_history import Place
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import TISSUE
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.table_state import Table
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import Material
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.

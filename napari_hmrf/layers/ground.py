@@ -15,11 +15,8 @@ from scipy import ndimage
 
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.background import background_of, surrounds
-from napari_hmrf.layers.label_defaults import default_material, default_rule
 from napari_hmrf.layers.landmarks import usual_radius, usual_step
-from napari_hmrf.layers.layer_names import LayerError, Named, naming
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
-from napari_hmrf.layers.palette import OTHER, Palette
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Pictures
@@ -28,6 +25,7 @@ from napari_hmrf.layers.snapshot import look_of
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.unconnected import scraps
+from napari_hmrf.study.layer_names import LayerError, Named, naming
 from napari_hmrf.tissue.boundary_rules import (
     Material,
     boundary_images,
@@ -35,9 +33,11 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Canvas
+from napari_hmrf.tissue.label_defaults import default_material, default_rule
 from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.normals import outer_rim
+from napari_hmrf.tissue.palette import OTHER, Palette
 
 FloatArray = npt.NDArray[np.float32]
 

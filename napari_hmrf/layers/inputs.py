@@ -11,19 +11,19 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.layers.background import air_that_is_tissue
-from napari_hmrf.layers.label_defaults import default_material, default_rule
-from napari_hmrf.layers.layer_names import LayerError, Named, naming
 from napari_hmrf.layers.observed_arrows import arrow_observations
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.reading_warnings import caveats, lacks
 from napari_hmrf.layers.result_layers import Pictures
 from napari_hmrf.layers.snapshot import Request, Snapshot, copy_layers
 from napari_hmrf.solver.optimizers import ICM, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.study.layer_names import LayerError, Named, naming
+from napari_hmrf.study.reading_warnings import caveats, lacks
 from napari_hmrf.tissue.boundary_rules import boundary_images, poisson_image, stiffness_image
 from napari_hmrf.tissue.drawing import Canvas, Drawing
+from napari_hmrf.tissue.label_defaults import default_material, default_rule
 from napari_hmrf.tissue.labels import labels_present
 
 __all__ = [

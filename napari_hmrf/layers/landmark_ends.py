@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Shapes
 
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View, unit_factor
+from napari_hmrf.study.layer_names import LayerError
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from napari_hmrf.layers.landmark_ends import Ends, ends_of
-from napari_hmrf.layers.layer_names import LayerError, Named, naming
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import LayerError, Named, naming
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.drawing.canvas import common, distance_to
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from napari.layers import Vectors
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.layer_names import LayerError, full_resolution
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import LayerError, full_resolution
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:

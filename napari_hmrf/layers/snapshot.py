@@ -10,12 +10,12 @@ import numpy.typing as npt
 from napari.layers import Labels, Points, Shapes, Vectors
 
 from napari_hmrf.layers.landmarks import LandmarkLayers, Landmarks, read_landmarks
-from napari_hmrf.layers.layer_names import LayerError, Named
 from napari_hmrf.layers.metadata import tissue_record
 from napari_hmrf.layers.pixel_copy import check_place, nearest_paint, plane_shape, take_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Pictures
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import LayerError, Named
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 #: Pixels sheared by less than this many degrees pass for rectangles.

@@ -9,9 +9,9 @@ from typing import Any
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QComboBox
 
-from napari_hmrf.layers.label_defaults import default_rule
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Action, BoundaryRule
+from napari_hmrf.tissue.label_defaults import default_rule
 from napari_hmrf.ui.label_table import LabelTable, number, shown
 
 _ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}

@@ -12,11 +12,11 @@ from napari_hmrf.layers.background import background_filling
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.inputs import Request
 from napari_hmrf.layers.landmarks import LandmarkLayers
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.material_tables import load_materials, save_materials

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import role_of
 from napari_hmrf.layers.pixel_copy import plane_shape
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View, unit_symbol
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.ui.deform_form import Face
 from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.messages import READY

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.inputs import Snapshot, prepare
-from napari_hmrf.layers.layer_names import naming
 from napari_hmrf.layers.result_layers import Kind, Outputs, result_layers
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import run_here
+from napari_hmrf.study.layer_names import naming
 
 Report = Callable[[Monitor], None]
 #: What those who wait for it are told.

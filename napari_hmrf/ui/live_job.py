@@ -14,7 +14,6 @@ from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.layers.inputs import Inputs, Snapshot, prepare
-from napari_hmrf.layers.layer_names import naming
 from napari_hmrf.layers.result_layers import Kind, result_layers
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver, Update
@@ -22,6 +21,7 @@ from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.job import Done
 
 _log = logging.getLogger("napari_hmrf")

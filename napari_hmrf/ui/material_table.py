@@ -8,7 +8,6 @@ from typing import Any
 from psygnal import Signal
 from qtpy.QtCore import Qt
 
-from napari_hmrf.layers.label_defaults import default_material
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
@@ -17,6 +16,7 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
+from napari_hmrf.tissue.label_defaults import default_material
 from napari_hmrf.tissue.material_presets import Preset, take_over
 from napari_hmrf.ui.label_table import LabelTable, number, shown
 from napari_hmrf.ui.messages import ABOUT_POISSON

@@ -6,13 +6,13 @@ from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox
 
-from napari_hmrf.layers.palette import Palette
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.brush import Paint
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.drawing.pull import Grip
 from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.tissue.palette import Palette
 from napari_hmrf.ui.forms import LEAST_CONFIDENCE, confidence_slider
 from napari_hmrf.ui.grab.tools import BY_NAME, Tool
 
