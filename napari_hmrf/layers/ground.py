@@ -14,8 +14,6 @@ from napari.layers import Labels
 from scipy import ndimage
 
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
-from napari_hmrf.layers.background import background_of, surrounds
-from napari_hmrf.layers.landmarks import usual_radius, usual_step
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape, take_slice
 from napari_hmrf.layers.place import Frame
@@ -38,6 +36,8 @@ from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.palette import OTHER, Palette
+from napari_hmrf.tissue.surroundings import background_of, surrounds
+from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 
 FloatArray = npt.NDArray[np.float32]
 

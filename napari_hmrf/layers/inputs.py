@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.observed_arrows import arrow_observations
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Pictures
@@ -25,6 +24,7 @@ from napari_hmrf.tissue.boundary_rules import boundary_images, poisson_image, st
 from napari_hmrf.tissue.drawing import Canvas, Drawing
 from napari_hmrf.tissue.label_defaults import default_material, default_rule
 from napari_hmrf.tissue.labels import labels_present
+from napari_hmrf.tissue.surroundings import air_that_is_tissue
 
 __all__ = [
     "Inputs",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +16,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.layer_names import LayerError, Named, naming
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.drawing.canvas import common, distance_to
+from napari_hmrf.tissue.usual_lengths import usual_radius
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -103,25 +103,6 @@ class Landmarks:
                     f"has {self.what} {number}{begins} where there is no tissue (stiffness 0 in "
                     f"'{named.name}'). Move it onto tissue, or remove it{partner}.",
                 )
-
-
-def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """A radius to take hold of tissue with, in the unit of the spacing.
-
-    Parameters
-    ----------
-    shape : sequence of int, shape (2,)
-        Of the image.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel.
-    """
-    shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
-    return float(f"{shorter / 16:.2g}")
-
-
-def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """How far tissue is pushed to begin with: enough to be seen. As `usual_radius`."""
-    return float(f"{0.02 * max(shape) * min(spacing):.1g}")
 
 
 def landmarks_of(

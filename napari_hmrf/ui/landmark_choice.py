@@ -10,9 +10,10 @@ from napari.layers import Points, Shapes
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.landmarks import LandmarkLayers, usual_radius
+from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import unit_symbol
+from napari_hmrf.tissue.usual_lengths import usual_radius
 from napari_hmrf.ui.forms import align_labels, confidence_slider
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.pixels import Pixels

@@ -23,8 +23,8 @@ from qtpy.QtWidgets import (
 )
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.background import between_air_and_tissue
 from napari_hmrf.tissue.stiffness_curve import Between, StiffnessCurve
+from napari_hmrf.tissue.surroundings import between_air_and_tissue
 from napari_hmrf.ui.curve.plot import CurvePlot
 
 #: Spin boxes need ends.

@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
-from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import RESTORED, result_layers
@@ -27,6 +26,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.unconnected import left_at_rest
 from napari_hmrf.tissue.drawing import Drawing, Rendering, Stroke
+from napari_hmrf.tissue.surroundings import air_that_is_tissue
 from napari_hmrf.ui.grab.grab_messages import EDGE_MOVED
 from napari_hmrf.ui.grab.rehearsal import rehearse, rehearse_the_rest
 from napari_hmrf.ui.grab.repaint import Repainted
