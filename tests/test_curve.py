@@ -302,8 +302,8 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
 
 def test_tissue_from_intensity_is_pulled(qtbot):
     from napari.components import ViewerModel
+    from study_reader import read_ground
 
-    from napari_hmrf.layers.ground import read_ground
     from napari_hmrf.ui.deform_dock import DeformTissue
 
     viewer = ViewerModel()

@@ -9,8 +9,8 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui import live_mode
 
@@ -32,10 +32,9 @@ def by_name(widget, name):
 
 def cold(widget):
     """What a script finds for the same layers."""
-    prior, optimizer, _ = widget.solver
-    inputs = read_layers(widget.request(), prior, optimizer)
-    near = Multigrid(1e-4) if isinstance(optimizer, Multigrid) else optimizer
-    return solve(inputs.problem, inputs.prior, near, "cpu")
+    stated = statement_of(widget.read(widget.request()))
+    near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
+    return solve(stated.problem, stated.prior, near, "cpu")
 
 
 def assert_newest(widget):
@@ -44,7 +43,7 @@ def assert_newest(widget):
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
         known = known_of(layer)
-        here = known.get("slice") == widget._latest.done.snapshot.frame.slice_name
+        here = known.get("slice") == widget._latest.done.study.grid.place.slice_name
         if known.get("kind") == "arrows" and here:
             assert known["solution"].displacement is found.displacement
             assert not known["inputs_changed"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ class Ends:
 
     layer: Any
     places: FloatArray
-    what: str = "point"
+    what: Literal["point", "line"] = "point"
 
     def in_pixels(self, frame: Frame) -> FloatArray:
         """Where they lie in the pixels of the layer a frame is of, shape (N, D).

@@ -64,12 +64,7 @@ class Problem:
         m: npt.ArrayLike,
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
-        given, m = m, _as_float32("m", m)
-        if m.ndim != 2:
-            hint = "3-D grids are not supported yet: solve slice by slice" if m.ndim == 3 else ""
-            raise ProblemError(
-                "m", f"has shape {m.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip()
-            )
+        given, m = m, _as_image(m)
         pixel = _checked_spacing(spacing, m.ndim)
         _check_grid(m)
         c = _as_float32("c", c)
@@ -167,6 +162,32 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
             field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
         )
     return array
+
+
+def as_stiffness(m: npt.ArrayLike) -> FloatArray:
+    """Copy a stiffness image to float32, as a `Problem` has it.
+
+    Raises
+    ------
+    ProblemError
+        As of a `Problem`, but for an image in which there is no tissue.
+    """
+    given, m = m, _as_image(m)
+    _check_grid(m)
+    _check_stiffness_unit(given, m)
+    if m.any():
+        _check_stiffness(m)
+    return m
+
+
+def _as_image(m: npt.ArrayLike) -> FloatArray:
+    image = _as_float32("m", m)
+    if image.ndim != 2:
+        hint = "3-D grids are not supported yet: solve slice by slice" if image.ndim == 3 else ""
+        raise ProblemError(
+            "m", f"has shape {image.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip()
+        )
+    return image
 
 
 def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:

@@ -10,9 +10,9 @@ from napari.layers import Labels, Vectors
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.background import background_filling
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
-from napari_hmrf.layers.inputs import Request
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_shared import shared

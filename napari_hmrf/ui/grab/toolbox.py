@@ -86,7 +86,7 @@ class Toolbox:
             return False
         radius, sure = form.radius.value, form.confidence.value
         try:
-            found = landmarks_of(where, should, ground.frame, ground.shape, radius, sure)
+            found = landmarks_of(where, should, ground.study.grid.place, ground.shape, radius, sure)
         except LayerError as error:
             self._say(in_short(error))
             return False
