@@ -8,7 +8,7 @@ from napari.layers import Image, Labels
 from study_reader import read_ground
 
 from napari_hmrf import Multigrid, ProblemError, solve
-from napari_hmrf.field.inverse_point import origin
+from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
@@ -124,10 +124,10 @@ def test_what_is_seen_at_a_point_is_found_where_it_came_from():
     for before in [(10.0, 12.0), (20.3, 8.6), (30.7, 3.2)]:
         d = (3 * np.sin(before[1] / 8), 0.2 * before[0])
         seen = (before[0] + d[0] / SPACING[0], before[1] + d[1] / SPACING[1])
-        assert origin(seen, field, SPACING, tissue) == pytest.approx(before, abs=0.05)
+        assert inverse_point(seen, field, SPACING, tissue) == pytest.approx(before, abs=0.05)
     tissue[:, 15:] = False
-    assert origin((5.0, 28.0), field, SPACING, tissue) is None
-    assert origin((500.0, 28.0), field, SPACING, tissue) is None
+    assert inverse_point((5.0, 28.0), field, SPACING, tissue) is None
+    assert inverse_point((500.0, 28.0), field, SPACING, tissue) is None
 
 
 # How it looks

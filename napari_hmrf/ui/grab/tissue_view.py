@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.field.inverse_point import farthest_of, origin
+from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground
@@ -77,7 +77,7 @@ class Seen:
         if self.solution is not None:
             solution = self.solution
             field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            before = origin(point, *field)
+            before = inverse_point(point, *field)
             # What nobody held anywhere stayed out of it, and where it was.
             before = before or (None if self._tissue_at(point, solution.tissue) else point)
         return before if before is not None and self._tissue_at(before, self.ground.body) else None
