@@ -112,7 +112,7 @@ def same_model(problem: Problem, prior: ElasticPrior) -> int:
 def reduced_system(problem: Problem, prior: ElasticPrior) -> tuple[sp.csr_array, np.ndarray]:
     """The stiffness matrix with zero rows and columns where nothing moves, and the load."""
     system = assemble(problem, prior)
-    held = (problem.c > 0) & problem.tissue[..., None]
+    held = (problem.confidence > 0) & problem.tissue[..., None]
     site = np.flatnonzero(system.free)
     place = np.stack([2 * site, 2 * site + 1], axis=-1).ravel()
     moves = ~held.ravel()[place]

@@ -182,7 +182,7 @@ def _distance(displacement: np.ndarray, truth: Exact) -> float:
 
 def _swing(drawn: RandomProblem, truth: Exact) -> float:
     """How far the field moves if the force of each observation changes by a millionth."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.c.shape)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.confidence.shape)
     other = exact_field(drawn.problem, drawn.prior, 1 + 1e-6 * signs)
     return _distance(other.displacement, truth) if other.sure else float("inf")
 

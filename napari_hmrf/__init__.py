@@ -4,7 +4,7 @@ Paint the inputs, or make them, then::
 
     from napari_hmrf import Problem, solve
 
-    solution = solve(Problem(y, c, m))
+    solution = solve(Problem(observed, confidence, stiffness))
     solution.displacement  # (H, W, 2): the tissue at X moves to X + d(X)
 
 Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.

@@ -79,7 +79,7 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
     m = np.ones((_SIZE, _SIZE))
     if bone:
         m[18:23, 12:17] = np.inf
-    problem = Problem(c, c, m, spacing)
+    problem = Problem(c, c, m, spacing=spacing)
     solve(problem, prior, optimizer, backend="cpu")
 
 

@@ -12,13 +12,13 @@ from napari_hmrf.solver.warm_start import beginning
 WITHIN = Multigrid(0.01)
 PRIOR = ElasticPrior()
 PROBLEM = phantom("mass-effect", 96).problem
-PATCH = (np.arange(96)[:, None, None] < 30) & (PROBLEM.c > 0)
+PATCH = (np.arange(96)[:, None, None] < 30) & (PROBLEM.confidence > 0)
 
 
-def pushed(by, across=0.0, c=PROBLEM.c, m=PROBLEM.m, spacing=(1.0, 1.0)):
+def pushed(by, across=0.0, c=PROBLEM.confidence, m=PROBLEM.stiffness, spacing=(1.0, 1.0)):
     """The problem with a patch moved further, in pixels along both axes."""
     step = np.array([by, across]) * spacing
-    return Problem(PROBLEM.y * np.array(spacing) + step * PATCH, c, m, spacing)
+    return Problem(PROBLEM.observed * np.array(spacing) + step * PATCH, c, m, spacing=spacing)
 
 
 def well_known(backend="cpu", **about):
@@ -66,13 +66,13 @@ def test_errors_add_up_until_they_are_too_large_and_a_cycle_brings_them_down():
 
 def softer_within():
     """Tissue that is softer where it hardly strains: what is left over there hardly tells."""
-    m = PROBLEM.m.copy()
+    m = PROBLEM.stiffness.copy()
     m[60:80, 20:40] *= 1e-3
     return m
 
 
 def held_elsewhere():
-    c = PROBLEM.c.copy()
+    c = PROBLEM.confidence.copy()
     c[48, 48] = 1
     return c
 
@@ -94,7 +94,7 @@ def test_another_problem_is_not_taken_for_known(edited):
 
 
 def test_a_push_that_soft_tissue_hardly_resists_is_a_push_all_the_same():
-    m = np.where(np.arange(96)[:, None] < 34, 1e-5, 1) * PROBLEM.m
+    m = np.where(np.arange(96)[:, None] < 34, 1e-5, 1) * PROBLEM.stiffness
     found = solve(pushed(2, across=0.5, m=m), PRIOR, WITHIN, "cpu", start=well_known(m=m))
     exact = solve(pushed(2, across=0.5, m=m), PRIOR, Multigrid(1e-5), "cpu")
     assert found.iterations > 0
@@ -118,7 +118,7 @@ def test_a_copy_is_not_taken_for_what_was_found_nor_what_was_changed_since():
     assert solve(pushed(2), PRIOR, WITHIN, "cpu", start=copies).iterations > 0
     place = np.s_[30:36, 44:50]
     assert PROBLEM.tissue[place].all()
-    assert not PROBLEM.observed[place].any(), "what is observed is looked at anyway"
+    assert not PROBLEM.known[place].any(), "what is observed is looked at anyway"
     known[1].displacement[place] += 0.3
     found = solve(pushed(2), PRIOR, WITHIN, "cpu", start=known)
     assert found.iterations > 0

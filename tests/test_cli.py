@@ -231,9 +231,9 @@ def test_a_window_opens_only_where_somebody_may_see_it(monkeypatch, platform, va
 
 def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
     problem, field = selftest.affine_example()
-    inside = problem.c[..., 0] == 0
+    inside = problem.confidence[..., 0] == 0
     assert np.count_nonzero(inside) == 14 * 21
-    assert np.array_equal(problem.y[~inside], field[~inside].astype(np.float32))
+    assert np.array_equal(problem.observed[~inside], field[~inside].astype(np.float32))
     # Second differences vanish: the field has no bend for the energy to resist.
     assert np.allclose(np.diff(field, 2, axis=0), 0)
     assert np.allclose(np.diff(field, 2, axis=1), 0)

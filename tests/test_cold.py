@@ -89,9 +89,9 @@ def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypat
 
 def test_a_bone_moves_as_one_before_the_loops_are_compiled(cold, monkeypatch):
     require_opengl()
-    m = PROBLEM.m.copy()
+    m = PROBLEM.stiffness.copy()
     m[18:23, 12:17] = np.inf
-    bony = Problem(PROBLEM.y, PROBLEM.c, m, PROBLEM.spacing)
+    bony = Problem(PROBLEM.observed, PROBLEM.confidence, m, spacing=PROBLEM.spacing)
     early = solve(bony, ElasticPrior(0.3), backend="opengl")
     assert not loops.in_use()
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")

@@ -81,7 +81,7 @@ def test_stiff_tissue_turns_freely_where_pixels_are_oblong():
     y, c = np.zeros((40, 40, 2)), np.zeros((40, 40, 2))
     c[0] = c[-1] = 1
     y[-1, :, 1] = 3
-    problem = Problem(y, c, m, (0.28, 1.0))
+    problem = Problem(y, c, m, spacing=(0.28, 1.0))
     solution = solve(problem, PRIOR, Multigrid(), backend="cpu")
     assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 1e-3
 

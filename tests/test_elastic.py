@@ -36,7 +36,7 @@ def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed
         m[shape[0] // 2, shape[1] // 2] = 0
     c = np.zeros((*shape, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing)
+    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
@@ -54,7 +54,7 @@ def test_the_energy_is_that_of_bilinear_finite_elements(spacing, poisson):
     i, j = np.rint(mesh.p / np.array(spacing)[:, None]).astype(int)
     values = np.zeros(stiffness.shape[0])
     values[basis.nodal_dofs] = d[i, j].T
-    problem = Problem(0 * d, np.ones_like(d), np.ones(shape), spacing)
+    problem = Problem(0 * d, np.ones_like(d), np.ones(shape), spacing=spacing)
     energy = ElasticPrior(poisson).energy(problem, d) * problem.unit**2
     assert energy == pytest.approx(0.5 * values @ stiffness @ values, rel=1e-10)
 
@@ -123,7 +123,7 @@ def test_uniform_tissue_follows_its_border_evenly(plane, spacing):
     affine = np.stack([0.02 * i - 0.05 * j, 0.03 * j + 0.01 * i], axis=-1)
     c = np.zeros((120, 90, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    found = solve(Problem(affine, c, np.ones((120, 90)), spacing), ElasticPrior(0.4, plane))
+    found = solve(Problem(affine, c, np.ones((120, 90)), spacing=spacing), ElasticPrior(0.4, plane))
     assert np.abs(found.displacement - affine).max() < 2e-3
 
 
@@ -149,8 +149,8 @@ def test_a_brain_moves_as_finite_elements_say(name):
 @pytest.mark.parametrize("ratio", [1.0, 1e3, 1e6])
 def test_any_material_converges_to_what_was_asked(poisson, ratio):
     problem = phantom("mass-effect", 64).problem
-    m = np.where(problem.m == 40, ratio, np.where(problem.m > 0, 1.0, 0.0))
-    problem = Problem(problem.y, problem.c, m)
+    m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
+    problem = Problem(problem.observed, problem.confidence, m)
     for plane in PLANES:
         if ratio == 1e6 and poisson == 0.499 and plane == "strain":
             continue  # beyond single precision: the next test
@@ -209,9 +209,13 @@ def test_nearly_incompressible_tissue_does_not_lock():
 def test_only_ratios_of_stiffness_and_lengths_matter():
     problem = random_problem((24, 31), spacing=(1, 2))
     first = solve(problem, ElasticPrior()).displacement
-    harder = Problem(problem.y, problem.c, problem.m * 1000, problem.spacing)
+    harder = Problem(
+        problem.observed, problem.confidence, problem.stiffness * 1000, spacing=problem.spacing
+    )
     np.testing.assert_allclose(solve(harder, ElasticPrior()).displacement, first, atol=2e-3)
-    inches = Problem(problem.y / 25.4, problem.c, problem.m, (1 / 25.4, 2 / 25.4))
+    inches = Problem(
+        problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
+    )
     found = solve(inches, ElasticPrior()).displacement * 25.4
     np.testing.assert_allclose(found, first, atol=5e-3)
 

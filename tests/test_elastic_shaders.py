@@ -231,13 +231,13 @@ def test_a_phantom_moves_alike_everywhere(stage, name, visited_alike):
 
 def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stage):
     problem = torn(ratio=5.0)
-    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.c
-    problem = Problem(problem.y, graded, problem.m)
-    poisson = np.where(problem.m > 1, 0.2, 0.45)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
+    problem = Problem(problem.observed, graded, problem.stiffness)
+    poisson = np.where(problem.stiffness > 1, 0.2, 0.45)
     prior = ElasticPrior(poisson, penalty=0.03)
     loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
-    slipped = np.abs(loops.displacement - problem.y)[problem.c > 0] > 0.01
+    slipped = np.abs(loops.displacement - problem.observed)[problem.confidence > 0] > 0.01
     assert 0.05 < slipped.mean() < 0.95
     assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
 
@@ -258,7 +258,11 @@ def test_the_same_solve_gives_the_same_bits(stage):
 def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
     given = example((33, 41))
     other = example((33, 41))
-    other.problem = Problem(given.problem.y, np.roll(given.problem.c, 5, axis=0), given.problem.m)
+    other.problem = Problem(
+        given.problem.observed,
+        np.roll(given.problem.confidence, 5, axis=0),
+        given.problem.stiffness,
+    )
 
     def fields(*held):
         backend = OpenGLBackend(lambda: None, stage)
@@ -276,7 +280,7 @@ def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
         finally:
             backend.close()
 
-    masks = given.problem.c, other.problem.c
+    masks = given.problem.confidence, other.problem.confidence
     twice, once = (on_compute_thread(lambda h=h: fields(*h)) for h in (masks, masks[1:]))
     np.testing.assert_array_equal(twice, once)
     assert not twice[:, 2:-2, 2:-2][np.moveaxis(masks[1] > 0, -1, 0)].any()

@@ -66,7 +66,7 @@ def coarse_start(problem, prior, steps):
     at = np.ix_(
         *[[min(2 * i + 1, size - 1) for i in range(-(-size // 2))] for size in finest.shape]
     )
-    coarse = Problem(problem.y[at], problem.c[at], problem.m[at])
+    coarse = Problem(problem.observed[at], problem.confidence[at], problem.stiffness[at])
     assert coarse.shape == coarser[0].shape
     d = solve(coarse, prior, ICM(iterations=1, steps=steps), backend="cpu").displacement
     start = np.zeros((*problem.shape, 2))
@@ -144,7 +144,7 @@ def test_nothing_moves_when_the_boundary_is_fixed():
 
 def test_only_ratios_of_stiffness_matter():
     problem = frame_problem((33, 20))
-    scaled = Problem(problem.y, problem.c, problem.m * 1024)
+    scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1024)
     first = solve(problem, optimizer=ICM(steps=None), backend="cpu").displacement
     second = solve(scaled, optimizer=ICM(steps=None), backend="cpu").displacement
     np.testing.assert_allclose(first, second, atol=1e-5)
@@ -152,7 +152,9 @@ def test_only_ratios_of_stiffness_matter():
 
 def test_the_unit_of_length_does_not_matter():
     problem = frame_problem((24, 30), spacing=(1, 2))
-    inches = Problem(problem.y / 25.4, problem.c, problem.m, spacing=(1 / 25.4, 2 / 25.4))
+    inches = Problem(
+        problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
+    )
     first = solve(problem, optimizer=ICM(steps=None), backend="cpu")
     second = solve(inches, optimizer=ICM(steps=None), backend="cpu")
     np.testing.assert_allclose(first.displacement, second.displacement * 25.4, atol=1e-4)
@@ -163,7 +165,9 @@ def test_the_unit_of_length_does_not_matter():
 def test_flipped_tissue_moves_the_flipped_way(shape):
     # Powers of two: the quadtree itself is not symmetric on other grids.
     problem = frame_problem(shape)
-    sides = Problem(problem.y[:, ::-1] * (1, -1), problem.c[:, ::-1], problem.m[:, ::-1])
+    sides = Problem(
+        problem.observed[:, ::-1] * (1, -1), problem.confidence[:, ::-1], problem.stiffness[:, ::-1]
+    )
     first = solve(problem, optimizer=CONVERGED, backend="cpu").displacement
     second = solve(sides, optimizer=CONVERGED, backend="cpu").displacement[:, ::-1] * (1, -1)
     np.testing.assert_allclose(first, second, atol=0.01)
@@ -265,7 +269,7 @@ def test_tissue_never_moves_further_than_something_pushes_it(height, width, seed
     y = rng.normal(size=(height, width, 2))
     problem = Problem(y, c, m)
     found = solve(problem, optimizer=ICM(iterations=20, steps=None), backend="cpu").displacement
-    held = np.where((c > 0) & (m > 0)[..., None], problem.y, 0)
+    held = np.where((c > 0) & (m > 0)[..., None], problem.observed, 0)
     for k in (0, 1):
         assert found[..., k].max() <= max(0, held[..., k].max()) + 1e-4
         assert found[..., k].min() >= min(0, held[..., k].min()) - 1e-4

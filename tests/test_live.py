@@ -33,13 +33,13 @@ def pulled(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=SIZE, radius=2.5):
 def unheld():
     """Nothing holds the right half."""
     problem = pulled()
-    m = np.array(problem.m)
+    m = np.array(problem.stiffness)
     m[:, 10] = 0
-    return Problem(problem.y, problem.c * (np.arange(SIZE) < 9)[:, None], m)
+    return Problem(problem.observed, problem.confidence * (np.arange(SIZE) < 9)[:, None], m)
 
 
 def unreadable():
-    raise ProblemError("y", "cannot be read")
+    raise ProblemError("observed", "cannot be read")
 
 
 @pytest.fixture

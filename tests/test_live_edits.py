@@ -94,7 +94,9 @@ def problem_of(state, prior, rendering=None):
         canvas = state["drawing"].render(Canvas(*boundary_images(BOUNDARY, state["rules"])))
     if isinstance(prior, ElasticPrior):
         prior = ElasticPrior(poisson_image(TISSUE, state["materials"]), penalty=prior.penalty)
-    return Problem(canvas.y, canvas.c, stiffness_image(TISSUE, state["materials"])), prior
+    return Problem(
+        canvas.observed, canvas.confidence, stiffness_image(TISSUE, state["materials"])
+    ), prior
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_what_cannot_be_pulled_is_said_of_the_layer():
     ground = read_ground(Image(picture, name="MR"), stiffness, hold_edge=False)
     canvas = Drawing((Arrow((10, 10), (0, 2), 0.5),)).render(ground.base)
     problem, prior = ground.problem(canvas)
-    with pytest.raises(ProblemError, match=r"^c: leaves") as refused:
+    with pytest.raises(ProblemError, match=r"^confidence: leaves") as refused:
         solve(problem, prior)
     assert ground.in_words(refused.value).sentence.startswith("'Arrows' leaves a piece of tissue")
 

@@ -15,12 +15,12 @@ def reference(problem, prior):
     """
     matrix = stiffness_matrix(problem, prior)
     solid = matrix.diagonal() > 0
-    seen = (problem.c.ravel() > 0) & solid
+    seen = (problem.confidence.ravel() > 0) & solid
     free = ~seen & solid
     inner = spl.splu(matrix[free][:, free].tocsc())
     across = matrix[free][:, seen].toarray()
     schur = matrix[seen][:, seen].toarray() - across.T @ inner.solve(across)
-    y = (problem.y.astype(float) / problem.unit).ravel()[seen]
+    y = (problem.observed.astype(float) / problem.unit).ravel()[seen]
     p = prior.limit(problem).ravel()[seen]
     x = y.copy()
     pull = schur @ x
@@ -51,7 +51,7 @@ def doubtful(seed=0, spacing=(1.0, 1.0)):
     c[0] = rng.uniform(0.05, 1, (18, 2))
     c[-1, ::2] = rng.uniform(0.05, 1, (9, 2))
     c[4:6, 10:14, 1] = 0.5
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing)
+    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
@@ -61,9 +61,9 @@ def test_the_field_is_that_of_least_energy(penalty, spacing):
     found = solve(problem, prior, Multigrid(1e-4))
     expected = reference(problem, prior)
     assert np.abs(found.displacement - expected).max() < 1e-3
-    slipped = np.abs(expected - problem.y)[problem.c > 0] > 1e-4
+    slipped = np.abs(expected - problem.observed)[problem.confidence > 0] > 1e-4
     assert 0.02 < slipped.mean() < 1  # or this would show nothing
-    cost = (prior.limit(problem) * np.abs(problem.y - expected)).sum() / problem.unit
+    cost = (prior.limit(problem) * np.abs(problem.observed - expected)).sum() / problem.unit
     energy = (prior.energy(problem, expected) + cost) / problem.tissue.sum()
     assert found.mean_energy == pytest.approx(energy, rel=1e-3)
 
@@ -93,7 +93,7 @@ def test_a_great_penalty_holds_exactly():
 def test_the_scale_of_stiffness_does_not_matter():
     problem = doubtful()
     prior = ElasticPrior(penalty=0.5)
-    harder = Problem(problem.y, problem.c, problem.m * 1000)
+    harder = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
     np.testing.assert_allclose(
         solve(harder, prior).displacement, solve(problem, prior).displacement, atol=2e-3
     )
@@ -138,9 +138,9 @@ def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalt
 def test_a_known_field_makes_a_small_edit_cheap_and_changes_nothing():
     problem = phantom("mass-effect", 128).problem
     before = solve(problem, ElasticPrior(), Multigrid(0.01))
-    y = problem.y.copy()
+    y = problem.observed.copy()
     y[..., 0] += np.where(y[..., 0] > 0, 0.2, 0).astype(np.float32)
-    edited = Problem(y, problem.c, problem.m)
+    edited = Problem(y, problem.confidence, problem.stiffness)
     cold = solve(edited, ElasticPrior(), Multigrid(0.01))
     warm = solve(edited, ElasticPrior(), Multigrid(0.01), start=before)
     assert warm.iterations < cold.iterations
@@ -160,8 +160,11 @@ def test_a_known_field_is_a_good_start_where_observations_slip_too(penalty):
 
 def test_a_patch_that_was_moved_before_is_known_to_move_in_proportion():
     problem = phantom("mass-effect", 128).problem
-    patch = (np.arange(128)[:, None, None] < 40) & (problem.c > 0)
-    moved = [Problem(problem.y + k * patch, problem.c, problem.m) for k in (0, 1, 3)]
+    patch = (np.arange(128)[:, None, None] < 40) & (problem.confidence > 0)
+    moved = [
+        Problem(problem.observed + k * patch, problem.confidence, problem.stiffness)
+        for k in (0, 1, 3)
+    ]
     known = [solve(each, ElasticPrior(), Multigrid(1e-3)) for each in moved[:2]]
     cold = solve(moved[2], ElasticPrior(), Multigrid(0.01))
     warm = solve(moved[2], ElasticPrior(), Multigrid(0.01), start=known)

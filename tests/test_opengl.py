@@ -411,9 +411,9 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
     original = source._text
     assert right in original(file)
     problem = body((21, 26))
-    stiff = problem.m.copy()
+    stiff = problem.stiffness.copy()
     stiff[5:9, :] *= 3  # different on both sides of a site, and at the image's border
-    problem = Problem(problem.y, problem.c, np.where(stiff > 0, stiff, 5))
+    problem = Problem(problem.observed, problem.confidence, np.where(stiff > 0, stiff, 5))
     prior = SeilerPrior(penalty=5.0)  # so that what was seen and what is stiff compete
     loops = solve(problem, prior, CLOSED_FORM, backend="cpu")
     monkeypatch.setattr(

@@ -31,9 +31,9 @@ LARGEST = 300_000
 def problem_arrays(problem, prior):
     """What a problem consists of."""
     return {
-        "y": problem.y,
-        "c": problem.c,
-        "m": problem.m,
+        "y": problem.observed,
+        "c": problem.confidence,
+        "m": problem.stiffness,
         "spacing": np.array(problem.spacing),
         "poisson": np.asarray(getattr(prior, "poisson", np.nan)),
     }

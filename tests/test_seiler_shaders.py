@@ -214,12 +214,12 @@ def test_a_tumour_that_swims_in_soft_tissue_moves_alike(stage):
 @readings
 def test_observations_that_slip_are_the_same_everywhere(stage, prior):
     problem = torn(ratio=5.0)
-    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.c
-    problem = Problem(problem.y, graded, problem.m)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
+    problem = Problem(problem.observed, graded, problem.stiffness)
     prior = SeilerPrior(penalty=3.0, conditional=prior.conditional)
     loops = solve(problem, prior, Multigrid(1e-3), backend="cpu")
     shaders = solve(problem, prior, Multigrid(1e-3), backend=f"opengl:{stage}")
-    slipped = np.abs(loops.displacement - problem.y)[problem.c > 0] > 0.01
+    slipped = np.abs(loops.displacement - problem.observed)[problem.confidence > 0] > 0.01
     assert 0 < slipped.sum() < slipped.size
     assert np.abs(shaders.displacement - loops.displacement).max() < 4e-3
 

@@ -18,7 +18,7 @@ def torn(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
     c[[0, -1]] = 1
     y[0, :, 0], y[-1, :, 0] = 1, 3
     m = contrast ** rng.random(shape)
-    return Problem(y * np.sqrt(spacing[0] * spacing[1]), c, m, spacing)
+    return Problem(y * np.sqrt(spacing[0] * spacing[1]), c, m, spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.4, 1.0)])
@@ -40,8 +40,8 @@ def test_a_free_motion_costs_nothing_whatever_the_shape_of_pixels(spacing):
     shape = (7, 9)
     c = np.zeros((*shape, 2))
     c[2, 3] = 1
-    problem = Problem(0 * c, c, np.ones(shape), spacing)
-    (ways,) = free_motions(problem, problem.observed)
+    problem = Problem(0 * c, c, np.ones(shape), spacing=spacing)
+    (ways,) = free_motions(problem, problem.known)
     assert len(ways) == 1
     model = CpuElasticModel(ElasticPrior().material(problem))
     energy, _ = model.work(host.planes(ways[0]))

@@ -197,7 +197,9 @@ def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
     seconds = []
     for turn in range(turns):
         unit = 1 if name.endswith("again") else 1 + turn
-        again = Problem(problem.y, problem.c, problem.m * unit, problem.spacing)
+        again = Problem(
+            problem.observed, problem.confidence, problem.stiffness * unit, spacing=problem.spacing
+        )
         started = time.perf_counter()
         field, taken = run(again, iterations)
         seconds.append(time.perf_counter() - started)

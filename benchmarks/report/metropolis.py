@@ -107,10 +107,10 @@ def paper_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     truth = solve_exactly(problem, "blanket")
     matrix, load, free = _quadratic(problem)
     minimum = float(prior.site_energy(problem, truth).sum())
-    held = (problem.c > 0) & problem.tissue[..., None]
+    held = (problem.confidence > 0) & problem.tissue[..., None]
 
     def excess(solution: Solution) -> float:
-        d = np.where(held, problem.y, solution.displacement)
+        d = np.where(held, problem.observed, solution.displacement)
         return float(prior.site_energy(problem, d).sum()) / minimum - 1
 
     def icm(count: int) -> Callable[[], Solution]:
@@ -133,8 +133,8 @@ def _quadratic(problem: Problem):
     """Eq. 7 over the free components, by impulses: its gradient is linear."""
     import scipy.sparse as sp
 
-    free = (problem.c == 0) & problem.tissue[..., None]
-    fixed = np.where((problem.c > 0) & problem.tissue[..., None], problem.y, 0.0)
+    free = (problem.confidence == 0) & problem.tissue[..., None]
+    fixed = np.where((problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0)
     residuals = _residual_matrix(problem)
     matrix = 2 * (residuals.T @ residuals).tocsr()
     at = free.ravel()
@@ -149,7 +149,7 @@ def _residual_matrix(problem: Problem):
     from napari_hmrf.solver.priors import LINES
 
     height, width = problem.shape
-    m = problem.m.astype(np.float64)
+    m = problem.stiffness.astype(np.float64)
     rows, columns, values, number = [], [], [], 0
     for i, j in np.argwhere(m > 0):
         for line, (di, dj) in enumerate(LINES):

@@ -122,7 +122,9 @@ def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
     def run(turn: int) -> Run:
         _forget(prior)
         unit = np.float32(2**turn)
-        problem = Problem(images.y, images.c, images.m * unit, images.spacing)
+        problem = Problem(
+            images.observed, images.confidence, images.stiffness * unit, spacing=images.spacing
+        )
         started = time.perf_counter()
         try:
             found = solve(problem, prior, Multigrid(), backend="cpu")
@@ -264,5 +266,5 @@ def _file(images: Images, prior: ElasticPrior, folder: Path) -> Path:
 
 def digest(images: Images) -> str:
     """The same for the same images."""
-    parts = (images.y, images.c, images.m)
+    parts = (images.observed, images.confidence, images.stiffness)
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()

@@ -133,10 +133,10 @@ def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
     """Draw the image and the observed displacement where it counts; dots are fixed."""
     figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
     _show(axes, image)
-    known = problem.observed.any(axis=-1)
+    known = problem.known.any(axis=-1)
     # Every few pixels of it: a boundary is thin, and a regular pattern would miss most.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
-    vectors = problem.y[tuple(starts.T)] / np.array(problem.spacing)
+    vectors = problem.observed[tuple(starts.T)] / np.array(problem.spacing)
     rows, cols = starts[~vectors.any(axis=-1)].T
     axes.plot(cols, rows, ".", color=_FIXED_COLOUR, markersize=3)
     _draw_arrows(axes, np.stack([starts, vectors], axis=1))

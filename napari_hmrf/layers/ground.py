@@ -61,8 +61,8 @@ class Ground:
         Where the slice lies.
     base : Canvas
         What is held without a drawing.
-    m : ndarray, shape (H, W), float32
-        Stiffness; 0 is no tissue, infinity is rigid.
+    stiffness : ndarray, shape (H, W), float32
+        Young's modulus; 0 is no tissue, infinity is rigid.
     prior : Prior
         The energy, with the tissues' own Poisson's ratios.
     pictures : Pictures
@@ -79,7 +79,7 @@ class Ground:
 
     frame: Frame
     base: Canvas
-    m: FloatArray
+    stiffness: FloatArray
     prior: Prior
     pictures: Pictures
     body: npt.NDArray[np.bool_]
@@ -115,9 +115,9 @@ class Ground:
             self.frame == other.frame
             and self.prior == other.prior
             and self.palette == other.palette
-            and np.array_equal(self.m, other.m)
-            and np.array_equal(self.base.c, other.base.c)
-            and np.array_equal(self.base.y, other.base.y)
+            and np.array_equal(self.stiffness, other.stiffness)
+            and np.array_equal(self.base.confidence, other.base.confidence)
+            and np.array_equal(self.base.observed, other.base.observed)
             and np.array_equal(picture, its, equal_nan=picture.dtype.kind == "f")
         )
 
@@ -139,24 +139,24 @@ class Ground:
         ProblemError
             If nothing is held.
         """
-        m, prior, pieces, count = self.m, self.prior, self.pieces, self._pieces_there
+        m, prior, pieces, count = self.stiffness, self.prior, self.pieces, self._pieces_there
         if tissue_painted and canvas.labels is not None and self.base.labels is not None:
             m, prior = self.palette.painted(canvas.labels, self.base.labels, m, prior)
-            if ((m > 0) != (self.m > 0)).any():
+            if ((m > 0) != (self.stiffness > 0)).any():
                 pieces, count = _pieces_of(m > 0)
         if count > 1:
-            held = (canvas.c > 0).any(axis=-1)
+            held = (canvas.confidence > 0).any(axis=-1)
             touched = np.zeros(count + 1, dtype=bool)
             touched[pieces[held]] = True
             touched[0] = False
             if touched.any() and not touched[1:].all():
                 m = np.where(touched[pieces], m, np.float32(0))
         if isinstance(prior, ElasticPrior):
-            scrap = scraps(m > 0, canvas.c > 0)
+            scrap = scraps(m > 0, canvas.confidence > 0)
             if scrap.any():
                 m = np.where(scrap, np.float32(0), m)
         exact = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
-        c = canvas.c
+        c = canvas.confidence
         if exact and ((c > 0) & (c < 1)).any():
             if np.isinf(m).any():
                 raise LayerError(
@@ -166,13 +166,19 @@ class Ground:
                 )
             prior = replace(prior, penalty=_FIRM)
             c = np.where(c < 1, np.float32(_PENALTY / _FIRM) * c, c)
-        return Problem(canvas.y, c, m, self.frame.spacing), prior
+        return Problem(canvas.observed, c, m, spacing=self.frame.spacing), prior
 
     def in_words(self, error: Exception | None) -> Exception | None:
         """What is wrong with a problem, said of the layers a person sees."""
         drawn = Named(ARROWS, "Vectors layer")
         try:
-            with naming(m=self.named, poisson=self.named, y=drawn, c=drawn, spacing=self.named):
+            with naming(
+                stiffness=self.named,
+                poisson=self.named,
+                observed=drawn,
+                confidence=drawn,
+                spacing=self.named,
+            ):
                 if error is not None:
                     raise error
         except Exception as named:  # noqa: BLE001 - that is what is wanted
@@ -246,7 +252,7 @@ def read_ground(
     base = replace(base, kinds=np.zeros(shape, dtype=np.uint8))
     if hold_edge:
         for part in (there, body):
-            base.c[outer_rim(part)] = 1
+            base.confidence[outer_rim(part)] = 1
     if boundary is not None:
         labels = take_slice(boundary, Frame.of(boundary, view), image, frame, shape)
         _paint_boundary(boundary, labels, base)
@@ -254,7 +260,7 @@ def read_ground(
     return Ground(
         frame=frame,
         base=base,
-        m=m,
+        stiffness=m,
         prior=prior,
         pictures=Pictures(image=picture, name=str(image.name), look=look_of(image)),
         body=body,
@@ -279,7 +285,7 @@ def _surroundings(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
 def _stiffness(
     tissue: Any, labels: npt.NDArray[Any], prior: Prior, preset: Preset | None
 ) -> tuple[FloatArray, Prior, Palette]:
-    with naming(m=tissue, poisson=tissue):
+    with naming(stiffness=tissue, poisson=tissue):
         if not isinstance(tissue, Labels):
             if labels.ndim != 2:
                 raise LayerError(
@@ -308,10 +314,10 @@ def _paint_boundary(boundary: Any, labels: npt.NDArray[Any], base: Canvas) -> No
     rules = list(rows_of(boundary, BOUNDARY) or ())
     listed = {0, *(rule.label for rule in rules)}
     rules += [default_rule(int(label)) for label in labels_present(labels) if label not in listed]
-    with naming(y=boundary, c=boundary):
+    with naming(observed=boundary, confidence=boundary):
         y, c = boundary_images(labels, rules, base.spacing)
     painted = (c > 0).any(axis=-1)
-    base.y[painted], base.c[painted] = y[painted], c[painted]
+    base.observed[painted], base.confidence[painted] = y[painted], c[painted]
 
 
 def _completed(known: Iterable[Material], labels: npt.NDArray[Any]) -> tuple[Material, ...]:

@@ -129,7 +129,7 @@ def prepare(
         notes += added
     checkpoint()
     tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
-    with naming(m=tissue):
+    with naming(stiffness=tissue):
         if snapshot.tissue_labelled:
             m = stiffness_image(snapshot.tissue, snapshot.materials)
             if isinstance(prior, ElasticPrior):
@@ -139,9 +139,9 @@ def prepare(
             notes += _check_digits(tissue, m)
     checkpoint()
     with naming(
-        m=tissue,
-        y=boundary,
-        c=snapshot.confidence_name or boundary,
+        stiffness=tissue,
+        observed=boundary,
+        confidence=snapshot.confidence_name or boundary,
         spacing=snapshot.reference_name,
     ):
         y, c, out = _observed(snapshot)
@@ -158,7 +158,7 @@ def prepare(
             if scrap.any():
                 m = np.where(scrap, 0, m)
                 notes += (left_at_rest(scrap),)
-        problem = Problem(y, c, m, snapshot.frame.spacing)
+        problem = Problem(y, c, m, spacing=snapshot.frame.spacing)
     checkpoint()
     if snapshot.boundary_labelled and snapshot.landmarks is None:
         notes += lacks(problem, y, there)
@@ -279,7 +279,7 @@ def _with_landmarks(
         return y, c
     landmarks.refuse_void(m != 0, spacing, snapshot.tissue_name)
     canvas = Drawing(landmarks.marks).render(Canvas(y, c, None, spacing))
-    return canvas.y, canvas.c
+    return canvas.observed, canvas.confidence
 
 
 def _refuse_in_words(snapshot: Snapshot, m: npt.NDArray[Any], c: FloatArray) -> None:

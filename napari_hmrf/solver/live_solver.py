@@ -260,7 +260,7 @@ class LiveSolver:
         With something to begin with, a glance costs nearly as much as the solution, and what comes
         after it has less to begin with.
         """
-        return not self._earlier.solutions and problem.m.size * _SITE_SECONDS > PATIENCE
+        return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
         self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag

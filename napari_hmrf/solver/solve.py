@@ -156,7 +156,12 @@ def _check_arguments(
     start: object,
 ) -> None:
     """Say which argument is none of its kind before anything is done."""
-    _need(isinstance(problem, Problem), "problem", problem, "a Problem: Problem(y, c, m)")
+    _need(
+        isinstance(problem, Problem),
+        "problem",
+        problem,
+        "a Problem: Problem(observed, confidence, stiffness)",
+    )
     _need(isinstance(prior, Prior | None), "prior", prior, "a prior, such as ElasticPrior()")
     schedule = optimizer is None or _has("run", optimizer)
     _need(schedule, "optimizer", optimizer, "an optimizer, such as Multigrid()")
@@ -225,7 +230,7 @@ def run_here(
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
-            'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
+            'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
         )
     return Solution(
         displacement=displacement,

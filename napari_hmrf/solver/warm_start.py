@@ -39,9 +39,9 @@ def beginning(start: Start, problem: Problem) -> Beginning:
                 f"{ours[0]} pixels of size {ours[1]}. Leave it out"
             )
     displacements = tuple(each.displacement for each in solutions)
-    at = np.flatnonzero(problem.observed)
+    at = np.flatnonzero(problem.known)
     first, *others = (each.ravel()[at].astype(np.float64) for each in displacements)
-    missing = problem.y.ravel()[at] - first
+    missing = problem.observed.ravel()[at] - first
     shares = [1.0]
     if others:
         changes = np.stack(others) - first

@@ -114,7 +114,7 @@ class StiffnessCurve:
         Returns
         -------
         ndarray of the same shape, float32
-            `m` of a `Problem`; 0 where there is no tissue.
+            The stiffness of a `Problem`; 0 where there is no tissue.
 
         Raises
         ------
@@ -126,7 +126,8 @@ class StiffnessCurve:
         )
         if image.dtype.kind not in "biuf":
             raise ProblemError(
-                "m", f"cannot come from intensities of type {image.dtype}. Give real numbers."
+                "stiffness",
+                f"cannot come from intensities of type {image.dtype}. Give real numbers.",
             )
         mask, image = np.ma.getmaskarray(image), np.ma.getdata(image)
         if image.dtype.kind == "b":

@@ -51,7 +51,7 @@ def deforming(
         report(Monitor("reading what is painted", 0.0))
         inputs = prepare(snapshot, prior, optimizer, complete=True, checkpoint=checkpoint)
         tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
-        with naming(m=tissue, poisson=tissue, y=boundary, c=boundary):
+        with naming(stiffness=tissue, poisson=tissue, observed=boundary, confidence=boundary):
             solution = run_here(inputs.problem, inputs.prior, optimizer, backend, report, cancel)
         solution = _with_tissue(solution, snapshot.record)
         report(_DRAWING)

@@ -180,7 +180,7 @@ def _named(error: Exception | None, snapshot: Snapshot) -> Exception:
     """What is wrong, said of the layers."""
     tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
     try:
-        with naming(m=tissue, poisson=tissue, y=boundary, c=boundary):
+        with naming(stiffness=tissue, poisson=tissue, observed=boundary, confidence=boundary):
             raise error or RuntimeError("there is no solution")
     except Exception as named:  # noqa: BLE001 - that is what is wanted
         return named

@@ -189,7 +189,7 @@ class _Progress:
 
 def _stiffness(problem: Problem) -> FloatArray:
     """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2)."""
-    m = problem.m / problem.m.max()
+    m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
@@ -197,7 +197,7 @@ def _stiffness(problem: Problem) -> FloatArray:
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
     both = np.empty((*problem.shape, 4), dtype=np.float32)
-    np.divide(problem.y, np.float32(problem.unit), out=both[..., :2])
-    np.multiply(problem.c, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
+    np.divide(problem.observed, np.float32(problem.unit), out=both[..., :2])
+    np.multiply(problem.confidence, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
     both *= problem.tissue[..., None]
     return both

@@ -58,7 +58,8 @@ class ElasticPrior:
     penalty : float
         K of eq. 19: the greatest force with which a site of complete confidence is held at what
         was observed, relative to the stiffest tissue (1 is what strains a pixel of it by 1).
-        Where tissue needs more it slips. ``inf``: held exactly wherever c > 0.
+        Where tissue needs more it slips. ``inf``: held exactly wherever confidence is
+        above 0.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -120,7 +121,7 @@ class ElasticPrior:
             _check_poisson_map(self.poisson, problem)
         if self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
-                "m",
+                "stiffness",
                 "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
                 "prior's penalty at inf, or give that tissue a number.",
             )
@@ -131,17 +132,17 @@ class ElasticPrior:
         """P = K c of every component (H, W, 2); None where all is held exactly."""
         if self.penalty == math.inf:
             return None
-        limit: Float64Array = self.penalty * problem.c.astype(np.float64)
+        limit: Float64Array = self.penalty * problem.confidence.astype(np.float64)
         return limit
 
     def material(self, problem: Problem) -> ElasticMaterial:
         """What the kernels need to know of a problem's tissue."""
         shape = self.shape(problem.spacing)
-        return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
+        return ElasticMaterial(problem.stiffness, self.poisson, self.plane == "strain", shape)
 
     def lame(self, problem: Problem) -> Lame:
         """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
-        m = problem.m / np.float64(stiffest(problem.m))
+        m = problem.stiffness / np.float64(stiffest(problem.stiffness))
         first, shear = lame_parameters(m, self.poisson, self.plane == "strain")
         if not problem.rigid.any():
             return Lame(first, shear)
@@ -198,8 +199,8 @@ def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> No
     if poisson.shape != problem.shape:
         raise ProblemError(
             "poisson",
-            f"has shape {poisson.shape}, but m has shape {problem.shape}. Give both on the same "
-            "pixel grid.",
+            f"has shape {poisson.shape}, but stiffness has shape {problem.shape}. Give both on the "
+            "same pixel grid.",
         )
     low, high = (np.float32(bound) for bound in POISSON_RANGE)
     wrong = problem.tissue & ~((poisson >= low) & (poisson <= high))

@@ -85,7 +85,7 @@ class Follower:
         scene = self._scene
         if scene is None:
             return
-        if not drawing.marks and not scene.ground.base.c.any():
+        if not drawing.marks and not scene.ground.base.confidence.any():
             scene.live.forget()
             self._next, self._still = None, Seen.still(scene.ground)
             # With a rehearsal going on it is shown after that.
@@ -280,7 +280,7 @@ class _Scene:
         marks = seen.drawing.marks
         note = ""
         if not any(isinstance(mark, Stroke) and mark.action == "tissue" for mark in marks):
-            note = left_at_rest((self.ground.m > 0) & ~seen.solution.tissue)
+            note = left_at_rest((self.ground.stiffness > 0) & ~seen.solution.tissue)
         notes = [sentence_of(each) for each in (note, *self._air_that_is_tissue) if each]
         if self._moves_edge():
             notes.append(EDGE_MOVED)
@@ -298,6 +298,11 @@ class _Scene:
         if self._rendering is None:
             return False
         base, canvas = self.ground.base, self._rendering.canvas
-        moved = (base.c > 0) & (canvas.c > 0) & (base.y == 0) & (canvas.y != 0)
+        moved = (
+            (base.confidence > 0)
+            & (canvas.confidence > 0)
+            & (base.observed == 0)
+            & (canvas.observed != 0)
+        )
         # What was painted was meant, and air has no edge that is seen.
         return bool((moved.any(axis=-1) & (canvas.kinds == 0) & self.ground.body).any())
