@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             problem = phantom(name, size).problem
             cycles, seconds = galerkin(problem, prior)
             solve(problem, prior, backend="cpu")
-            solution = solve(problem, prior, Multigrid(1e-3), backend="cpu")
+            solution = solve(problem, prior, optimizer=Multigrid(1e-3), backend="cpu")
             print(
                 f"{name:14}{size:6}{cycles:10}{1000 * seconds:9.0f} ms"
                 f"{same_model(problem, prior):12}{1000 * solution.provenance.seconds:9.0f} ms",

@@ -304,7 +304,7 @@ def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | Seil
     penalty = None if dice.random() < 0.45 else float(10 ** dice.uniform(-3, 4))
     how = "held" if penalty is None else "slips"
     if kind in ("centred", "blanket"):
-        return SeilerPrior(penalty, kind), f"{kind}, {how}"
+        return SeilerPrior(penalty=penalty, conditional=kind), f"{kind}, {how}"
     nu = dice.choice([0.0, 0.3, 0.45, 0.49, 0.499, dice.uniform(0, 0.499)])
     poisson = float(nu)
     if dice.random() < 0.25:
@@ -313,4 +313,4 @@ def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | Seil
         share = share if dice.random() < 0.5 else 1.0 * (share > 0.5)
         # A map is stored in single precision.
         poisson = np.clip(nu + share * (other - nu), 0, 0.499).astype(np.float32)
-    return ElasticPrior(poisson, kind, penalty or math.inf), f"elastic {kind}, {how}"
+    return ElasticPrior(poisson, plane=kind, penalty=penalty or math.inf), f"elastic {kind}, {how}"

@@ -134,7 +134,9 @@ def judge(drawn: RandomProblem, backend: str) -> Verdict:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             optimizer = Multigrid(drawn.tolerance)
-            solution = solve(problem, drawn.prior, optimizer, backend, cancel=patience)
+            solution = solve(
+                problem, drawn.prior, optimizer=optimizer, backend=backend, cancel=patience
+            )
     except HmrfError as error:
         refusal = error
     except Exception as error:  # noqa: BLE001 - that is what is looked for

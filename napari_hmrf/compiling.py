@@ -80,7 +80,7 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
     if bone:
         m[18:23, 12:17] = np.inf
     problem = Problem(c, c, m, spacing=spacing)
-    solve(problem, prior, optimizer, backend="cpu")
+    solve(problem, prior, optimizer=optimizer, backend="cpu")
 
 
 def _pictures() -> None:

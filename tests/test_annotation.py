@@ -131,7 +131,9 @@ def test_an_outline_expands_along_its_normal_in_physical_lengths(radii, spacing)
     shape = tuple(int(100 / step) | 1 for step in spacing)
     filled, normal = _ellipse(shape, radii, spacing)
     rim = _rim(filled, 2)
-    y, c = boundary_images(rim.astype(int), [BoundaryRule(1, "expand", amount=2.0)], spacing)
+    y, c = boundary_images(
+        rim.astype(int), [BoundaryRule(1, "expand", amount=2.0)], spacing=spacing
+    )
     assert (c[rim] == 1).all()
     angles = _angles(y[rim], normal[rim])
     assert angles.max() < 20
@@ -171,7 +173,7 @@ def test_an_open_line_is_refused_however_thick_the_brush(width, spacing):
     line = np.zeros((length + 2, width + 4), int)
     line[1:-1, 2:-2] = 1
     with pytest.raises(ProblemError, match=r"open line.*Close.*ring.*moves by") as caught:
-        boundary_images(line, [BoundaryRule(1, "expand", amount=1.0)], spacing)
+        boundary_images(line, [BoundaryRule(1, "expand", amount=1.0)], spacing=spacing)
     assert caught.value.field == "observed"
 
 

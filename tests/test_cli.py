@@ -165,9 +165,9 @@ def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
 
     done = []
 
-    def solved(*given, backend, progress):
+    def solved(*given, backend, **more):
         done.append(backend)
-        return solve(*given, backend="cpu", progress=progress)
+        return solve(*given, backend="cpu", **more)
 
     monkeypatch.setattr(module, "solve", solved)
     monkeypatch.setattr(module, "provide_loops", lambda job, report: done.append(job))

@@ -430,8 +430,8 @@ def test_what_is_said_against_folds_helps():
         rendering.show(Drawing((Arrow((48, col), (0, by), radius),)))
         canvas = rendering.canvas
         problem = Problem(canvas.observed, canvas.confidence, np.ones(c.shape[:2]))
-        solution = solve(problem, ElasticPrior(), Multigrid(0.05), backend="cpu")
-        return count_folds(solution.displacement, solution.spacing, solution.tissue)
+        solution = solve(problem, ElasticPrior(), optimizer=Multigrid(0.05), backend="cpu")
+        return count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
 
     assert folds(48, 8, 4) == folds(70, 8, 4) == 0 < folds(48, 20, 4)
     assert folds(48, 20, 8) < folds(48, 20, 4)

@@ -26,7 +26,7 @@ def patterned(shape, contrast, seed=0, spacing=(1.0, 1.0)):
 
 PRIORS = [
     ElasticPrior(0.3),
-    ElasticPrior(0.499, "strain"),
+    ElasticPrior(0.499, plane="strain"),
     SeilerPrior(),
     SeilerPrior(conditional="blanket"),
 ]
@@ -77,7 +77,7 @@ def test_a_direct_solution_is_that_in_fractions(prior):
 def test_elastic_tissue_moves_as_the_other_oracle_says(plane):
     nu = np.random.default_rng(3).uniform(0, 0.49, (9, 8)).astype(np.float32)
     problem = patterned((9, 8), 100.0, spacing=(2.0, 0.7))
-    prior = ElasticPrior(nu, plane)
+    prior = ElasticPrior(nu, plane=plane)
     expected = direct_solution(problem, prior) / problem.unit
     found = exact_field(problem, prior)
     np.testing.assert_allclose(found.displacement, expected, rtol=0, atol=1e-10)
@@ -106,7 +106,7 @@ def slippery(seed, shape=(6, 5)):
 @pytest.mark.parametrize("seed", range(4))
 def test_each_site_of_a_centred_field_is_where_its_own_energy_is_least(penalty, seed):
     problem = slippery(seed)
-    prior = SeilerPrior(penalty)
+    prior = SeilerPrior(penalty=penalty)
     found = exact_field(problem, prior)
     assert found.sure
     curvature, lowest = prior.site_parabola(problem, found.displacement)
@@ -125,9 +125,9 @@ def test_no_field_has_less_energy_than_the_exact_one(penalty, prior, seed):
     problem = slippery(seed)
     elastic = isinstance(prior, ElasticPrior)
     prior = (
-        ElasticPrior(prior.poisson, prior.plane, penalty)
+        ElasticPrior(prior.poisson, plane=prior.plane, penalty=penalty)
         if elastic
-        else SeilerPrior(penalty, "blanket")
+        else SeilerPrior(penalty=penalty, conditional="blanket")
     )
     found = exact_field(problem, prior)
     assert found.sure
@@ -264,7 +264,10 @@ def test_the_exact_field_meets_its_own_conditions_at_any_contrast():
         problem = slippery(seed)
         m = np.where(dice.random(problem.shape) < 0.5, 1.0, 9e5)
         problem = Problem(problem.observed, problem.confidence, m)
-        for prior in (ElasticPrior(0.45, penalty=0.01), SeilerPrior(1.0, "blanket")):
+        for prior in (
+            ElasticPrior(0.45, penalty=0.01),
+            SeilerPrior(penalty=1.0, conditional="blanket"),
+        ):
             found = exact_field(problem, prior)
             assert found.sure
             force = -matrix_of(problem, prior).times(found.displacement.ravel())[0]

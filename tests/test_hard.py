@@ -46,7 +46,9 @@ def test_the_exact_field_is_that_of_other_finite_elements(case):
     assert distance(exact_field(images, PRIOR), other) < 1e-6
 
 
-@pytest.mark.parametrize("prior", [PRIOR, ElasticPrior(0.499, "strain")], ids=["stress", "strain"])
+@pytest.mark.parametrize(
+    "prior", [PRIOR, ElasticPrior(0.499, plane="strain")], ids=["stress", "strain"]
+)
 @pytest.mark.parametrize("case", ["noise-2", "fibres", "mass-effect"])
 def test_nothing_pulls_at_the_exact_field_not_even_at_a_contrast_of_1e7(case, prior):
     images = tissues.TISSUES[case](N).images(1e7)

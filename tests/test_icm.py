@@ -12,7 +12,7 @@ from oracle import centred_fixed_point, local_energy
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.solver.quadtree import levels
 
-CONVERGED = ICM(iterations=20000, steps=None, tolerance=1e-9)
+CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
 
 
 def frame_problem(shape, seed=0, ratio=4.0, amplitude=2.0, spacing=(1.0, 1.0)):
@@ -51,7 +51,7 @@ def test_one_sweep_takes_the_best_of_all_candidates(conditional):
         m = rng.choice([10.0, 20, 40], size=shape)
         problem = Problem(rng.normal(size=(*shape, 2)), rng.random((*shape, 2)), m)
         prior = SeilerPrior(penalty=2.0, conditional=conditional, damping=1.0)
-        before = solve(problem, prior, ICM(iterations=1, steps=steps), backend="cpu")
+        before = solve(problem, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu")
         start = coarse_start(problem, prior, steps)
         for site in itertools.product(*map(range, shape)):
             energy = local_energy(problem, start, 2.0, site, conditional == "blanket")
@@ -68,7 +68,7 @@ def coarse_start(problem, prior, steps):
     )
     coarse = Problem(problem.observed[at], problem.confidence[at], problem.stiffness[at])
     assert coarse.shape == coarser[0].shape
-    d = solve(coarse, prior, ICM(iterations=1, steps=steps), backend="cpu").displacement
+    d = solve(coarse, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu").displacement
     start = np.zeros((*problem.shape, 2))
     for i, j in itertools.product(*map(range, problem.shape)):
         for a, b in itertools.product(range(2), repeat=2):
@@ -184,7 +184,7 @@ def test_more_confidence_brings_tissue_closer_to_what_was_observed():
         y[8, 8] = (0, 2)
         prior = SeilerPrior(penalty=100)
         problem = Problem(y, c, np.ones(shape))
-        found = solve(problem, prior, CONVERGED, backend="cpu").displacement
+        found = solve(problem, prior, optimizer=CONVERGED, backend="cpu").displacement
         off.append(2 - found[8, 8, 1])
         assert found[8, 8, 0] == pytest.approx(0, abs=1e-4)
     assert off[0] > off[1] > off[2]
@@ -213,7 +213,9 @@ def test_the_history_has_every_iteration_coarse_to_fine():
 def test_a_tolerance_leaves_each_level_when_its_energy_has_settled():
     problem = frame_problem((64, 64))
     fixed = solve(problem, optimizer=ICM(iterations=500, steps=None), backend="cpu")
-    loose = solve(problem, optimizer=ICM(iterations=500, steps=None, tolerance=1e-3), backend="cpu")
+    loose = solve(
+        problem, optimizer=ICM(iterations=500, steps=None, energy_change=1e-3), backend="cpu"
+    )
     assert loose.iterations < fixed.iterations / 2
     assert all(run.iterations <= 500 for run in loose.levels)
     assert loose.mean_energy == pytest.approx(fixed.mean_energy, rel=0.05)
@@ -222,7 +224,7 @@ def test_a_tolerance_leaves_each_level_when_its_energy_has_settled():
 def test_blanket_with_its_damping_lowers_the_energy_with_every_sweep():
     problem = frame_problem((40, 40), ratio=50)
     prior = SeilerPrior(conditional="blanket")
-    solution = solve(problem, prior, ICM(iterations=200, steps=None), backend="cpu")
+    solution = solve(problem, prior, optimizer=ICM(iterations=200, steps=None), backend="cpu")
     finest = solution.energy[-200:]
     assert (np.diff(finest) <= 1e-6 * finest[0]).all()
 
@@ -230,7 +232,9 @@ def test_blanket_with_its_damping_lowers_the_energy_with_every_sweep():
 def test_blanket_without_damping_diverges():
     problem = frame_problem((40, 40))
     undamped = SeilerPrior(conditional="blanket", damping=1.0)
-    finest = solve(problem, undamped, ICM(iterations=20, steps=None), backend="cpu").energy[-20:]
+    finest = solve(
+        problem, undamped, optimizer=ICM(iterations=20, steps=None), backend="cpu"
+    ).energy[-20:]
     assert finest[-1] > 1e3 * finest[0]
 
 
@@ -285,8 +289,8 @@ def test_tissue_never_moves_further_than_something_pushes_it(height, width, seed
         {"iterations": None},
         {"steps": ()},
         {"steps": (1, -1)},
-        {"tolerance": 0},
-        {"tolerance": float("nan")},
+        {"energy_change": 0},
+        {"energy_change": float("nan")},
     ],
 )
 def test_a_schedule_that_makes_no_sense_is_refused(wrong):

@@ -45,7 +45,9 @@ def request(where, should, boundary=None, radius=None, confidence=1.0, points=No
 def moved(wanted):
     inputs = read_layers(wanted)
     prior = ElasticPrior(0.4)
-    return inputs, solve(inputs.problem, prior, Multigrid(1e-3), backend="cpu").displacement
+    return inputs, solve(
+        inputs.problem, prior, optimizer=Multigrid(1e-3), backend="cpu"
+    ).displacement
 
 
 def test_tissue_at_a_landmark_goes_where_the_landmark_should_be():

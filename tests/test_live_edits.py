@@ -138,5 +138,5 @@ def test_live_results_are_those_of_a_cold_solve(prior, sequence):
 def check(update, state, prior):
     assert update.error is None
     problem, complete = problem_of(state, prior)
-    cold = solve(problem, complete, Multigrid(1e-4), backend="cpu")
+    cold = solve(problem, complete, optimizer=Multigrid(1e-4), backend="cpu")
     assert np.abs(update.solution.displacement - cold.displacement).max() <= 0.02

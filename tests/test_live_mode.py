@@ -35,7 +35,7 @@ def cold(widget):
     prior, optimizer, _ = widget.solver
     inputs = read_layers(widget.request(), prior, optimizer)
     near = Multigrid(1e-4) if isinstance(optimizer, Multigrid) else optimizer
-    return solve(inputs.problem, inputs.prior, near, "cpu")
+    return solve(inputs.problem, inputs.prior, optimizer=near, backend="cpu")
 
 
 def assert_newest(widget):

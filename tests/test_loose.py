@@ -122,7 +122,7 @@ def painted(qtbot, wall=True, moves=True):
         labels[4:18, 4:6] = 1
     if moves:
         labels[9:12, 12:15] = 2
-    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", (0.0, 1.0)))
+    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
     viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
     widget = quick(DeformTissue(viewer))
     qtbot.addWidget(widget.native)

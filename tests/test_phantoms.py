@@ -126,7 +126,7 @@ def test_the_bar_is_pulled_at_its_right_end_only():
     ("schedule", "pixels"),
     [
         (ICM(), 1.44),  # what the paper reports for its own phantom
-        (ICM(iterations=20_000, steps=None, tolerance=1e-6), 0.45),
+        (ICM(iterations=20_000, steps=None, energy_change=1e-6), 0.45),
     ],
     ids=["paper's schedule", "converged"],
 )

@@ -26,7 +26,7 @@ def solution():
 def test_every_pixel_of_the_moved_image_finds_its_tissue(solution, fraction):
     points = Points(solution)
     moved = solution.displacement * fraction
-    origin, covered = inverse_map(moved, solution.spacing, solution.tissue)
+    origin, covered = inverse_map(moved, spacing=solution.spacing, tissue=solution.tissue)
     asked = wrong = 0
     for row in range(30):
         for col in range(40):

@@ -267,12 +267,12 @@ def test_a_doubt_in_one_place_lets_nothing_slip_in_another():
     far_pull, held = Arrow((14, 20), (9, 0), 5.0), ((28, 20), (0, 0), 2.0)
     rendering.show(Drawing((far_pull, Arrow(*held, confidence=0.9))))
     canvas = rendering.canvas
-    found = solve(*ground.problem(canvas), Multigrid(1e-3)).displacement
+    found = solve(*ground.problem(canvas), optimizer=Multigrid(1e-3)).displacement
     certain = (canvas.confidence == 1) & (ground.stiffness > 0)[..., None]
     np.testing.assert_allclose(found[certain], canvas.observed[certain], atol=1e-5)
     rendering.show(Drawing((far_pull, Arrow((26, 20), (-6, 0), 2.0, confidence=0.05))))
     problem, prior = ground.problem(rendering.canvas)
-    found = solve(problem, prior, Multigrid(1e-3)).displacement
+    found = solve(problem, prior, optimizer=Multigrid(1e-3)).displacement
     assert found[26, 20, 0] > -4, "what is hardly sure gives way"
     assert found[14, 20] == pytest.approx((9, 0), abs=1e-4)
 

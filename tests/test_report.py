@@ -26,7 +26,7 @@ def random_problem(spacing=(1.0, 1.0)):
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
 @pytest.mark.parametrize("plane", ["stress", "strain"])
 def test_the_assembled_matrix_is_the_priors_energy(plane, spacing):
-    problem, prior = random_problem(spacing), ElasticPrior(0.4, plane)
+    problem, prior = random_problem(spacing), ElasticPrior(0.4, plane=plane)
     system = assemble(problem, prior)
     assert abs(system.matrix - system.matrix.T).max() < 1e-12
     found = solve_directly(problem, prior) * problem.unit
@@ -145,7 +145,7 @@ def test_a_solver_in_a_process_of_its_own_is_measured(tmp_path):
     run = contenders.measure("cpu", 48, 2, file)
     assert run.seconds > 0
     assert run.error <= contenders.WITHIN
-    found = solve(problem, contenders.PRIOR, Multigrid(contenders.WITHIN), backend="cpu")
+    found = solve(problem, contenders.PRIOR, optimizer=Multigrid(contenders.WITHIN), backend="cpu")
     assert run.iterations == found.iterations
 
 

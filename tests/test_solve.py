@@ -134,9 +134,9 @@ def test_an_unknown_backend_is_refused_with_the_known_ones():
         ("optimizer", Multigrid, "Multigrid"),
         ("progress", 3, "Monitor"),
         ("cancel", 3, "threading.Event"),
-        ("start", "x", "Solution"),
-        ("start", [3], "Solution"),
-        ("start", np.zeros((5, 5, 2)), "Solution"),
+        ("initial", "x", "Solution"),
+        ("initial", [3], "Solution"),
+        ("initial", np.zeros((5, 5, 2)), "Solution"),
     ],
 )
 def test_an_argument_of_another_kind_is_named_before_anything_is_done(
@@ -228,10 +228,10 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
             lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing, lambda _: None)
         ).result()
         before = made()
-        found = solve(problem, prior, optimizer, backend="cpu")
+        found = solve(problem, prior, optimizer=optimizer, backend="cpu")
         if isinstance(optimizer, Multigrid):
             for many in (1, 2, 3):
-                solve(problem, prior, optimizer, backend="cpu", start=[found] * many)
+                solve(problem, prior, optimizer=optimizer, backend="cpu", initial=[found] * many)
         after = made()
         new = {name: after[name] for name in after if after[name] != before.get(name)}
         assert not new, (prior, spacing, new)
@@ -254,7 +254,7 @@ def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
 
 
 def test_a_solution_is_told_in_a_line_without_its_arrays():
-    solution = solve(frame_problem((20, 30)), ElasticPrior(), Multigrid(), "cpu")
+    solution = solve(frame_problem((20, 30)), ElasticPrior(), optimizer=Multigrid(), backend="cpu")
     said = repr(solution)
     assert said.startswith("Solution(20 x 30 sites of 1 x 1, moved up to ")
     assert " iterations in " in said

@@ -60,7 +60,7 @@ class Measured:
 
 def run_multigrid(problem: Problem, iterations: int, backend: str) -> tuple[Field, int]:
     """napari-hmrf, to `WITHIN` by its own estimate."""
-    found = solve(problem, PRIOR, Multigrid(tolerance=WITHIN), backend=backend)
+    found = solve(problem, PRIOR, optimizer=Multigrid(tolerance=WITHIN), backend=backend)
     return found.displacement, found.iterations
 
 

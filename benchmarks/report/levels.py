@@ -68,7 +68,7 @@ def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, i
         try:
             deepest = len(backend.elastic_model(prior.material(problem)).levels)
             some: Any = _Shallow(backend, count or deepest)
-            found = Multigrid(WITHIN, 5000).run(problem, prior, some, lambda _: None)
+            found = Multigrid(WITHIN, max_iterations=5000).run(problem, prior, some, lambda _: None)
         finally:
             backend.close()
         return sum(level.iterations for level in found.levels)

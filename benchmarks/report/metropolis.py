@@ -115,14 +115,14 @@ def paper_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
 
     def icm(count: int) -> Callable[[], Solution]:
         optimizer = ICM(iterations=count, steps=None)
-        return lambda: solve(problem, prior, optimizer, backend="cpu")
+        return lambda: solve(problem, prior, optimizer=optimizer, backend="cpu")
 
     curves = [best_annealed(lengths, matrix, load, truth[free], minimum)]
     counts = [1, 3, 10, 30, 100, 300, 1000, 3000, 10_000]
     curves.append(timed("ICM through the levels", excess, [icm(count) for count in counts]))
 
     def cycles(tolerance: float) -> Callable[[], Solution]:
-        return lambda: solve(problem, prior, Multigrid(tolerance), backend="cpu")
+        return lambda: solve(problem, prior, optimizer=Multigrid(tolerance), backend="cpu")
 
     runs = [cycles(10.0**-k) for k in (0, 1, 2, 3, 4)]
     curves.append(timed("Multigrid", excess, runs))
@@ -175,7 +175,7 @@ def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     minimum = prior.energy(problem, least)
 
     def run(tolerance: float) -> Callable[[], Solution]:
-        return lambda: solve(problem, prior, Multigrid(tolerance), backend="cpu")
+        return lambda: solve(problem, prior, optimizer=Multigrid(tolerance), backend="cpu")
 
     def excess(solution: Solution) -> float:
         return prior.energy(problem, solution.displacement) / minimum - 1

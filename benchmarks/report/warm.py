@@ -115,7 +115,7 @@ def main(size: int, repeats: int) -> Warmth:
 
 
 def _solved(problem: Problem, start: Solution | list[Solution] | None = None) -> Solution:
-    return solve(problem, PRIOR, Multigrid(WITHIN), backend="cpu", start=start)
+    return solve(problem, PRIOR, optimizer=Multigrid(WITHIN), backend="cpu", initial=start)
 
 
 def _timed(problem: Problem, start: Solution | list[Solution] | None = None) -> _Timed:

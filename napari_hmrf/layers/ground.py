@@ -315,7 +315,7 @@ def _paint_boundary(boundary: Any, labels: npt.NDArray[Any], base: Canvas) -> No
     listed = {0, *(rule.label for rule in rules)}
     rules += [default_rule(int(label)) for label in labels_present(labels) if label not in listed]
     with naming(observed=boundary, confidence=boundary):
-        y, c = boundary_images(labels, rules, base.spacing)
+        y, c = boundary_images(labels, rules, spacing=base.spacing)
     painted = (c > 0).any(axis=-1)
     base.observed[painted], base.confidence[painted] = y[painted], c[painted]
 

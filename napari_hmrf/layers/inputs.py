@@ -256,7 +256,7 @@ def _check_digits(layer: Named, stiffness: npt.NDArray[Any]) -> tuple[str, ...]:
 def _observed(snapshot: Snapshot) -> tuple[FloatArray, FloatArray, int]:
     spacing = snapshot.frame.spacing
     if snapshot.boundary_labelled:
-        return (*boundary_images(snapshot.boundary, snapshot.rules, spacing), 0)
+        return (*boundary_images(snapshot.boundary, snapshot.rules, spacing=spacing), 0)
     y, c, out = arrow_observations(
         snapshot.boundary, snapshot.boundary_frame, spacing, snapshot.shape
     )

@@ -126,7 +126,7 @@ def preview_arrows(
     known = {rule.label for rule in rules}
     with naming(observed=layer, confidence=layer):
         painted = np.where(np.isin(labels, list(known)), labels, 0)
-        y, c = boundary_images(painted, rules, spacing)
+        y, c = boundary_images(painted, rules, spacing=spacing)
     # An arrow shows what is believed: components without confidence are not drawn.
     steps = np.where(c > 0, y, 0) / np.array(spacing, dtype=np.float32)
     starts = np.argwhere(steps.any(axis=-1))

@@ -110,6 +110,7 @@ class LiveSolver:
         self,
         deliver: Callable[[Update], object],
         prior: Prior | None = None,
+        *,
         optimizer: Optimizer | None = None,
         backend: str = "auto",
         progress: Progress | None = None,
@@ -266,8 +267,8 @@ class LiveSolver:
         self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag
     ) -> Solution:
         """Solve from what is known, and know it."""
-        start = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
-        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, start)
+        initial = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
+        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 

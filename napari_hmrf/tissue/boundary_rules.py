@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -100,6 +100,7 @@ class BoundaryRule:
 
     label: int
     action: Action
+    _: KW_ONLY
     vector: tuple[float, float] = (0.0, 0.0)
     amount: float = 0.0
     confidence: tuple[float, float] = (1.0, 1.0)
@@ -195,6 +196,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
 def boundary_images(
     labels: npt.ArrayLike,
     rules: Iterable[BoundaryRule],
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
 ) -> tuple[FloatArray, FloatArray]:
     """Give every painted pixel the displacement and the confidence of its rule.

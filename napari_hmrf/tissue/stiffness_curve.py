@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -66,6 +66,7 @@ class StiffnessCurve:
     """
 
     points: tuple[Point, ...]
+    _: KW_ONLY
     void_below: float | None = None
     between: Between = "straight"
     logarithmic: bool = True
@@ -239,7 +240,7 @@ class StiffnessCurve:
         if len(points) < 2:  # most of the image is of one value
             ends = (float(values.min()), float(values.max()))
             points = dict(zip(ends, (stiffnesses[0], stiffnesses[-1]), strict=True))
-        return cls(tuple(sorted(points.items())), void_below, unit=unit)
+        return cls(tuple(sorted(points.items())), void_below=void_below, unit=unit)
 
 
 def luminance(colours: npt.NDArray[Any]) -> FloatArray:

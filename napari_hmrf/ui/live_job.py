@@ -142,7 +142,7 @@ class LiveJob:
             return None
         known, spacing = self._pictured, tuple(solution.spacing)
         if known is None or known[1] != spacing or not _same(image, known[0]):
-            warper = Warper(Picture(image, fill=emptiness(image)), spacing)
+            warper = Warper(Picture(image, fill=emptiness(image)), spacing=spacing)
             known = self._pictured = (image, spacing, warper)
         return known[2](solution.displacement, solution.tissue)[0]
 

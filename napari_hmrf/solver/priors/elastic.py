@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from numbers import Real
 from typing import Any, Literal, get_args
 
@@ -57,12 +57,13 @@ class ElasticPrior:
         tissue.
     penalty : float
         K of eq. 19: the greatest force with which a site of complete confidence is held at what
-        was observed, relative to the stiffest tissue (1 is what strains a pixel of it by 1).
-        Where tissue needs more it slips. ``inf``: held exactly wherever confidence is
+        was observed; where tissue needs more it slips. In the unit of the energy: 1 is what strains
+        a pixel of the stiffest tissue by 1. ``inf``: held exactly wherever confidence is
         above 0.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
+    _: KW_ONLY
     plane: Plane = "stress"
     penalty: float = math.inf
 
@@ -106,7 +107,7 @@ class ElasticPrior:
         """Return a prior that takes the same kernels, for a small problem of this shape."""
         mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
         poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
-        return ElasticPrior(poisson, self.plane, 1.0 if slips else math.inf)
+        return ElasticPrior(poisson, plane=self.plane, penalty=1.0 if slips else math.inf)
 
     def resolved(self, problem: Problem) -> ElasticPrior:
         """Return this prior, once it is sure that the problem has one answer.

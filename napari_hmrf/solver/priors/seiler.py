@@ -50,15 +50,16 @@ class SiteParabola(NamedTuple):
     lowest: Float64Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SeilerPrior:
     """The paper's prior and observation energy (eqs. 8-11 and 16-19).
 
     Parameters
     ----------
     penalty : float, optional
-        K of eq. 19: the energy, per pixel of deviation from what was observed, of a site of
-        complete confidence. By default 10^4 in uniform tissue, and as much more as the energy is
+        K of eq. 19: the greatest force with which a site of complete confidence is held at what
+        was observed; where tissue needs more it slips. In the unit of the energy: what a pixel of
+        deviation costs. By default 10^4 in uniform tissue, and as much more as the energy is
         steeper at the observed site that has the steepest, so that boundaries hold whatever they
         lie between.
     conditional : {"centred", "blanket"}

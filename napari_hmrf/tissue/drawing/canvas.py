@@ -288,7 +288,7 @@ def _expanded_whole(
     box = common((int(low[0]), int(high[0]), int(low[1]), int(high[1])), around)
     painted = distance_to(stroke.lines, stroke.radius, spacing, box) <= radius
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
-    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing)
+    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
     y.setflags(write=False)
     c.setflags(write=False)
     return y, c, box

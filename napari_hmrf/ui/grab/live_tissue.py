@@ -253,7 +253,7 @@ class _Scene:
                 shown = [Picture(picture, fill=emptiness(picture))]
                 if paint is not None:
                     shown.append(Picture(paint, order=0))
-                self._warper = Warper(shown, solution.spacing)
+                self._warper = Warper(shown, spacing=solution.spacing)
             moved = self._warper(solution.displacement, solution.tissue)
         if paint is None or self._rendering is None or not paint.any():
             return moved[0], None
