@@ -61,7 +61,7 @@ class Window:
         self.late: list[float] = []
         self.viewer = napari.Viewer(show=False)
         drawn = phantom("mass-effect", size)
-        image, m = drawn.image, drawn.problem.m
+        image, m = drawn.image, drawn.problem.stiffness
         if kind == "colour":
             image = np.stack([np.uint8(255 * image / image.max())] * 3, axis=-1)
         elif kind == "stack":

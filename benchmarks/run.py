@@ -40,7 +40,7 @@ from napari_hmrf import (
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 
-CONVERGED = ICM(iterations=50_000, steps=None, tolerance=1e-7)
+CONVERGED = ICM(iterations=50_000, steps=None, energy_change=1e-7)
 WARM_UP = 5
 PHANTOMS = ("expansion", "mass-effect")
 
@@ -147,8 +147,10 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
     results = []
     for label, prior, optimizer, bound in methods:
         try:
-            solve(problem, prior, optimizer, backend="cpu")  # compiled before the clock starts
-            solution = solve(problem, prior, optimizer, backend="cpu")
+            solve(
+                problem, prior, optimizer=optimizer, backend="cpu"
+            )  # compiled before the clock starts
+            solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
         except ValueError as error:
             print(f"  ({label} is left out: {error})", file=sys.stderr)
             continue

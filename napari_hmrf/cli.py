@@ -142,7 +142,7 @@ def _prior(options: argparse.Namespace) -> Prior:
     """The energy asked for."""
     if options.prior == "elastic":
         nu = USUAL_POISSON if options.poisson is None else options.poisson
-        return ElasticPrior(nu, options.plane or "stress")
+        return ElasticPrior(nu, plane=options.plane or "stress")
     if options.poisson is not None or options.plane is not None:
         raise HmrfError("--poisson and --plane are for --prior elastic: the paper's has neither")
     return SeilerPrior()

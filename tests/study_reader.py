@@ -99,5 +99,5 @@ def _model(
     penalty: float | None = None,
 ) -> tuple[Any, Any]:
     if energy == "elastic":
-        return ElasticPrior(poisson, plane, penalty=grip), Multigrid()
-    return SeilerPrior(penalty), ICM() if schedule == "paper" else Multigrid()
+        return ElasticPrior(poisson, plane=plane, penalty=grip), Multigrid()
+    return SeilerPrior(penalty=penalty), ICM() if schedule == "paper" else Multigrid()

@@ -45,7 +45,7 @@ def made_up(shape=(7, 11), frame=None):
             preparation_seconds=1e-9,
             parameters={"prior": {"penalty": 1e4, "damping": None}, "steps": [1.0, 0.1]},
             versions={"napari-hmrf": "0.1.0"},
-            inputs={"y": "00ff"},
+            inputs={"observed": "00ff"},
         ),
         frame=frame,
     )

@@ -165,9 +165,9 @@ def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
 
     done = []
 
-    def solved(*given, backend, progress):
+    def solved(*given, backend, **more):
         done.append(backend)
-        return solve(*given, backend="cpu", progress=progress)
+        return solve(*given, backend="cpu", **more)
 
     monkeypatch.setattr(module, "solve", solved)
     monkeypatch.setattr(module, "provide_loops", lambda job, report: done.append(job))
@@ -231,9 +231,9 @@ def test_a_window_opens_only_where_somebody_may_see_it(monkeypatch, platform, va
 
 def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
     problem, field = selftest.affine_example()
-    inside = problem.c[..., 0] == 0
+    inside = problem.confidence[..., 0] == 0
     assert np.count_nonzero(inside) == 14 * 21
-    assert np.array_equal(problem.y[~inside], field[~inside].astype(np.float32))
+    assert np.array_equal(problem.observed[~inside], field[~inside].astype(np.float32))
     # Second differences vanish: the field has no bend for the energy to resist.
     assert np.allclose(np.diff(field, 2, axis=0), 0)
     assert np.allclose(np.diff(field, 2, axis=1), 0)

@@ -30,7 +30,7 @@ def solution():
     y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
-    problem = Problem(y, c, np.ones((8, 9)), (1.0, 0.5))
+    problem = Problem(y, c, np.ones((8, 9)), spacing=(1.0, 0.5))
     return solve(problem, optimizer=ICM(20), backend="cpu")
 
 
@@ -82,7 +82,7 @@ def test_a_sample_makes_the_very_problem_of_its_phantom(opened, name):
     )
     problem = read_layers(request).problem
     expected = sample(name).problem
-    for field in ("y", "c", "m"):
+    for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
 
 

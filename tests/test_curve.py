@@ -315,7 +315,7 @@ def test_tissue_from_intensity_is_pulled(qtbot):
     assert grab.tissue is layer
     assert grab.image is image
     ground = read_ground(grab.image, grab.tissue)
-    np.testing.assert_array_equal(ground.m, layer.data)
+    np.testing.assert_array_equal(ground.stiffness, layer.data)
 
 
 @pytest.mark.parametrize("shape", [(3, 24, 30), (24, 30, 3)])

@@ -65,7 +65,7 @@ def test_the_table_says_which_way_its_arrows_will_point(qtbot):
     table = widget._face.boundary.table
     boundary = np.zeros((20, 30), np.uint8)
     boundary[10, 10] = 1
-    rule = BoundaryRule(1, "move", (0.0, 10.0))
+    rule = BoundaryRule(1, "move", vector=(0.0, 10.0))
     layer = viewer.add_labels(
         boundary, name="Boundary", metadata=described(BOUNDARY, (rule,)), **place
     )

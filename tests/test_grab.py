@@ -446,7 +446,7 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
     _, other = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
     assert widget.start()
     settle(widget)
-    before = widget._puller.ground.m.max()
+    before = widget._puller.ground.stiffness.max()
     rows = other.materials
     other.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
     settle_ground(widget, person, 2 * before)
@@ -458,7 +458,9 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
 
 
 def settle_ground(widget, person, stiffest):
-    person._qtbot.waitUntil(lambda: widget._puller.ground.m.max() == stiffest, timeout=LONG_MS)
+    person._qtbot.waitUntil(
+        lambda: widget._puller.ground.stiffness.max() == stiffest, timeout=LONG_MS
+    )
 
 
 def test_a_patch_over_the_held_edge_is_said_to_take_it_along(open_window, settle):

@@ -134,7 +134,7 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     settle(widget)
     stroke = widget.drawing.marks[1]
     assert (stroke.action, stroke.confidence, stroke.softness) == ("confidence", 0.0, 1.0)
-    sure = widget.drawing.render(widget._puller.ground.base).c[44, 40:46, 0]
+    sure = widget.drawing.render(widget._puller.ground.base).confidence[44, 40:46, 0]
     assert sure[0] == pytest.approx(0, abs=0.15)
     assert (np.diff(sure) > 0).all(), "it fades out"
     assert len(np.unique(seen_paint(person))) > 3, "and so does its paint"

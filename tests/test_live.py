@@ -33,13 +33,13 @@ def pulled(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=SIZE, radius=2.5):
 def unheld():
     """Nothing holds the right half."""
     problem = pulled()
-    m = np.array(problem.m)
+    m = np.array(problem.stiffness)
     m[:, 10] = 0
-    return Problem(problem.y, problem.c * (np.arange(SIZE) < 9)[:, None], m)
+    return Problem(problem.observed, problem.confidence * (np.arange(SIZE) < 9)[:, None], m)
 
 
 def unreadable():
-    raise ProblemError("y", "cannot be read")
+    raise ProblemError("observed", "cannot be read")
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def pause():
 
 
 def cold(problem, prior=None):
-    return solve(problem, prior or ElasticPrior(), Multigrid(1e-4), backend="cpu")
+    return solve(problem, prior or ElasticPrior(), optimizer=Multigrid(1e-4), backend="cpu")
 
 
 def furthest(one, other):
@@ -253,11 +253,11 @@ def test_another_image_may_follow(live, updates):
     ("prior", "optimizer"), [(SeilerPrior(), ICM(iterations=5)), (SeilerPrior(), Multigrid(0.01))]
 )
 def test_the_papers_prior_lives_too(updates, prior, optimizer):
-    with LiveSolver(updates.append, prior, optimizer, "cpu") as live:
+    with LiveSolver(updates.append, prior, optimizer=optimizer, backend="cpu") as live:
         for row in (1.0, 2.0):
             live.submit(pulled((row, 0.0)))
             assert live.wait(LONG)
-    expected = solve(pulled((2.0, 0.0)), prior, optimizer, "cpu")
+    expected = solve(pulled((2.0, 0.0)), prior, optimizer=optimizer, backend="cpu")
     assert furthest(updates[-1].solution, expected) <= 0.02
 
 

@@ -94,7 +94,9 @@ def problem_of(state, prior, rendering=None):
         canvas = state["drawing"].render(Canvas(*boundary_images(BOUNDARY, state["rules"])))
     if isinstance(prior, ElasticPrior):
         prior = ElasticPrior(poisson_image(TISSUE, state["materials"]), penalty=prior.penalty)
-    return Problem(canvas.y, canvas.c, stiffness_image(TISSUE, state["materials"])), prior
+    return Problem(
+        canvas.observed, canvas.confidence, stiffness_image(TISSUE, state["materials"])
+    ), prior
 
 
 @pytest.mark.parametrize(
@@ -136,5 +138,5 @@ def test_live_results_are_those_of_a_cold_solve(prior, sequence):
 def check(update, state, prior):
     assert update.error is None
     problem, complete = problem_of(state, prior)
-    cold = solve(problem, complete, Multigrid(1e-4), backend="cpu")
+    cold = solve(problem, complete, optimizer=Multigrid(1e-4), backend="cpu")
     assert np.abs(update.solution.displacement - cold.displacement).max() <= 0.02

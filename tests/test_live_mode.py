@@ -34,7 +34,7 @@ def cold(widget):
     """What a script finds for the same layers."""
     stated = statement_of(widget.read(widget.request()))
     near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
-    return solve(stated.problem, stated.prior, near, "cpu")
+    return solve(stated.problem, stated.prior, optimizer=near, backend="cpu")
 
 
 def assert_newest(widget):

@@ -107,7 +107,7 @@ def test_what_cannot_be_pulled_is_said_of_the_layer():
     canvas = Drawing((Arrow((10, 10), (0, 2), 0.5),)).render(ground.base)
     stated = ground.statement(canvas)
     problem, prior = stated.problem, stated.prior
-    with pytest.raises(ProblemError, match=r"^c: leaves") as refused:
+    with pytest.raises(ProblemError, match=r"^confidence: leaves") as refused:
         solve(problem, prior)
     assert ground.study.in_words(refused.value).sentence.startswith(
         "'Arrows' leaves a piece of tissue"
@@ -125,7 +125,7 @@ def painted(qtbot, wall=True, moves=True):
         labels[4:18, 4:6] = 1
     if moves:
         labels[9:12, 12:15] = 2
-    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", (0.0, 1.0)))
+    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
     viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
     widget = quick(DeformTissue(viewer))
     qtbot.addWidget(widget.native)

@@ -40,7 +40,7 @@ rules = some.tuples(
         BoundaryRule,
         some.just(1),
         some.just("move"),
-        some.tuples(lengths, lengths),
+        vector=some.tuples(lengths, lengths),
         confidence=confidences,
     ),
     some.just(BoundaryRule(2, "fixed")),
@@ -74,7 +74,7 @@ def painted(seed):
 
 
 def same_problem(one, other):
-    for name in ("y", "c", "m"):
+    for name in ("observed", "confidence", "stiffness"):
         mine, its = getattr(one.problem, name), getattr(other.problem, name)
         np.testing.assert_array_equal(mine, its, err_msg=name)
     assert one.problem.spacing == other.problem.spacing
@@ -164,7 +164,7 @@ def tumour(qtbot):
     table = (Material(1, "fat", 2.0, 0.4), Material(2, "gland", 9.0, 0.3))
     said = (
         BoundaryRule(1, "fixed"),
-        BoundaryRule(2, "move", (0.5, -1.0)),
+        BoundaryRule(2, "move", vector=(0.5, -1.0)),
         BoundaryRule(3, "fixed", confidence=(0.3, 0.3)),
     )
     viewer.add_image(np.full(SHAPE, 7, np.uint8), name="MR", **PLACE)
@@ -199,7 +199,9 @@ def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, ene
     kind = {"elastic": (ElasticPrior, Multigrid), "paper": (SeilerPrior, object)}[energy]
     assert isinstance(stated.prior, kind[0])
     assert isinstance(stated.optimizer, kind[1])
-    found = solve(stated.problem, stated.prior, stated.optimizer, seen.provenance.backend)
+    found = solve(
+        stated.problem, stated.prior, optimizer=stated.optimizer, backend=seen.provenance.backend
+    )
     np.testing.assert_array_equal(found.displacement, seen.displacement)
     assert found.provenance.parameters["prior"] == seen.provenance.parameters["prior"]
     assert found.provenance.inputs == seen.provenance.inputs
@@ -214,7 +216,7 @@ def test_what_is_seen_while_tissue_is_pulled_is_the_field_of_python(tumour, qtbo
         grab.drawing = Drawing((Arrow((9.0, 6.0), (0.0, by), 1.5),))
     qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)
     stated = statement_of(grab.study)
-    cold = solve(stated.problem, stated.prior, stated.optimizer)
+    cold = solve(stated.problem, stated.prior, optimizer=stated.optimizer)
     warm = next(each.solution for each in reversed(seen) if each.solution is not None)
     pixels = np.abs(warm.displacement - cold.displacement)[Ground.of(grab.study).body] / SPACING
     assert pixels.max() <= warm.convergence.error + cold.convergence.error

@@ -79,8 +79,8 @@ def ledger(opengl, monkeypatch) -> Ledger:
 @pytest.mark.parametrize("size", [(45, 61), (2, 9), (1, 30), (64, 64)])
 def test_a_body_moves_alike_on_every_backend(stage, size, conditional):
     prior = SeilerPrior(conditional=conditional)
-    loops = solve(body(size), prior, CLOSED_FORM, backend="cpu")
-    shaders = solve(body(size), prior, CLOSED_FORM, backend=f"opengl:{stage}")
+    loops = solve(body(size), prior, optimizer=CLOSED_FORM, backend="cpu")
+    shaders = solve(body(size), prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     largest = np.abs(loops.displacement).max()
     assert largest > 1
     np.testing.assert_allclose(shaders.displacement, loops.displacement, atol=1e-4 * largest)
@@ -411,11 +411,11 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
     original = source._text
     assert right in original(file)
     problem = body((21, 26))
-    stiff = problem.m.copy()
+    stiff = problem.stiffness.copy()
     stiff[5:9, :] *= 3  # different on both sides of a site, and at the image's border
-    problem = Problem(problem.y, problem.c, np.where(stiff > 0, stiff, 5))
+    problem = Problem(problem.observed, problem.confidence, np.where(stiff > 0, stiff, 5))
     prior = SeilerPrior(penalty=5.0)  # so that what was seen and what is stiff compete
-    loops = solve(problem, prior, CLOSED_FORM, backend="cpu")
+    loops = solve(problem, prior, optimizer=CLOSED_FORM, backend="cpu")
     monkeypatch.setattr(
         source,
         "_text",
@@ -424,7 +424,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
     largest = np.abs(loops.displacement).max()
     try:
         on_compute_thread(lambda: the_device().release())
-        shaders = solve(problem, prior, CLOSED_FORM, backend=f"opengl:{stage}")
+        shaders = solve(problem, prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
         noticed = np.abs(shaders.displacement - loops.displacement).max() > 1e-3 * largest
     except BackendError as error:
         noticed = "not numbers" in str(error)  # so wrong that solve() itself sees it

@@ -165,9 +165,9 @@ def disc(shape=(40, 40), radius=12):
 def test_without_a_tissue_layer_what_is_not_background_is_tissue_and_its_edge_is_held():
     inside, picture = disc()
     ground = read_ground(Image(picture, scale=(2, 2), name="MR"))
-    assert (ground.m[inside] == 1).all()
-    assert np.allclose(ground.m[~inside], 0.01)
-    held = (ground.base.c > 0).all(axis=-1)
+    assert (ground.stiffness[inside] == 1).all()
+    assert np.allclose(ground.stiffness[~inside], 0.01)
+    held = (ground.base.confidence > 0).all(axis=-1)
     assert held[0].all()
     assert held[:, -1].all()
     assert not held[20, 20]
@@ -175,7 +175,7 @@ def test_without_a_tissue_layer_what_is_not_background_is_tissue_and_its_edge_is
     assert ground.base.spacing == (2, 2)
     assert usual_radius(ground.shape, ground.base.spacing) == 5.0
     free = read_ground(Image(picture), hold_edge=False)
-    assert not free.base.c.any()
+    assert not free.base.confidence.any()
 
 
 def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
@@ -185,15 +185,15 @@ def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
     rules = (BoundaryRule(2, "move", vector=(0.0, 3.0), confidence=(1.0, 0.5)),)
     painted = Labels(labels, metadata=described(BOUNDARY, rules))
     ground = read_ground(Image(picture), boundary=painted)
-    assert (ground.base.y[labels == 2] == (0, 3)).all()
-    assert (ground.base.c[labels == 2] == (1, 0.5)).all()
+    assert (ground.base.observed[labels == 2] == (0, 3)).all()
+    assert (ground.base.confidence[labels == 2] == (1, 0.5)).all()
     assert not ground.study.same_as(read_ground(Image(picture)).study)
 
 
 def test_a_photograph_has_no_background():
     rows, cols = np.indices((40, 50))
     photograph = np.stack([rows * 4, cols * 4, rows + cols], axis=-1).astype(np.uint8)
-    assert (read_ground(Image(photograph, rgb=True)).m == 1).all()
+    assert (read_ground(Image(photograph, rgb=True)).stiffness == 1).all()
 
 
 def test_a_tissue_layer_says_how_stiff_what_is():
@@ -201,13 +201,13 @@ def test_a_tissue_layer_says_how_stiff_what_is():
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0, 0.3))
     labels = Labels(inside.astype(np.uint8), metadata=described(TISSUE, materials, "kPa"))
     ground = read_ground(Image(picture), labels)
-    assert np.array_equal(ground.m, np.where(inside, 20, 0))
+    assert np.array_equal(ground.stiffness, np.where(inside, 20, 0))
     assert ground.prior.poisson == 0.3
-    assert not (ground.base.c[~inside] > 0).any()
+    assert not (ground.base.confidence[~inside] > 0).any()
     with pytest.raises(ProblemError, match="There is no tissue in"):
         read_ground(Image(picture), Labels(np.zeros((40, 40), np.uint8), metadata=labels.metadata))
     stiffness = Image(np.where(inside, 3.0, 1.0), name="E")
-    assert read_ground(Image(picture), stiffness).m.max() == 3
+    assert read_ground(Image(picture), stiffness).stiffness.max() == 3
     with pytest.raises(ProblemError, match="negative values"):
         read_ground(Image(picture), Image(np.where(inside, 3.0, -1.0)))
 
@@ -216,7 +216,7 @@ def test_infinite_stiffness_of_an_image_is_rigid_and_a_number_too_large_is_not()
     inside, picture = disc()
     bone = np.where(inside, np.inf, 3.0)
     ground = read_ground(Image(picture), Image(bone, contrast_limits=(0, 3)), hold_edge=False)
-    assert np.array_equal(np.isinf(ground.m), inside)
+    assert np.array_equal(np.isinf(ground.stiffness), inside)
     for wrong in (1e39, -np.inf, np.nan):
         image = Image(np.where(inside, wrong, 3.0), contrast_limits=(0, 3))
         with pytest.raises(ProblemError, match=r"single precision|NaN or infinite"):
@@ -233,8 +233,8 @@ def test_rigid_tissue_can_be_painted_where_there_is_no_table():
     rendering.show(Drawing((Stroke("tissue", (((20.0, 20.0),),), 4.0, label=rigid.label),)))
     stated = ground.statement(rendering.canvas)
     problem, prior = stated.problem, stated.prior
-    assert np.array_equal(np.isinf(problem.m), rendering.canvas.labels == rigid.label)
-    assert np.isinf(problem.m).sum() > 20
+    assert np.array_equal(np.isinf(problem.stiffness), rendering.canvas.labels == rigid.label)
+    assert np.isinf(problem.stiffness).sum() > 20
     assert isinstance(prior.poisson, float), "what is rigid has no ratio of its own"
 
 
@@ -274,13 +274,13 @@ def test_a_doubt_in_one_place_lets_nothing_slip_in_another():
     rendering.show(Drawing((far_pull, Arrow(*held, confidence=0.9))))
     canvas = rendering.canvas
     stated = ground.statement(canvas)
-    found = solve(stated.problem, stated.prior, Multigrid(1e-3)).displacement
-    certain = (canvas.c == 1) & (ground.m > 0)[..., None]
-    np.testing.assert_allclose(found[certain], canvas.y[certain], atol=1e-5)
+    found = solve(stated.problem, stated.prior, optimizer=Multigrid(1e-3)).displacement
+    certain = (canvas.confidence == 1) & (ground.stiffness > 0)[..., None]
+    np.testing.assert_allclose(found[certain], canvas.observed[certain], atol=1e-5)
     rendering.show(Drawing((far_pull, Arrow((26, 20), (-6, 0), 2.0, confidence=0.05))))
     stated = ground.statement(rendering.canvas)
     problem, prior = stated.problem, stated.prior
-    found = solve(problem, prior, Multigrid(1e-3)).displacement
+    found = solve(problem, prior, optimizer=Multigrid(1e-3)).displacement
     assert found[26, 20, 0] > -4, "what is hardly sure gives way"
     assert found[14, 20] == pytest.approx((9, 0), abs=1e-4)
 
@@ -335,7 +335,7 @@ def test_holes_in_tissue_are_free_and_what_lies_in_them_is_held():
     m[:, 62:] = 0
     m[5, 66] = 1
     ground = read_ground(Image(np.ones(m.shape), name="MR"), Image(m, name="stiffness"))
-    held = (ground.base.c > 0).all(axis=-1)
+    held = (ground.base.confidence > 0).all(axis=-1)
     assert held[radius < 9].sum() == 0, "the hole in the brain"
     assert held[(radius > 17.4) & (radius < 18)].all(), "the brain's outline"
     assert not held[(radius > 25) & (radius < 28)].any(), "the skull's inside"

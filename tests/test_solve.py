@@ -112,7 +112,7 @@ def test_a_solution_says_what_was_run():
     assert run.seconds > 0
     assert run.parameters["optimizer"]["iterations"] == 7
     assert run.parameters["prior"]["conditional"] == "centred"
-    assert set(run.inputs) == {"y", "c", "m"}
+    assert set(run.inputs) == {"observed", "confidence", "stiffness"}
     assert all(len(digest) == 64 for digest in run.inputs.values())
     assert "numpy" in run.versions
     assert json.loads(json.dumps(run.parameters)) == run.parameters
@@ -134,9 +134,9 @@ def test_an_unknown_backend_is_refused_with_the_known_ones():
         ("optimizer", Multigrid, "Multigrid"),
         ("progress", 3, "Monitor"),
         ("cancel", 3, "threading.Event"),
-        ("start", "x", "Solution"),
-        ("start", [3], "Solution"),
-        ("start", np.zeros((5, 5, 2)), "Solution"),
+        ("initial", "x", "Solution"),
+        ("initial", [3], "Solution"),
+        ("initial", np.zeros((5, 5, 2)), "Solution"),
     ],
 )
 def test_an_argument_of_another_kind_is_named_before_anything_is_done(
@@ -221,17 +221,17 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
     y, c, m = np.zeros((200, 190, 2)), np.zeros((200, 190, 2)), np.ones((200, 190))
     c[0] = c[-1] = 1
     y[-1] = 3
-    problem = Problem(y, c, m, spacing)
+    problem = Problem(y, c, m, spacing=spacing)
     for prior in (SeilerPrior(), ElasticPrior(), ElasticPrior(penalty=0.02), ElasticPrior(0.4 * m)):
         optimizer = ICM(iterations=2) if isinstance(prior, SeilerPrior) else Multigrid()
         compute_thread.submit(
             lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing, lambda _: None)
         ).result()
         before = made()
-        found = solve(problem, prior, optimizer, backend="cpu")
+        found = solve(problem, prior, optimizer=optimizer, backend="cpu")
         if isinstance(optimizer, Multigrid):
             for many in (1, 2, 3):
-                solve(problem, prior, optimizer, backend="cpu", start=[found] * many)
+                solve(problem, prior, optimizer=optimizer, backend="cpu", initial=[found] * many)
         after = made()
         new = {name: after[name] for name in after if after[name] != before.get(name)}
         assert not new, (prior, spacing, new)
@@ -251,3 +251,13 @@ def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
     told = [record for record in caplog.records if "solving on" in record.message]
     assert len(told) == 1
     assert "compiled loops" in told[0].message
+
+
+def test_a_solution_is_told_in_a_line_without_its_arrays():
+    solution = solve(frame_problem((20, 30)), ElasticPrior(), optimizer=Multigrid(), backend="cpu")
+    said = repr(solution)
+    assert said.startswith("Solution(20 x 30 sites of 1 x 1, moved up to ")
+    assert " iterations in " in said
+    assert " on cpu, within " in said
+    assert len(said) < 150
+    assert "array" not in said

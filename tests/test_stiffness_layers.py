@@ -167,5 +167,5 @@ def test_the_solver_reads_from_a_stack_what_is_shown(coloured):
     view = View((1, 2), (2.0, 0.0, 0.0))
     request = Request(layer, boundary, image, rules=(BoundaryRule(1, "fixed"),), view=view)
     expected = CURVE(luminance(pixels[2]) if coloured else pixels[2])
-    np.testing.assert_array_equal(read_layers(request).problem.m, expected)
+    np.testing.assert_array_equal(read_layers(request).problem.stiffness, expected)
     np.testing.assert_array_equal(CURVE(intensities_of(image, view)), expected)

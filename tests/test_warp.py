@@ -330,7 +330,13 @@ def test_several_images_share_one_inverse_map(picture):
 def test_the_brain_grows_outward_in_its_picture():
     drawn = phantom("expansion")
     tissue = drawn.problem.tissue
-    moved = warp(tissue.astype(np.uint8), reference_displacement("expansion"), (1, 1), 0, tissue)
+    moved = warp(
+        tissue.astype(np.uint8),
+        reference_displacement("expansion"),
+        spacing=(1, 1),
+        order=0,
+        tissue=tissue,
+    )
     extent = np.ptp(np.argwhere(moved), axis=0) - np.ptp(np.argwhere(tissue), axis=0)
     np.testing.assert_allclose(extent, 20, atol=1)
 

@@ -448,7 +448,7 @@ def test_settings_become_prior_and_optimizer(widget):
     assert settings.prior.conditional == "blanket"
     assert settings.prior.penalty == 500
     assert settings.optimizer.steps is None
-    assert settings.optimizer.tolerance == 1e-3
+    assert settings.optimizer.energy_change == 1e-3
     assert settings.optimizer.iterations == 12
     assert settings.backend == "cpu"
     assert "Stiff-soft borders lock" in settings.sentence.value

@@ -46,7 +46,7 @@ def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, smal
     widget.native.setVisible(shown)
     widget.boundary = viewer.add_vectors(np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float))
     widget.confidence = viewer.add_image(np.full((20, 24), 0.5), name="sure")
-    c = read_layers(widget.request()).problem.c
+    c = read_layers(widget.request()).problem.confidence
     assert set(np.unique(c)) == {0.0, 0.5}
     widget.boundary = viewer.layers["Boundary"]
     assert widget.request().confidence is None
@@ -123,7 +123,7 @@ def test_the_preview_is_as_long_as_the_motion_whatever_the_units(
     wait_for(lambda: bool((preview.data[:, 1, 0] != 0).all()))
     np.testing.assert_allclose(preview.data[:, 1], [(2, 1.5)] * len(preview.data))
     problem = read_layers(widget.request()).problem
-    np.testing.assert_allclose(problem.y[10, -3] / problem.spacing, (2, 1.5))
+    np.testing.assert_allclose(problem.observed[10, -3] / problem.spacing, (2, 1.5))
 
 
 # Layers that cannot be read

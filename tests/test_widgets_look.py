@@ -432,7 +432,9 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
 
     set_to(look, colours="columns")
     solution = known_of(look.result)["solution"]
-    along = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
+    along = green_lagrange_strain(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue
+    )
     col = look.at((10, 12)).col
     assert f"strain along columns {100 * along[10, col, 1, 1]:.3g} %" in said()
     assert along[10, col, 1, 1] > 0.05, "it is pulled out"
@@ -470,7 +472,7 @@ def test_a_slice_of_a_stack_moves_in_its_place(make_stack, qtbot, set_to, wait_f
     expected = warp(
         viewer.layers["MR"].data[2],
         solution.displacement / 2,
-        solution.spacing,
+        spacing=solution.spacing,
         tissue=solution.tissue,
     )
     np.testing.assert_array_equal(moved.data[0], expected)

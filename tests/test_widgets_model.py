@@ -43,7 +43,7 @@ def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run
     assert widget.settings.prior == SeilerPrior()
     assert converges(widget.settings.optimizer)
     solution = run(widget).solution
-    longer = solve_again(widget, SeilerPrior(), ICM(100_000, steps=None, tolerance=1e-9))
+    longer = solve_again(widget, SeilerPrior(), ICM(100_000, steps=None, energy_change=1e-9))
     np.testing.assert_allclose(solution.displacement, longer.displacement, atol=0.01)
     assert solution.convergence.error <= Multigrid.tolerance
     assert "cycles in" in widget.details
@@ -54,7 +54,7 @@ def solve_again(widget, prior, optimizer=None):
     from study_reader import read_layers
 
     inputs = read_layers(widget.request(), prior)
-    return solve(inputs.problem, inputs.prior, optimizer, backend="cpu")
+    return solve(inputs.problem, inputs.prior, optimizer=optimizer, backend="cpu")
 
 
 def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
@@ -62,9 +62,9 @@ def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
     elastic(widget)
     widget.model.plane.value = "strain"
     solution = run(widget).solution
-    expected = solve_again(widget, ElasticPrior(0.45, "strain"))
+    expected = solve_again(widget, ElasticPrior(0.45, plane="strain"))
     np.testing.assert_array_equal(solution.displacement, expected.displacement)
-    stress = solve_again(widget, ElasticPrior(0.45, "stress"))
+    stress = solve_again(widget, ElasticPrior(0.45, plane="stress"))
     assert np.abs(solution.displacement - stress.displacement).max() > 0.05
 
 
@@ -433,7 +433,10 @@ def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, 
 
 def test_what_is_doubted_may_slip_and_what_is_certain_does_not(widget, small_sample, run):
     small_sample(viewer_of(widget))
-    widget.rules = (widget.rules[0], BoundaryRule(2, "move", (0.0, 3.0), confidence=(0.5, 0.5)))
+    widget.rules = (
+        widget.rules[0],
+        BoundaryRule(2, "move", vector=(0.0, 3.0), confidence=(0.5, 0.5)),
+    )
     run(widget)
     assert "held exactly" not in widget.status
     elastic(widget)
@@ -441,7 +444,7 @@ def test_what_is_doubted_may_slip_and_what_is_certain_does_not(widget, small_sam
     slipped = run(widget).solution.displacement[pushed]
     assert "held exactly" not in widget.status
     assert slipped[:, 1].min() > 0
-    widget.rules = (widget.rules[0], BoundaryRule(2, "move", (0.0, 3.0)))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 3.0)))
     np.testing.assert_allclose(run(widget).solution.displacement[pushed], [[0, 3]] * 16, atol=1e-4)
 
 

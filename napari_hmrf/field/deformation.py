@@ -55,6 +55,7 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
 
 def jacobian_determinant(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -90,6 +91,7 @@ def jacobian_determinant(
 
 def count_folds(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> int:
@@ -139,6 +141,7 @@ def smallest_determinant(
 
 def deformation_grid(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     every: int = 10,
     tissue: npt.ArrayLike | None = None,
@@ -193,6 +196,7 @@ def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -
 
 def arrows(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,

@@ -7,7 +7,7 @@ read once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,7 @@ class Picture:
     """
 
     image: npt.ArrayLike
+    _: KW_ONLY
     order: int = 1
     fill: float = 0
 
@@ -80,6 +81,7 @@ class Warper:
     def __init__(
         self,
         pictures: Picture | Sequence[Picture] | npt.ArrayLike,
+        *,
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
         given = _as_pictures(pictures)
@@ -233,7 +235,9 @@ class _Look:
         still = ~tissue & (state == 0)
         source = source.copy()
         source[still] = np.argwhere(still)
-        return resample(self._image, source, (state > 0) | still, self._order, self._fill.item())
+        return resample(
+            self._image, source, (state > 0) | still, order=self._order, fill=self._fill.item()
+        )
 
 
 def _as_pictures(given: Picture | Sequence[Picture] | npt.ArrayLike) -> list[Picture]:

@@ -20,6 +20,7 @@ def resample(
     image: npt.ArrayLike,
     coordinates: npt.ArrayLike,
     covered: npt.ArrayLike,
+    *,
     order: int = 1,
     fill: float = 0,
 ) -> npt.NDArray[Any]:

@@ -50,6 +50,7 @@ __all__ = [
 
 def deformation_gradient(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -81,6 +82,7 @@ def deformation_gradient(
 
 def folds(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
@@ -108,6 +110,7 @@ def folds(
 
 def small_strain(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -138,6 +141,7 @@ def small_strain(
 
 def green_lagrange_strain(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:

@@ -27,6 +27,7 @@ BoolArray = npt.NDArray[np.bool_]
 def warp(
     image: npt.ArrayLike,
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     order: int = 1,
     tissue: npt.ArrayLike | None = None,
@@ -65,12 +66,13 @@ def warp(
     inverse_map, resample : the two halves of this, to move several images by one displacement.
     """
     picture = as_image(image, as_numbers("displacement", displacement).shape[:2])
-    coordinates, covered = inverse_map(displacement, spacing, tissue)
-    return resample(picture, coordinates, covered, order, fill)
+    coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue)
+    return resample(picture, coordinates, covered, order=order, fill=fill)
 
 
 def inverse_map(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:

@@ -122,7 +122,7 @@ def read_landmarks(
         for number in numbers[_outside(to, shape)]
     ]
     radii = _radii(at, layers.radius, frame, shape)
-    with naming(y=where.layer, c=where.layer):
+    with naming(observed=where.layer, confidence=where.layer):
         marks = tuple(
             Landmark((a[0], a[1]), (b[0], b[1]), size, layers.confidence)
             for a, b, size in zip(at.tolist(), to.tolist(), radii, strict=True)

@@ -228,7 +228,7 @@ class _Reader:
         spacing, shape, data = self._frame.spacing, self._shape, self._copies.of(layer)
 
         def observe() -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
-            with naming(y=layer):
+            with naming(observed=layer):
                 y, c, out = arrow_observations(np.array(data, float), own, spacing, shape)
             if sure is not None:
                 c = np.where(c > 0, sure.astype(np.float32)[..., None], np.float32(0))

@@ -141,7 +141,9 @@ def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[n
     width : float
         In pixels.
     """
-    found = arrows(solution.displacement, solution.spacing, solution.tissue, about=about)
+    found = arrows(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=about
+    )
     pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
     chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
     return found[chosen], pixels / 8
@@ -213,9 +215,10 @@ class _Maker:
 
     def grid(self) -> LayerData:
         """A grid that has moved with the tissue."""
+        displacement, spacing = self._field
         tissue = self._solution.tissue
-        every = pixels_between(LINES, tissue.shape, self._solution.spacing)
-        segments = deformation_grid(*self._field, every=every, tissue=tissue)
+        every = pixels_between(LINES, tissue.shape, spacing)
+        segments = deformation_grid(displacement, spacing=spacing, every=every, tissue=tissue)
         width = max(tissue.shape) / 500
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": width}
         return self._vectors("grid", segments, "grid", look)

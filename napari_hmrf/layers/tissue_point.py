@@ -43,10 +43,11 @@ class Points:
 
     def __init__(self, solution: Solution) -> None:
         self._solution = solution
-        field = (solution.displacement, solution.spacing, solution.tissue)
-        smallest = smallest_determinant(*field)
+        d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
+        smallest = smallest_determinant(d, spacing, tissue)
+        at_sites = jacobian_determinant(d, spacing=spacing, tissue=tissue)
         # At folds the smallest around the site, so that it is 0 or below at all of them.
-        self._jacobian = np.where(smallest <= 0, smallest, jacobian_determinant(*field))
+        self._jacobian = np.where(smallest <= 0, smallest, at_sites)
         #: Sites at which the tissue folds over itself.
         self.folds = int((smallest <= 0).sum())
         self._farthest = farthest_of(solution.displacement)

@@ -108,12 +108,14 @@ def demonstrate(
     if backend == "auto":
         # Napari will find them, for whatever is done there.
         provide_loops(EVERYTHING, progress)
-    solution = solve(subject.problem, prior, optimizer, backend=backend, progress=progress)
+    solution = solve(
+        subject.problem, prior, optimizer=optimizer, backend=backend, progress=progress
+    )
     return Demonstration(
         phantom=subject,
         solution=solution,
         rmsd=_rmsd(solution, reference_displacement(name)) if size == SAMPLE_SIZE else None,
-        folds=count_folds(solution.displacement, solution.spacing, solution.tissue),
+        folds=count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue),
     )
 
 

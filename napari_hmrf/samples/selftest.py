@@ -148,7 +148,7 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     passed = True
     try:
         for title, prior, schedule, bound in checks:
-            solution = solve(problem, prior, schedule, backend=name)
+            solution = solve(problem, prior, optimizer=schedule, backend=name)
             off = float(np.abs(solution.displacement - field).max())
             right = off <= bound
             passed = passed and right

@@ -110,6 +110,7 @@ class LiveSolver:
         self,
         deliver: Callable[[Update], object],
         prior: Prior | None = None,
+        *,
         optimizer: Optimizer | None = None,
         backend: str = "auto",
         progress: Progress | None = None,
@@ -260,14 +261,14 @@ class LiveSolver:
         With something to begin with, a glance costs nearly as much as the solution, and what comes
         after it has less to begin with.
         """
-        return not self._earlier.solutions and problem.m.size * _SITE_SECONDS > PATIENCE
+        return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
         self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag
     ) -> Solution:
         """Solve from what is known, and know it."""
-        start = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
-        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, start)
+        initial = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
+        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 

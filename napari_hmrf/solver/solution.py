@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from napari_hmrf import array_file
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun
+from napari_hmrf.solver.problem import grid_in_words
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Provenance:
     versions : mapping
         Of this package and of what the result depends on.
     inputs : mapping
-        SHA-256 of the bytes of y, c and m.
+        SHA-256 of the bytes of observed, confidence and stiffness.
     """
 
     backend: str
@@ -86,6 +87,16 @@ class Solution:
     provenance: Provenance
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
+        run = self.provenance
+        near = "" if self.convergence is None else f", within {self.convergence.error:.1g} px"
+        return (
+            f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}, "
+            f"moved up to {farthest:.3g}, {self.iterations} iterations in {run.seconds:.2g} s on "
+            f"{run.backend}{near})"
+        )
 
     @property
     def iterations(self) -> int:

@@ -25,7 +25,7 @@ from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
 from napari_hmrf.solver.priors import Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
-from napari_hmrf.solver.warm_start import Start, beginning
+from napari_hmrf.solver.warm_start import Initial, beginning
 
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
@@ -48,11 +48,12 @@ class CancelFlag(Protocol):
 def solve(
     problem: Problem,
     prior: Prior | None = None,
+    *,
     optimizer: Optimizer | None = None,
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
-    start: Start | None = None,
+    initial: Initial | None = None,
 ) -> Solution:
     """Find how the tissue moves.
 
@@ -73,7 +74,7 @@ def solve(
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
         Set it to stop; answered within half a second, whatever is being compiled.
-    start : Solution or sequence of Solution, optional
+    initial : Solution or sequence of Solution, optional
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
         the problem multigrid then has less to do. Of several, with the combination that comes
         closest to what is observed: how far tissue moves is proportional to how far it is pushed,
@@ -105,17 +106,17 @@ def solve(
     >>> solution.displacement.shape
     (64, 64, 2)
     """
-    _check_arguments(problem, prior, optimizer, progress, cancel, start)
+    _check_arguments(problem, prior, optimizer, progress, cancel, initial)
     stop = cancel or threading.Event()
     if compute_thread.is_current():
-        return run_here(problem, prior, optimizer, backend, progress, stop, start)
+        return run_here(problem, prior, optimizer, backend, progress, stop, initial)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
     # To be told wakes the caller, who then competes with the work.
     tell = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
     job: Future[Solution] = compute_thread.submit(
-        lambda: run_here(problem, prior, optimizer, backend, tell, either, start),
+        lambda: run_here(problem, prior, optimizer, backend, tell, either, initial),
         lambda: STOPPED if either.is_set() else _DOING,
     )
     job.add_done_callback(lambda _: reports.put(None))
@@ -153,10 +154,15 @@ def _check_arguments(
     optimizer: object,
     progress: object,
     cancel: object,
-    start: object,
+    initial: object,
 ) -> None:
     """Say which argument is none of its kind before anything is done."""
-    _need(isinstance(problem, Problem), "problem", problem, "a Problem: Problem(y, c, m)")
+    _need(
+        isinstance(problem, Problem),
+        "problem",
+        problem,
+        "a Problem: Problem(observed, confidence, stiffness)",
+    )
     _need(isinstance(prior, Prior | None), "prior", prior, "a prior, such as ElasticPrior()")
     schedule = optimizer is None or _has("run", optimizer)
     _need(schedule, "optimizer", optimizer, "an optimizer, such as Multigrid()")
@@ -164,9 +170,9 @@ def _check_arguments(
     _need(told, "progress", progress, "something to call with a Monitor, such as print")
     flag = cancel is None or _has("is_set", cancel)
     _need(flag, "cancel", cancel, "something that has is_set(), such as a threading.Event")
-    starts = start if isinstance(start, Sequence) else (start,)
-    found = start is None or all(isinstance(each, Solution) for each in starts)
-    _need(found, "start", start, "a Solution, or a list of them")
+    starts = initial if isinstance(initial, Sequence) else (initial,)
+    found = initial is None or all(isinstance(each, Solution) for each in starts)
+    _need(found, "initial", initial, "a Solution, or a list of them")
 
 
 def _has(method: str, value: object) -> bool:
@@ -186,7 +192,7 @@ def run_here(
     backend: str,
     progress: Progress | None,
     cancel: CancelFlag,
-    start: Start | None = None,
+    initial: Initial | None = None,
 ) -> Solution:
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
@@ -194,7 +200,7 @@ def run_here(
     begun = time.perf_counter()
     prior = (prior or SeilerPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
-    begin = beginning(start, problem) if start else None
+    begin = beginning(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
@@ -225,7 +231,7 @@ def run_here(
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
-            'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
+            'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
         )
     return Solution(
         displacement=displacement,

@@ -235,6 +235,6 @@ class Engine:
             return None, None
         known = self._warper
         if known is None or known[0] is not image or known[1] is not over:
-            known = self._warper = (image, over, Warper(shown, solution.spacing))
+            known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
         moved = known[2](solution.displacement, solution.tissue)
         return moved[0] if image is not None else None, moved[-1] if over is not None else None

@@ -83,8 +83,8 @@ class Ground:
     study : Study
     base : Canvas
         What is held and moved without a drawing.
-    m : ndarray, shape (H, W), float32
-        Stiffness; 0 is no tissue, infinity is rigid.
+    stiffness : ndarray, shape (H, W), float32
+        Young's modulus; 0 is no tissue, infinity is rigid.
     prior : Prior
         The energy, with the tissues' own Poisson's ratios.
     body : ndarray of bool, shape (H, W)
@@ -99,7 +99,7 @@ class Ground:
 
     study: Study
     base: Canvas
-    m: FloatArray
+    stiffness: FloatArray
     prior: Prior
     body: npt.NDArray[np.bool_]
     palette: Palette
@@ -134,13 +134,13 @@ class Ground:
         base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
         base = replace(base, kinds=np.zeros(study.grid.shape, dtype=np.uint8))
         notes += _observe(study, base)
-        ignored = int(((base.c > 0).any(axis=-1) & ~there).sum())
+        ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
         checkpoint()
         if study.motion.hold_edge:
-            free = ~(base.c > 0).any(axis=-1)
+            free = ~(base.confidence > 0).any(axis=-1)
             for part in (there, tissue.body):
                 rim = outer_rim(part) & free
-                base.y[rim], base.c[rim] = 0, 1
+                base.observed[rim], base.confidence[rim] = 0, 1
         for mark in study.motion.landmarks.marks:
             paint(mark, base, base.whole)
         refuse_void(study, there)
@@ -171,18 +171,18 @@ class Ground:
         """
         drawing = self.study.motion.drawing if drawn is None else drawn
         canvas = drawing.render(self.base) if isinstance(drawing, Drawing) else drawing
-        m, prior = self.m, self.prior
+        m, prior = self.stiffness, self.prior
         if canvas is not self.base and canvas.labels is not None and self.base.labels is not None:
             m, prior = self.palette.painted(canvas.labels, self.base.labels, m, prior)
-        refuse_nothing(self.study, m, canvas.c)
+        refuse_nothing(self.study, m, canvas.confidence)
         at_rest = np.zeros(self.shape, dtype=bool)
         if isinstance(prior, ElasticPrior):
-            at_rest = scraps(m > 0, canvas.c > 0)
+            at_rest = scraps(m > 0, canvas.confidence > 0)
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
-        prior, c = _with_doubt(prior, canvas.c, m)
+        prior, c = _with_doubt(prior, canvas.confidence, m)
         with self.study.naming():
-            problem = Problem(canvas.y, c, m, self.study.grid.spacing)
+            problem = Problem(canvas.observed, c, m, spacing=self.study.grid.spacing)
         return Statement(problem, prior, self.study.optimizer, at_rest)
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
@@ -193,7 +193,7 @@ class Ground:
             notes.append(left_at_rest(statement.at_rest))
         motion = study.motion
         if motion.labels is not None and not (motion.landmarks.marks or motion.drawing.marks):
-            notes += lacks(problem, self.base.y, self.m > 0)
+            notes += lacks(problem, self.base.observed, self.stiffness > 0)
         notes += self._air_that_is_tissue
         return (*notes, *caveats(problem, statement.prior, statement.optimizer))
 
@@ -276,8 +276,8 @@ def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
     motion, notes = study.motion, []
     if motion.observed is not None and motion.counts is not None:
         sure = motion.counts if motion.counts.ndim == 3 else motion.counts[..., None]
-        base.c[...] = sure
-        base.y[...] = np.where(base.c != 0, motion.observed, 0)
+        base.confidence[...] = sure
+        base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
         named = study.names.get("boundary", Named("boundary", "of the study"))
         rules = list(motion.rules)
@@ -289,9 +289,9 @@ def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
                     f"label {label} of '{named.name}' is not in the table and was held fixed"
                 )
         with study.naming():
-            y, c = boundary_images(motion.labels, rules, base.spacing)
+            y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0
-        base.y[painted], base.c[painted] = y[painted], c[painted]
+        base.observed[painted], base.confidence[painted] = y[painted], c[painted]
     return tuple(notes)
 
 

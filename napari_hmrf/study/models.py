@@ -77,6 +77,6 @@ def _parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[st
 
 
 def _converges(optimizer: Mapping[str, Any]) -> bool:
-    tolerance = optimizer.get("tolerance")
-    exact = isinstance(tolerance, int | float) and tolerance <= _STILL
+    change = optimizer.get("energy_change")
+    exact = isinstance(change, int | float) and change <= _STILL
     return optimizer.get("name") == "Multigrid" or exact

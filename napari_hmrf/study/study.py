@@ -253,10 +253,10 @@ class Study:
         boundary = names.get("drawing") or names.get("boundary")
         tissue = names.get("tissue") or names.get("image")
         with naming(
-            m=tissue,
+            stiffness=tissue,
             poisson=tissue,
-            y=boundary,
-            c=names.get("confidence") or boundary,
+            observed=boundary,
+            confidence=names.get("confidence") or boundary,
             spacing=names.get("image") or tissue,
         ):
             yield

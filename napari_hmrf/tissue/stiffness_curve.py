@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -66,6 +66,7 @@ class StiffnessCurve:
     """
 
     points: tuple[Point, ...]
+    _: KW_ONLY
     void_below: float | None = None
     between: Between = "straight"
     logarithmic: bool = True
@@ -114,7 +115,7 @@ class StiffnessCurve:
         Returns
         -------
         ndarray of the same shape, float32
-            `m` of a `Problem`; 0 where there is no tissue.
+            The stiffness of a `Problem`; 0 where there is no tissue.
 
         Raises
         ------
@@ -126,7 +127,8 @@ class StiffnessCurve:
         )
         if image.dtype.kind not in "biuf":
             raise ProblemError(
-                "m", f"cannot come from intensities of type {image.dtype}. Give real numbers."
+                "stiffness",
+                f"cannot come from intensities of type {image.dtype}. Give real numbers.",
             )
         mask, image = np.ma.getmaskarray(image), np.ma.getdata(image)
         if image.dtype.kind == "b":
@@ -238,7 +240,7 @@ class StiffnessCurve:
         if len(points) < 2:  # most of the image is of one value
             ends = (float(values.min()), float(values.max()))
             points = dict(zip(ends, (stiffnesses[0], stiffnesses[-1]), strict=True))
-        return cls(tuple(sorted(points.items())), void_below, unit=unit)
+        return cls(tuple(sorted(points.items())), void_below=void_below, unit=unit)
 
 
 def luminance(colours: npt.NDArray[Any]) -> FloatArray:

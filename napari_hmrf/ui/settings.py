@@ -144,7 +144,7 @@ class SolverSettings(Container):
         model = self._model
         if model.is_elastic:
             grip = self.grip.value or math.inf
-            return ElasticPrior(model.poisson.value, model.plane.value, penalty=grip)
+            return ElasticPrior(model.poisson.value, plane=model.plane.value, penalty=grip)
         return SeilerPrior(penalty=self.penalty.value or None, conditional=self.reading.value)
 
     @property
@@ -153,7 +153,7 @@ class SolverSettings(Container):
         if self._model.is_elastic or self._model.schedule.value == "converged":
             return Multigrid(self.accuracy.value)
         options: dict[str, Any] = {} if self.method.value == "steps" else {"steps": None}
-        return ICM(self.sweeps.value, tolerance=self.tolerance.value or None, **options)
+        return ICM(self.sweeps.value, energy_change=self.tolerance.value or None, **options)
 
     @property
     def backend(self) -> str:

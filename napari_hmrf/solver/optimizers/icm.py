@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from numbers import Real
 from typing import Any
 
@@ -30,19 +30,20 @@ class ICM:
     Parameters
     ----------
     iterations : int
-        Sweeps on each level; with a `tolerance`, the most there may be.
+        Sweeps on each level; with an `energy_change`, the most there may be.
     steps : tuple of float or None
         Step sizes of the candidate set Gamma, in pixels: a site may stay, or move by -e, 0 or e
         in each component, for one of the steps e. ``None``: the exact minimiser of the site's
         energy, in closed form.
-    tolerance : float, optional
+    energy_change : float, optional
         Leave a level when its mean energy has changed by at most this fraction of itself over the
-        last ten sweeps.
+        last ten sweeps; by default that is not looked at.
     """
 
     iterations: int = 70
+    _: KW_ONLY
     steps: tuple[float, ...] | None = (1.0, 0.1, 0.01, 0.001)
-    tolerance: float | None = None
+    energy_change: float | None = None
 
     def __post_init__(self) -> None:
         if not _is_whole(self.iterations) or self.iterations < 1:
@@ -57,8 +58,8 @@ class ICM:
                     f"steps must be positive numbers, or None for the closed form, not {steps!r}"
                 )
             object.__setattr__(self, "steps", steps)
-        if self.tolerance is not None and not self.tolerance > 0:
-            raise ValueError(f"tolerance must be above 0, not {self.tolerance!r}")
+        if self.energy_change is not None and not self.energy_change > 0:
+            raise ValueError(f"energy_change must be above 0, not {self.energy_change!r}")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -68,7 +69,7 @@ class ICM:
 
     def rehearsal(self) -> ICM:
         """Return one sweep on each level, with the same kernels."""
-        return replace(self, iterations=1, tolerance=None)
+        return replace(self, iterations=1, energy_change=None)
 
     def run(
         self,
@@ -80,7 +81,7 @@ class ICM:
     ) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
         if start is not None:
-            raise ValueError("ICM begins with zero on its coarsest level: start is for Multigrid")
+            raise ValueError("ICM begins with zero on its coarsest level: initial is for Multigrid")
         if not isinstance(prior, SeilerPrior):
             raise ValueError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
         rule = SiteRule(
@@ -130,7 +131,9 @@ class ICM:
         before: list[float] = []
         while len(before) < self.iterations and not self._stable(before):
             # A small level is over before anybody could look.
-            block = self.iterations if level.sites < _SMALL and self.tolerance is None else BLOCK
+            block = (
+                self.iterations if level.sites < _SMALL and self.energy_change is None else BLOCK
+            )
             sweeps = min(block, self.iterations - len(before), _MOST)
             displacement, totals = backend.relax(displacement, stiffness, observation, rule, sweeps)
             before += [float(total) / tissue_sites for total in totals]
@@ -139,10 +142,10 @@ class ICM:
         return displacement, [*before[1:], last]
 
     def _stable(self, energies: list[float]) -> bool:
-        if self.tolerance is None or len(energies) <= BLOCK:
+        if self.energy_change is None or len(energies) <= BLOCK:
             return False
         change = abs(energies[-1] - energies[-1 - BLOCK])
-        return change <= self.tolerance * abs(energies[-1])
+        return change <= self.energy_change * abs(energies[-1])
 
 
 def _is_whole(number: object) -> bool:
@@ -189,7 +192,7 @@ class _Progress:
 
 def _stiffness(problem: Problem) -> FloatArray:
     """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2)."""
-    m = problem.m / problem.m.max()
+    m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
@@ -197,7 +200,7 @@ def _stiffness(problem: Problem) -> FloatArray:
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
     both = np.empty((*problem.shape, 4), dtype=np.float32)
-    np.divide(problem.y, np.float32(problem.unit), out=both[..., :2])
-    np.multiply(problem.c, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
+    np.divide(problem.observed, np.float32(problem.unit), out=both[..., :2])
+    np.multiply(problem.confidence, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
     both *= problem.tissue[..., None]
     return both

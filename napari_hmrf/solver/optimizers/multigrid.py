@@ -7,7 +7,7 @@ pixels can see.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,7 @@ class Multigrid:
     """
 
     tolerance: float = 1e-3
+    _: KW_ONLY
     max_iterations: int = 300
 
     def __post_init__(self) -> None:

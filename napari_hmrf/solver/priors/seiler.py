@@ -50,16 +50,18 @@ class SiteParabola(NamedTuple):
     lowest: Float64Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SeilerPrior:
     """The paper's prior and observation energy (eqs. 8-11 and 16-19).
 
     Parameters
     ----------
     penalty : float, optional
-        K of eq. 19: the energy, per pixel of deviation from `y`, of a site of complete confidence.
-        By default 10^4 in uniform tissue, and as much more as the energy is steeper at the
-        observed site that has the steepest, so that boundaries hold whatever they lie between.
+        K of eq. 19: the greatest force with which a site of complete confidence is held at what
+        was observed; where tissue needs more it slips. In the unit of the energy: what a pixel of
+        deviation costs. By default 10^4 in uniform tissue, and as much more as the energy is
+        steeper at the observed site that has the steepest, so that boundaries hold whatever they
+        lie between.
     conditional : {"centred", "blanket"}
         Which cliques count when a site chooses its displacement (line 8 of the algorithm):
         ``"centred"``, those whose middle it is; ``"blanket"``, all that contain it, which is the
@@ -113,11 +115,12 @@ class SeilerPrior:
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
-        seen = problem.tissue & ((problem.c[..., 0] > 0) | (problem.c[..., 1] > 0))
+        c = problem.confidence
+        seen = problem.tissue & ((c[..., 0] > 0) | (c[..., 1] > 0))
         around = []
         for level in levels(problem.shape):
             rows, cols = nearest_pixels(level, problem.shape)
-            m = problem.m.take(rows, axis=0).take(cols, axis=1)
+            m = problem.stiffness.take(rows, axis=0).take(cols, axis=1)
             around.append(_around(m, seen.take(rows, axis=0).take(cols, axis=1)))
         steepest = _steepest(np.concatenate(around, axis=-1), weights)
         uniform = 8.0 * float(weights.sum(axis=0).max())
@@ -133,7 +136,7 @@ class SeilerPrior:
         """
         if problem.rigid.any():
             raise ProblemError(
-                "m",
+                "stiffness",
                 "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
                 "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
             )
@@ -141,14 +144,14 @@ class SeilerPrior:
 
     def limit(self, problem: Problem) -> Float64Array:
         """P = K c of every component (H, W, 2)."""
-        limit: Float64Array = self.penalty_for(problem) * problem.c.astype(np.float64)
+        limit: Float64Array = self.penalty_for(problem) * problem.confidence.astype(np.float64)
         return limit
 
     def material(self, problem: Problem) -> SeilerMaterial:
         """What the kernels of multigrid need to know of a problem's tissue."""
         square = len(set(problem.spacing)) == 1
         blanket = self.conditional == "blanket"
-        return SeilerMaterial(problem.m, line_weights(problem.spacing), square, blanket)
+        return SeilerMaterial(problem.stiffness, line_weights(problem.spacing), square, blanket)
 
     def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
@@ -165,9 +168,11 @@ class SeilerPrior:
             In pixels squared; the sum over all sites is U_total.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
-        y = problem.y / np.float64(problem.unit)
+        y = problem.observed / np.float64(problem.unit)
         penalty = self.penalty_for(problem)
-        energy: Float64Array = (penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(axis=-1)
+        energy: Float64Array = (
+            penalty * problem.confidence.astype(np.float64) * np.abs(y - d)
+        ).sum(axis=-1)
         energy[~problem.tissue] = 0.0
         energy += self._cliques_of(problem, d).energy[2:-2, 2:-2]
         return energy
@@ -198,7 +203,7 @@ class SeilerPrior:
         """Look at the cliques of a problem, for a displacement (H, W, 2) in pixels."""
         planes = np.pad(np.moveaxis(d, -1, 0), ((0, 0), (2, 2), (2, 2)))
         weights, blanket = line_weights(problem.spacing), self.conditional == "blanket"
-        return cliques(planes, np.pad(problem.m, 2), weights, blanket)
+        return cliques(planes, np.pad(problem.stiffness, 2), weights, blanket)
 
 
 def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:

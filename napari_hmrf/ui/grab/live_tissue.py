@@ -75,7 +75,7 @@ class Follower:
         scene = self._scene
         if scene is None:
             return
-        if not drawing.marks and not scene.ground.base.c.any():
+        if not drawing.marks and not scene.ground.base.confidence.any():
             scene.engine.forget()
             self._next, self._still = None, Seen.still(scene.ground)
             # With a rehearsal going on it is shown after that.
@@ -250,6 +250,11 @@ class _Scene:
         if self._canvas is None:
             return False
         base, canvas = self.ground.base, self._canvas
-        moved = (base.c > 0) & (canvas.c > 0) & (base.y == 0) & (canvas.y != 0)
+        moved = (
+            (base.confidence > 0)
+            & (canvas.confidence > 0)
+            & (base.observed == 0)
+            & (canvas.observed != 0)
+        )
         # What was painted was meant, and air has no edge that is seen.
         return bool((moved.any(axis=-1) & (canvas.kinds == 0) & self.ground.body).any())

@@ -57,7 +57,7 @@ def _solve(ground: Ground, prior: Prior, report: Progress | None, left: CancelFl
     y, c = np.zeros((2, _SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
-    problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing)
+    problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
     small = prior.rehearsal(problem.shape)
     try:
         run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
