@@ -103,7 +103,7 @@ class Chooser(Dock):
     @property
     def materials(self) -> tuple[Material, ...]:
         """How stiff each tissue label is."""
-        return self._face.tissue.materials
+        return self._face.tissue.table.rows
 
     @materials.setter
     def materials(self, materials: tuple[Material, ...]) -> None:
@@ -149,7 +149,7 @@ class Chooser(Dock):
     @property
     def rules(self) -> tuple[BoundaryRule, ...]:
         """What each boundary label does."""
-        return self._face.boundary.rules
+        return self._face.boundary.table.rows
 
     @rules.setter
     def rules(self, rules: tuple[BoundaryRule, ...]) -> None:

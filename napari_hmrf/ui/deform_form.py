@@ -15,6 +15,7 @@ from napari_hmrf.ui.energy_plot import EnergyPlot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Prose, put_scrolled
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
+from napari_hmrf.ui.material_table import POISSON
 from napari_hmrf.ui.model import TissueModel
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.sections import BoundarySection, Layers, Shown, TissueSection
@@ -81,6 +82,7 @@ class Face:
         self.energy = EnergyPlot()
         self.tissue.edited.connect(self._on_tissue)
         self.model.energy.changed.connect(self._on_energy)
+        self._on_energy()
         self.keys = Prose()
         remember("deform", {"preview": self.boundary.preview, "device": self.settings.device})
         self._assemble(outer)
@@ -178,7 +180,8 @@ class Face:
 
     def _on_tissue(self) -> None:
         layer = self.tissue.choice.value
-        self.model.tissue_is(layer, self.tissue.materials if isinstance(layer, Labels) else ())
+        self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
 
-    def _on_energy(self, _: str) -> None:
-        self.tissue.table.poisson_shown = self.model.is_elastic
+    def _on_energy(self, *_: str) -> None:
+        # Only elastic tissue has it.
+        self.tissue.seen.setColumnHidden(POISSON, not self.model.is_elastic)

@@ -12,7 +12,7 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
+from napari_hmrf.layers.metadata import BOUNDARY, Role, described, known_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
@@ -47,9 +47,7 @@ class PaintedLabels:
     found = Signal(str)
 
     def __init__(self, role: Role, table: LabelTable, view: Callable[[], View | None]) -> None:
-        self._role = role
-        self._table = table
-        self._view = view
+        self._role, self._table, self._view = role, table, view
         self._layer: Any = None
         self._loading = False
         self._active = False
@@ -73,7 +71,7 @@ class PaintedLabels:
         if self._layer is None:
             return
         self._loading = True
-        if hasattr(self._table, "unit") and self._role == TISSUE:
+        if hasattr(self._table, "unit"):
             self._table.unit = str(known_of(self._layer).get("unit", ""))
         self._table.rows = rows_of(self._layer, self._role) or ()
         self._look(quietly=True)
@@ -128,7 +126,7 @@ class PaintedLabels:
     def mark(self, active: Any) -> None:
         """Highlight the row that is painted with, if the layer is the active one; else none."""
         self._active = self._layer is not None and active is self._layer
-        self._table.highlight(int(self._layer.selected_label) if self._active else None)
+        self._table.marked.emit(int(self._layer.selected_label) if self._active else None)
 
     def _on_painted(self) -> None:
         # Restarted at every stroke: looking at a large image takes longer than a stroke.
@@ -136,7 +134,7 @@ class PaintedLabels:
 
     def _on_selected(self) -> None:
         if self._active:
-            self._table.highlight(int(self._layer.selected_label))
+            self._table.marked.emit(int(self._layer.selected_label))
 
     def _on_picked(self, label: int) -> None:
         if self._layer is not None and not self._loading:
@@ -146,7 +144,7 @@ class PaintedLabels:
     def _on_edited(self) -> None:
         if self._layer is None or self._loading:
             return
-        unit = str(getattr(self._table, "unit", "")) if self._role == TISSUE else ""
+        unit = str(getattr(self._table, "unit", ""))
         self._layer.metadata.update(described(self._role, self._table.rows, unit))
         self._timer.start()
         self.changed.emit()
