@@ -13,7 +13,7 @@ from superqt import QCollapsible
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.ui.energy_plot import EnergyPlot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import Prose, put_scrolled
+from napari_hmrf.ui.forms import Prose, put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.material_table import POISSON
 from napari_hmrf.ui.model import TissueModel
@@ -54,10 +54,7 @@ class Face:
 
     def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
         self.image = LayerChoice(
-            layers,
-            is_picture,
-            label="image",
-            tooltip="The image to deform; of a stack, the slice that is shown",
+            layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
         self.make = PushButton(
             text="Make layers to paint on",
@@ -144,24 +141,13 @@ class Face:
         self.boundary.landmarks.release()
 
     def _assemble(self, outer: Container) -> None:
-        ways = Container(widgets=[self.make, self.intensity], layout="horizontal", labels=False)
+        ways = row(self.make, self.intensity)
         first = Container(widgets=[self.image, ways])
         kinds = list(self._checks.values())
-        rows = [
-            Container(widgets=part, layout="horizontal", labels=False)
-            for part in (kinds[:3], kinds[3:])
-        ]
-        body = Container(
-            widgets=[
-                first,
-                self.tissue,
-                self.boundary,
-                self.model,
-                Label(value="Layers to make of a result"),
-                *rows,
-            ],
-            labels=False,
-        )
+        rows = [row(*kinds[:3]), row(*kinds[3:])]
+        kinds_of = Label(value="Layers to make of a result")
+        parts = [first, self.tissue, self.boundary, self.model]
+        body = Container(widgets=[*parts, kinds_of, *rows], labels=False)
         advanced = QCollapsible("Advanced", expandedIcon="▾", collapsedIcon="▸")
         advanced.addWidget(self.settings.native)
         layout = body.native.layout()
@@ -175,7 +161,7 @@ class Face:
         for button in (self.make, self.intensity):
             button.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         ways.margins = (0, 0, 0, 0)
-        for container in (outer, body, first, self.tissue, self.boundary, self.model, *rows):
+        for container in (outer, body, *parts, *rows):
             container.margins = (2, 2, 2, 2)
 
     def _on_tissue(self) -> None:

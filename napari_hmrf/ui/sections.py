@@ -103,9 +103,9 @@ class TissueSection(_PaintedSection[MaterialTable]):
                 isinstance(layer, Labels)
                 or (isinstance(layer, Image) and "by" not in known_of(layer))
             ),
+            "tissue",
+            "A Labels layer in which tissues are painted, or an image of stiffness",
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
-            label="tissue",
-            tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
         )
         super().__init__(choice, [], TISSUE, MaterialTable(), view)
         self.background = QPushButton("Background is no tissue")
@@ -143,23 +143,21 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         choice = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and not is_preview(layer),
+            "boundary",
+            "A Labels layer in which is painted what holds or moves, or observed displacements as "
+            "a Vectors layer. Landmarks, as two Points layers or as lines of a Shapes layer, come "
+            "on top: their menus are below once there are such layers",
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
-            label="boundary",
-            tooltip="A Labels layer in which is painted what holds or moves, or observed "
-            "displacements as a Vectors layer. Landmarks, as two Points layers or as lines of "
-            "a Shapes layer, come on top: their menus are below once there are such layers",
         )
         self.confidence = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Image) and not layer.rgb,
-            label="confidence",
-            tooltip="How sure each arrow is, from 0 to 1; without an image, 1",
+            "confidence",
+            "How sure each arrow is, from 0 to 1; without an image, 1",
         )
         super().__init__(choice, [self.confidence], BOUNDARY, BoundaryTable(), view)
         self.preview = CheckBox(
-            value=True,
-            text=PREVIEW,
-            tooltip="A layer of its own shows what the boundary will do",
+            value=True, text=PREVIEW, tooltip="A layer of its own shows what the boundary will do"
         )
         self._put_below("boundary", self.preview.native)
         self.landmarks = LandmarkChoice(layers)

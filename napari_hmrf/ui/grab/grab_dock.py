@@ -155,15 +155,14 @@ class GrabAndPull(GrabControls):
 
     def take_points(self, where: Any, should: Any) -> bool:
         """Draw landmarks from the points of two layers, paired by their order; whether it could."""
-        self.form.where.choose(where)
-        self.form.should.choose(should)
+        self.form.where.value, self.form.should.value = where, should
         return self._toolbox.take_points()
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
         if not self.away:
             for choice in self.form.choices:
-                choice.refresh()
+                choice.reset_choices()
             self._toolbox.look()
 
     def say(self, sentence: str) -> None:

@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 from napari_hmrf.layers.result_lookup import FoundResult, can_be_source, result_of
 from napari_hmrf.layers.strain_layers import Quantity
+from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.look.look_form import LookFace
 from napari_hmrf.ui.look.look_messages import NOTHING
 from napari_hmrf.ui.look.scene import Scene
@@ -18,45 +19,45 @@ class LookControls(Dock):
     Parameters
     ----------
     napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    result : napari.layers.Vectors or None
+        The arrows that hold the result.
+    image : napari.layers.Image or None
+        What is moved.
+    percent : int
+        How much of the deformation is seen, from 0 to 100.
+    playing : bool
+        Whether it goes back and forth by itself.
+    grid, arrows : bool
+        Whether the deformation grid is drawn, and whether arrows are.
+    arrow_count : int
+        How many arrows are drawn, roughly.
+    arrow_length : float
+        How many times longer than true arrows are drawn.
+    status : str
+        The sentence at the bottom.
+    point : str
+        What is said of the tissue under the cursor.
     """
+
+    result = Part[Any]("_face.result.value")
+    image = Part[Any]("_face.image.value")
+    percent = Part[int]("_face.slider.value")
+    playing = Part[bool]("_scene.player.playing")
+    grid = Part[bool]("_face.grid.value")
+    arrows = Part[bool]("_face.arrows.value")
+    arrow_count = Part[int]("_face.count.value")
+    arrow_length = Part[float]("_face.length.value")
+    status = Part[str]("_face.status.value")
+    point = Part[str]("_face.point.value")
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._taken: FoundResult | None = None
         self._face = LookFace(self, self._layers, self._is_result, self._is_source)
         self._scene = Scene(self, self._viewer, self._face)
-
-    @property
-    def result(self) -> Any:
-        """The layer of arrows that holds the result, or None."""
-        return self._face.result.value
-
-    @result.setter
-    def result(self, layer: Any) -> None:
-        self._face.result.choose(layer)
-
-    @property
-    def image(self) -> Any:
-        """The image that is moved, or None."""
-        return self._face.image.value
-
-    @image.setter
-    def image(self, layer: Any) -> None:
-        self._face.image.choose(layer)
-
-    @property
-    def percent(self) -> int:
-        """How much of the deformation is seen, from 0 to 100."""
-        return int(self._face.slider.value)
-
-    @percent.setter
-    def percent(self, percent: int) -> None:
-        self._face.slider.value = percent
-
-    @property
-    def playing(self) -> bool:
-        """Whether it goes back and forth by itself."""
-        return self._scene.player.playing
 
     @property
     def before(self) -> bool:
@@ -81,52 +82,6 @@ class LookControls(Dock):
         if quantity not in known:
             raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
         self._face.colours.value = quantity
-
-    @property
-    def grid(self) -> bool:
-        """Whether the deformation grid is drawn."""
-        return bool(self._face.grid.value)
-
-    @grid.setter
-    def grid(self, drawn: bool) -> None:
-        self._face.grid.value = drawn
-
-    @property
-    def arrows(self) -> bool:
-        """Whether arrows are drawn."""
-        return bool(self._face.arrows.value)
-
-    @arrows.setter
-    def arrows(self, drawn: bool) -> None:
-        self._face.arrows.value = drawn
-
-    @property
-    def arrow_count(self) -> int:
-        """How many arrows are drawn, roughly."""
-        return int(self._face.count.value)
-
-    @arrow_count.setter
-    def arrow_count(self, about: int) -> None:
-        self._face.count.value = about
-
-    @property
-    def arrow_length(self) -> float:
-        """How many times longer than true arrows are drawn."""
-        return float(self._face.length.value)
-
-    @arrow_length.setter
-    def arrow_length(self, times: float) -> None:
-        self._face.length.value = times
-
-    @property
-    def status(self) -> str:
-        """The sentence at the bottom."""
-        return str(self._face.status.value)
-
-    @property
-    def point(self) -> str:
-        """What is said of the tissue under the cursor."""
-        return str(self._face.point.value)
 
     def _is_result(self, layer: Any) -> bool:
         return result_of(layer) is not None

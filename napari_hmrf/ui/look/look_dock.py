@@ -116,7 +116,7 @@ class LookAtResult(LookControls):
 
     def _choose(self, seen: bool = False) -> None:
         """Look at the newest result, or at the newest of those that are seen."""
-        self._face.result.refresh()
+        self._face.result.reset_choices()
         offered = self._face.result.offered
         if seen:
             offered = [each for each in offered if is_seen(self._viewer, each)] or offered
@@ -185,8 +185,8 @@ class LookAtResult(LookControls):
 
     def _on_layers(self, *_: Any) -> None:
         if not self.away:
-            self._face.result.refresh()
-            self._face.image.refresh()
+            self._face.result.reset_choices()
+            self._face.image.reset_choices()
             self._eyes.start()
 
     def _on_slice(self, *_: Any) -> None:
