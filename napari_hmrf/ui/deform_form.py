@@ -107,8 +107,7 @@ class Face:
             "poisson": model.poisson,
         }
         fields.update((str(kind), check) for kind, check in self._checks.items())
-        fields.update((name, self.settings[name]) for name in self.settings.details)
-        return fields
+        return fields | self.settings.details
 
     @property
     def folds(self) -> CheckBox:

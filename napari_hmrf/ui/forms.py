@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
-from magicgui.widgets import Container, FloatSlider, FloatSpinBox, Label
+from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
 
@@ -57,6 +58,12 @@ def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> Flo
     """A field for a length, or for a step if it may be negative."""
     how = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
     return FloatSpinBox(label=label, tooltip=tooltip, **how)
+
+
+def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
+    """A field for one of some values, each called by its words."""
+    choices = [(said, value) for value, said in words.items()]
+    return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
 def row(*widgets: Any) -> Container:
