@@ -145,8 +145,11 @@ class Cell:
         # Qt has the editor answer the key first.
         QApplication.sendPostedEvents(self._table.itemDelegate(), int(QEvent.Type.MetaCall))
 
+    def chosen(self):
+        """What the box in it shows."""
+        return self._table.indexWidget(self._index).currentText()
+
     def choose(self, words):
         """Choose from the box in it, by the keys."""
-        box = self._table.indexWidget(self._index)
-        while box.currentText() != words:
-            QTest.keyClick(box, Qt.Key.Key_Down)
+        while self.chosen() != words:
+            QTest.keyClick(self._table.indexWidget(self._index), Qt.Key.Key_Down)

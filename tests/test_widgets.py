@@ -244,7 +244,12 @@ def test_boundary_cells_follow_the_action(widget, small_sample):
     small_sample(viewer_of(widget))
     table = widget._face.boundary.seen
     assert [Cell(table, 1, column).text() for column in (3, 4)] == ["0", "3"]
-    Cell(table, 1, 2).choose("expands")
+    action = Cell(table, 1, 2)
+    action.choose("expands")
+    widget.undo()
+    assert (action.text(), action.chosen(), widget.rules[1].action) == ("moves", "moves", "move")
+    widget.redo()
+    assert action.chosen() == "expands"
     assert widget.rules[1].action == "expand"
     assert [Cell(table, 1, column).text() for column in (3, 4, 5)] == ["", "", "0"]
     Cell(table, 1, 5).write("-2")

@@ -17,6 +17,7 @@ from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.labels import labels_present
+from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.timers import single_shot
 
@@ -53,6 +54,7 @@ class PaintedLabels:
         self._active = False
         #: Whether rows are being added for what was painted, by nobody's hand.
         self.by_itself = False
+        self._heard = Listening()
         self._timer = single_shot(table, _PAUSE, self.look)
         table.edited.connect(self._on_edited)
         table.picked.connect(self._on_picked)
@@ -76,18 +78,17 @@ class PaintedLabels:
         self._table.rows = rows_of(self._layer, self._role) or ()
         self._look(quietly=True)
         self._loading = False
-        for name in _EVENTS:
-            getattr(self._layer.events, name).connect(self._on_painted)
-        self._layer.events.selected_label.connect(self._on_selected)
+        events = self._layer.events
+        self._heard = Listening(
+            (events.selected_label, self._on_selected),
+            *((getattr(events, name), self._on_painted) for name in _EVENTS),
+        )
         self._on_edited()
 
     def release(self) -> None:
         """Stop listening to the layer."""
         self._timer.stop()
-        if self._layer is not None:
-            for name in _EVENTS:
-                getattr(self._layer.events, name).disconnect(self._on_painted)
-            self._layer.events.selected_label.disconnect(self._on_selected)
+        self._heard.release()
         self._layer = None
 
     def look(self) -> None:
@@ -116,12 +117,11 @@ class PaintedLabels:
         if new and not quietly:
             said = " and ".join(f"label {label} ({self._table.words(label)})" for label in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
-        colours = {}
-        for label in self._table.labels:
-            colour = self._layer.get_color(label)
-            if colour is not None and label != 0:
-                colours[label] = tuple(float(part) for part in colour)
-        self._table.set_colours(colours)
+        colours = {label: self._layer.get_color(label) for label in self._table.labels if label}
+        seen = {
+            label: tuple(map(float, rgba)) for label, rgba in colours.items() if rgba is not None
+        }
+        self._table.set_colours(seen)
 
     def mark(self, active: Any) -> None:
         """Highlight the row that is painted with, if the layer is the active one; else none."""

@@ -155,8 +155,10 @@ class LabelTable(QAbstractTableModel):
 
     def set_head(self, column: int, title: str, about: str) -> None:
         """Give a column another head."""
-        self.columns[column] = self.columns[column]._replace(title=title, about=about)
-        self.headerDataChanged.emit(Qt.Orientation.Horizontal, column, column)
+        head = self.columns[column]._replace(title=title, about=about)
+        if head != self.columns[column]:  # Qt measures the columns anew
+            self.columns[column] = head
+            self.headerDataChanged.emit(Qt.Orientation.Horizontal, column, column)
 
     def _show_again(self) -> None:
         self.dataChanged.emit(

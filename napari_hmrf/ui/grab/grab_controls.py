@@ -33,6 +33,8 @@ class GrabControls(Dock):
         How stiff tissue is: labels with their table, or an image of stiffness.
     boundary : napari.layers.Labels or None
         What holds and moves beside what is drawn.
+    warning : str
+        What is to be known of the tissue that is seen, folds above all; "" if nothing.
     history : History
         Of the slice that is shown.
     active : bool
@@ -42,6 +44,7 @@ class GrabControls(Dock):
     image = Part[Any]("form.image.value")
     tissue = Part[Any]("form.tissue.value")
     boundary = Part[Any]("form.boundary.value")
+    warning = Part[str]("form.warning.value")
     history = Part[History]("_puller.history")
     active = Part[bool]("_puller.active")
 

@@ -81,11 +81,6 @@ class GrabAndPull(GrabControls):
         return self._status
 
     @property
-    def warning(self) -> str:
-        """What is to be known of the tissue that is seen, folds above all; "" if nothing."""
-        return str(self.form.warning.value)
-
-    @property
     def tool(self) -> str:
         """What the mouse does: "pull", "landmark", or what it paints, an action of a `Stroke`."""
         return self._puller.tool.name
