@@ -7,6 +7,7 @@ from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
+from screen import Cell
 
 from napari_hmrf import Multigrid, solve
 from napari_hmrf.layers.metadata import METADATA, known_of
@@ -433,7 +434,7 @@ def stroke(viewer, places, between=lambda: None):
 def test_tissue_follows_while_the_brush_is_down(at_work, settle, qtbot):
     viewer, dock = at_work
     boundary = viewer.layers["Boundary"]
-    dock._face.boundary.table.cellClicked.emit(0, 1)
+    Cell(dock._face.boundary.seen, 0).click()
     assert viewer.layers.selection.active is boundary
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
@@ -466,11 +467,11 @@ def test_tables_are_undone_and_followed(living, settle):
     footer = widget.footer
     assert not footer.steps.undo.enabled
     rules, materials = widget.rules, widget.materials
-    widget._face.boundary.table.item(1, 4).setText("5")
+    Cell(widget._face.boundary.seen, 1, 4).write("5")
     assert footer.steps.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
-    widget._face.tissue.table.item(1, 2).setText("33")
+    Cell(widget._face.tissue.seen, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.steps.undo.native.click()
@@ -503,9 +504,9 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
 
 def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
     widget, (_, _, boundary) = living
-    table = widget._face.boundary.table
+    table = widget._face.boundary.seen
     before = widget.rules
-    table.item(1, 4).setText("5")
+    Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
     assert widget.rules == before
     QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
@@ -517,7 +518,7 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
-    widget._face.tissue.table.item(1, 2).setText("33")
+    Cell(widget._face.tissue.seen, 1, 2).write("33")
     widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness

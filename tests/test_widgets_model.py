@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from napari.layers import Image
+from screen import Cell
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.metadata import METADATA
@@ -100,7 +101,7 @@ RIGID_AND_PAPER = (
 
 
 def be_rigid(widget):
-    widget._face.tissue.table.item(1, 2).setText("rigid")
+    Cell(widget._face.tissue.seen, 1, 2).write("rigid")
 
 
 def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
@@ -117,7 +118,7 @@ def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sa
     wait_for(lambda: widget.status == READY)
     model.energy.value = "paper"
     wait_for(lambda: widget.status == RIGID_AND_PAPER)
-    widget._face.tissue.table.item(1, 2).setText("900")
+    Cell(widget._face.tissue.seen, 1, 2).write("900")
     assert not model.objection
     wait_for(lambda: widget.status == READY)
 
@@ -229,11 +230,11 @@ def test_every_choice_has_a_sentence_with_what_was_measured(plane):
 
 def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._face.tissue.table
+    table = widget._face.tissue.seen
     assert table.isColumnHidden(POISSON)
     elastic(widget)
     assert not table.isColumnHidden(POISSON)
-    assert [table.item(row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
+    assert [Cell(table, row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
     widget.model.energy.value = "paper"
     assert table.isColumnHidden(POISSON)
 
@@ -241,12 +242,12 @@ def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sam
 def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     elastic(widget)
-    table = widget._face.tissue.table
-    table.item(1, POISSON).setText("0,3")
+    table = widget._face.tissue.seen
+    Cell(table, 1, POISSON).write("0,3")
     assert widget.materials[1].poisson == 0.3
     assert tissue.metadata[METADATA]["materials"][1]["poisson"] == 0.3
     for nonsense in ("0.5", "-0.1", "much", "nan", ""):
-        table.item(1, POISSON).setText(nonsense)
+        Cell(table, 1, POISSON).write(nonsense)
         assert widget.materials[1].poisson == 0.3
         assert widget.status == "Poisson's ratio must be a number from 0 to 0.499; kept 0.3."
 

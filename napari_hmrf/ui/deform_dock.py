@@ -84,7 +84,7 @@ class DeformTissue(ResultDock):
         face.intensity.changed.connect(self.make_from_intensity)
         face.tissue.painted.picked.connect(self.hand_brush)
         face.boundary.painted.picked.connect(self.hand_brush)
-        face.tissue.background.clicked.connect(self._on_background)
+        face.tissue.background.clicked.connect(self.mark_background)
         face.footer.deform.changed.connect(self.deform)
         face.footer.cancel.changed.connect(self._on_cancel)
         self.reset_choices()
@@ -283,9 +283,6 @@ class DeformTissue(ResultDock):
 
     def _on_cancel(self) -> None:
         self.cancel()
-
-    def _on_background(self, *_: Any) -> None:
-        self.mark_background()
 
     def _on_layer_removed(self, layer: Any) -> None:
         """What was to be computed from it is gone, too."""

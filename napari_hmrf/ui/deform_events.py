@@ -175,8 +175,8 @@ class Watch:
         try:
             reference = None if place is None else Frame.of(place, view)
             if reference is not None:
-                boundary.table.unit = unit_symbol(reference.unit)
-                boundary.table.show_ways(Directions.of(reference, self._viewer))
+                ways = Directions.of(reference, self._viewer)
+                boundary.table.show_place(unit_symbol(reference.unit), ways)
                 boundary.landmarks.show_place(reference, plane_shape(place, reference))
             layer = boundary.painted.layer
             too_large = layer is not None and self.preview.too_large(layer)

@@ -17,6 +17,7 @@ from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.chooser import Chooser
 from napari_hmrf.ui.footer import Footer
+from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.job import Done
 from napari_hmrf.ui.messages import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.ui.messages import details as details_of
@@ -34,10 +35,16 @@ class ResultDock(Chooser):
 
     Attributes
     ----------
+    footer : Footer
+        What always stays in sight.
+    dims : napari.components.Dims
+        Which slice is shown.
     followed : Signal(object)
         Emitted with `Outputs` when the result has followed an edit, in live mode.
     """
 
+    footer = Part[Footer]("_face.footer")
+    dims = Part[Any]("_viewer.dims")
     followed = Signal(object)
 
     def __init__(self, napari_viewer: Any) -> None:
@@ -80,16 +87,6 @@ class ResultDock(Chooser):
         """What the latest result was made from."""
         done = self._latest.done
         return None if done is None else done.study
-
-    @property
-    def footer(self) -> Footer:
-        """What always stays in sight."""
-        return self._face.footer
-
-    @property
-    def dims(self) -> Any:
-        """Which slice is shown."""
-        return self._viewer.dims
 
     @property
     def backend(self) -> str:

@@ -99,11 +99,6 @@ class GrabAndPull(GrabControls):
         return self._status
 
     @property
-    def warning(self) -> str:
-        """What is to be known of the tissue that is seen, folds above all; "" if nothing."""
-        return str(self.form.warning.value)
-
-    @property
     def tool(self) -> str:
         """What the mouse does: "pull", "landmark", or what it paints, an action of a `Stroke`."""
         return self._puller.tool.name
@@ -184,15 +179,14 @@ class GrabAndPull(GrabControls):
 
     def take_points(self, where: Any, should: Any) -> bool:
         """Draw landmarks from the points of two layers, paired by their order; whether it could."""
-        self.form.where.choose(where)
-        self.form.should.choose(should)
+        self.form.where.value, self.form.should.value = where, should
         return self._toolbox.take_points()
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
         if not self.away:
             for choice in self.form.choices:
-                choice.refresh()
+                choice.reset_choices()
             self._toolbox.look()
 
     def say(self, sentence: str) -> None:
