@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,8 @@ class PaintedLabels:
 
     def release(self) -> None:
         """Stop listening to the layer."""
-        self._timer.stop()
+        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+            self._timer.stop()
         self._heard.release()
         self._layer = None
 
