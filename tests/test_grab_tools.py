@@ -373,7 +373,7 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle,
 
 
 @pytest.mark.parametrize(("gone", "words"), [("Arrows", "is gone"), ("MR", "no image")])
-def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, qtbot, gone, words):
+def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, at_rest, gone, words):
     person, widget = brushing
     person.key(PIN)
     person.press(20, 20)
@@ -381,7 +381,7 @@ def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, qtbot
     person.viewer.layers.remove(gone)
     person.move(20, 30)
     person.release(20, 30)
-    qtbot.wait(100)
+    at_rest()
     assert not widget.history.in_progress
     assert words in widget.status
     assert not person.viewer.canvas.overlays.text.visible

@@ -366,7 +366,7 @@ def test_points_that_are_no_landmarks_are_nothing_to_be_undone(chosen):
 
 
 def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
-    make_napari_viewer, small_sample, run, wait_for, qtbot
+    make_napari_viewer, small_sample, run, wait_for, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -381,7 +381,7 @@ def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
     viewer.layers.selection.active = should
     should.mode = "select"
     person = Person(viewer, qtbot)
-    qtbot.wait(100)
+    at_rest()
     person.paint((10, 8), (10.5, 9), (11, 10), (11, 11))
     assert should.data[0] == pytest.approx((11, 11), abs=0.3), should.data
     to = should.data[0] - where.data[0]
@@ -456,7 +456,7 @@ def test_lines_are_chosen_alone_previewed_and_followed(docked, small_sample, run
 
 
 def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
-    make_napari_viewer, small_sample, wait_for, qtbot
+    make_napari_viewer, small_sample, wait_for, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -469,7 +469,7 @@ def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
     viewer.layers.selection.active = drawn
     drawn.mode = "add_line"
     person = Person(viewer, qtbot)
-    qtbot.wait(50)
+    at_rest()
     person.paint((14, 8), (14, 10), (14, 13))
     assert len(drawn.data) == 2
     wait_for(lambda: undo.enabled)

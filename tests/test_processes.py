@@ -6,9 +6,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import pytest
 from opengl_here import require_opengl
+from patience import LONG
 
 from napari_hmrf import Solution, phantom, solve
 
@@ -144,6 +146,21 @@ while True:
 """
 
 
+def half_saved(folder, size):
+    """Whether a file is being written of which so much is there."""
+    for path in folder.glob("*.tmp"):
+        with suppress(FileNotFoundError):
+            if path.stat().st_size >= size:
+                return True
+    return False
+
+
+def wait_until(condition):
+    last = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < last
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kill -9 is of POSIX")
 def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
     sizes = (48, 40)
@@ -151,10 +168,13 @@ def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
     for path, size in zip(paths, sizes, strict=True):
         solve(phantom("expansion", size=size).problem, backend="cpu").save(path)
     path = paths[0]
-    for moment in (0.005, 0.02, 0.05):
+    # When a file has been begun, when some is in it, and when it needs only its name.
+    for written in (0, 1, path.stat().st_size // 2):
         command = [sys.executable, "-c", SAVING, *paths]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             assert process.stdout.readline()
-            time.sleep(moment)
+            wait_until(lambda written=written: half_saved(tmp_path, written))
             process.kill()
+        for left in tmp_path.glob("*.tmp"):
+            left.unlink()
         assert Solution.load(path).displacement.shape[0] in sizes

@@ -304,7 +304,7 @@ def test_a_study_is_the_same_until_something_is_painted():
 # Handing over
 
 
-def test_only_the_newest_result_reaches_the_window(qtbot):
+def test_only_the_newest_result_reaches_the_window(qtbot, at_rest):
     from napari_hmrf.ui.newest_result import Newest
 
     answered = []
@@ -323,7 +323,7 @@ def test_only_the_newest_result_reaches_the_window(qtbot):
     newest.put(52)
     newest.release()
     newest.put(53)
-    qtbot.wait(30)
+    at_rest()
     assert len(answered) == 2
 
 

@@ -191,6 +191,14 @@ def test_importing_the_package_imports_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize("file", sorted(ROOT.glob("tests/*.py")), ids=lambda file: file.name)
+def test_tests_wait_for_events_and_never_for_a_time(file):
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    names = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
+    timed = [name for name in names if name.endswith(("sleep", "bot.wait", "qWait"))]
+    assert timed == [], "at_rest(), waitUntil and waitSignal wait for what is to come"
+
+
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
     declared = {
         re.match(r"[\w-]+", requirement)[0].lower()

@@ -15,14 +15,14 @@ from napari_hmrf.ui.grab.grab_messages import START
 
 
 @pytest.fixture
-def at_hand(make_napari_viewer, small_sample, qtbot):
+def at_hand(make_napari_viewer, small_sample, qtbot, at_rest):
     """A person before a small sample, and a way to open docks."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
 
     def opened(title):
         _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", title)
-        qtbot.wait(50)
+        at_rest()
         return quick(dock) if title == "Deform tissue" else dock
 
     return Person(viewer, qtbot), opened
@@ -156,7 +156,7 @@ def test_a_look_begins_with_the_result_that_is_seen(two_results):
 
 
 def test_a_look_that_comes_to_the_front_looks_at_what_is_seen_by_then(
-    pulled_before, settle, wait_for, qtbot
+    pulled_before, settle, wait_for, at_rest
 ):
     person, puller, deform, look = pulled_before
     viewer = person.viewer
@@ -165,7 +165,7 @@ def test_a_look_that_comes_to_the_front_looks_at_what_is_seen_by_then(
 
     def bring(dock):
         dock.native.parent().raise_()
-        qtbot.wait(50)
+        at_rest()
 
     bring(puller)
     person.drag((24, 20), (20, 20))
@@ -279,7 +279,7 @@ def test_results_of_another_slice_stay_as_they_are(
 
 
 def test_to_go_to_another_slice_is_no_turn_of_the_dock_that_follows(
-    make_napari_viewer, small_sample, run, settle, wait_for, qtbot
+    make_napari_viewer, small_sample, run, settle, wait_for, at_rest
 ):
     viewer = make_napari_viewer()
     small_sample(viewer, (3, 20, 24))
@@ -292,20 +292,19 @@ def test_to_go_to_another_slice_is_no_turn_of_the_dock_that_follows(
     puller.drawing = Drawing().with_mark(Arrow((10, 12), (2, 2), 3))
     settle(puller)
 
-    def at_rest():
-        qtbot.wait(20)
-        wait_for(lambda: not deform.following)
+    def settle_both():
+        at_rest.until(lambda: not deform.following)
         settle(puller)
 
     viewer.dims.set_current_step(0, 2)
-    at_rest()
+    settle_both()
     of_this = {layer for layer in viewer.layers if known_of(layer).get("slice_seen") == "slice 2"}
     followed = [layer for layer in of_this if known_of(layer).get("by") == "deform"]
     assert followed
     assert not any(layer.visible for layer in followed)
     assert viewer.layers["Arrows"].visible
     deform.rules = (deform.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
-    at_rest()
+    settle_both()
     assert any(layer.visible for layer in followed), "an edit is"
     assert not viewer.layers["Arrows"].visible
 
@@ -398,7 +397,7 @@ def test_a_closed_dock_that_looked_leaves_no_second_colours(at_hand, run, wait_f
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
 
-def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, qtbot):
+def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, qtbot, at_rest):
     person, opened = at_hand
     first = opened("Deform tissue")
     old = first.rules
@@ -408,7 +407,7 @@ def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, 
     person.viewer.layers["Boundary"].data[20:24, 30:34] = 5
     person.viewer.layers["Boundary"].refresh()
     qtbot.waitUntil(lambda: len(second.rules) > 1)
-    qtbot.wait(200)
+    at_rest()
     assert first.rules == old
     assert rows_of(person.viewer.layers["Boundary"], BOUNDARY) == second.rules
     person.viewer.window.remove_dock_widget(second.native)
@@ -504,13 +503,13 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     assert not widget.warning
 
 
-def test_a_dock_that_is_put_back_says_nothing_of_what_was(folded, settle, qtbot):
+def test_a_dock_that_is_put_back_says_nothing_of_what_was(folded, settle, at_rest):
     person, widget = folded
     widget.tool = "pin"
     window = person.viewer.window
     window.remove_dock_widget(widget.native)
     window.add_dock_widget(widget.native, name="Grab and pull")
-    qtbot.wait(50)
+    at_rest()
     assert (widget.warning, widget.status) == ("", START)
     assert not any(button.native.isChecked() for button in widget.form.tools.values())
     assert widget.start()
@@ -550,13 +549,13 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling, settle):
     assert widget.status.startswith("Drag tissue")
 
 
-def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, qtbot):
+def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, at_rest):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
     widget.form.grab.native.click()
     assert "image" in widget.status
     small_sample(viewer)
-    qtbot.wait(100)
+    at_rest()
     assert not widget.active
     assert not widget.busy
     assert "Deformed image" not in [layer.name for layer in viewer.layers]

@@ -11,13 +11,13 @@ Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
 
 
 @pytest.fixture
-def seated(make_napari_viewer, small_sample, qtbot):
+def seated(make_napari_viewer, small_sample, qtbot, at_rest):
     """Somebody before a window with *Deform tissue* and a small sample, and its dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer)
     _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
     dock.live = False
-    qtbot.wait(50)
+    at_rest()
     return Person(viewer, qtbot), dock
 
 
@@ -74,10 +74,10 @@ def test_a_closed_dock_leaves_the_keys_to_napari(seated):
     assert not person.viewer.keymap
 
 
-def test_the_dock_in_front_says_what_was_taken_back_of_one_behind(seated, qtbot):
+def test_the_dock_in_front_says_what_was_taken_back_of_one_behind(seated, qtbot, at_rest):
     person, dock = seated
     _, puller = person.viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
-    qtbot.wait(50)
+    at_rest()
     puller.form.grab.native.click()
     puller.drawing = puller.drawing.with_mark(Arrow((8, 8), (10, 10), 2.0))
     dock.native.parent().raise_()

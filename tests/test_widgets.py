@@ -1,7 +1,5 @@
 """What the user does with *Deform tissue*, and what then happens."""
 
-import time
-
 import numpy as np
 import pytest
 from conftest import quick
@@ -743,7 +741,7 @@ def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
 
 
 def test_cancel_is_immediate_even_when_the_thread_is_not(
-    widget, small_sample, busy_thread, wait_for
+    widget, small_sample, busy_thread, wait_for, at_rest
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
@@ -760,7 +758,7 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     assert not widget._face.footer.cancel.enabled
     assert "Cancelled" in widget.status
     busy_thread.set()
-    QApplication.processEvents()
+    at_rest()
     assert state(viewer) == before
 
 
@@ -800,7 +798,7 @@ def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_th
     assert len(said) == 1
 
 
-def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread):
+def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread, at_rest):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.deform()
@@ -808,7 +806,7 @@ def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_
     assert widget.idle
     assert "'Tissue' was removed" in widget.status
     busy_thread.set()
-    QApplication.processEvents()
+    at_rest()
     assert not any("arrows" in name for name in names(viewer))
 
 
@@ -831,7 +829,7 @@ def test_a_layer_removed_while_napari_draws_the_progress_ends_the_work(
 
 
 def test_closing_the_viewer_while_working_is_quick_and_quiet(
-    make_napari_viewer, small_sample, busy_thread
+    make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -841,14 +839,13 @@ def test_closing_the_viewer_while_working_is_quick_and_quiet(
     after_it = compute_thread.submit(lambda: None)
     viewer.close()
     assert not after_it.done(), "nobody waited for the solve"
-    QApplication.processEvents()
+    at_rest(thread=False)
     busy_thread.set()
-    after_it.result(LONG)
-    QApplication.processEvents()
+    at_rest()
 
 
 def test_closing_the_dock_while_working_leaves_the_viewer_alone(
-    make_napari_viewer, small_sample, busy_thread
+    make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
     dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -857,15 +854,11 @@ def test_closing_the_dock_while_working_leaves_the_viewer_alone(
     widget.deform()
     viewer.window.remove_dock_widget(dock)
     del dock, widget
-    for _ in range(10):
-        QApplication.processEvents()
-        time.sleep(0.01)
+    at_rest(thread=False)
     busy_thread.set()
     viewer.add_image(np.zeros((20, 24)))  # events that nothing dead may answer
     viewer.layers["Tissue"].paint((3, 3), 2)
-    for _ in range(20):
-        QApplication.processEvents()
-        time.sleep(0.02)
+    at_rest()
     assert not any("arrows" in name for name in names(viewer))
 
 
@@ -891,7 +884,7 @@ def test_the_kinds_of_result_layers(widget, small_sample, run):
     assert kinds == [Image, Image, Labels, Vectors, Vectors]
 
 
-def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, qtbot):
+def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_rest):
     viewer = viewer_of(widget)
     small_sample(viewer)
     points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
@@ -899,5 +892,5 @@ def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, qtbo
     table = widget._face.tissue.seen
     table.selectRow(0)
     QTest.keyClick(table, Qt.Key.Key_Delete)
-    qtbot.wait(50)
+    at_rest()
     assert len(points.data) == 2
