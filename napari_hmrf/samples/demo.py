@@ -99,7 +99,7 @@ def demonstrate(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If there is no such phantom, or not of that size.
     BackendError
         If the backend asked for cannot run.
