@@ -2,6 +2,7 @@
 
 import inspect
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from napari_hmrf import (
     Multigrid,
     Picture,
     Problem,
+    Provenance,
     SeilerPrior,
     Solution,
     StiffnessCurve,
@@ -30,6 +32,8 @@ from napari_hmrf import (
     solve,
     stiffness_image,
 )
+from napari_hmrf.solver.model_names import ModelName, model_name
+from napari_hmrf.study.models import chosen
 
 #: How many arguments may go without their name.
 WHAT_A_CALL_IS_ABOUT = {
@@ -102,6 +106,46 @@ def test_whatever_has_a_choice_is_in_that_list():
             if any(each.default is not each.empty for each in given):
                 choices.add(name)
     assert choices - records - {"equivalent_strain"} <= set(WHAT_A_CALL_IS_ABOUT)
+
+
+def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says_which(tmp_path):
+    problem = napari_hmrf.phantom("mass-effect", 32).problem
+    usual, elastic, papers, converged = (
+        solve(problem, backend="cpu"),
+        solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu"),
+        solve(problem, SeilerPrior(), backend="cpu"),
+        solve(problem, SeilerPrior(), optimizer=Multigrid(), backend="cpu"),
+    )
+    np.testing.assert_array_equal(usual.displacement, elastic.displacement)
+    assert [each.provenance.model for each in (usual, papers, converged)] == [*get_args(ModelName)]
+    assert papers.iterations == 6 * 70
+    assert np.abs(papers.displacement - usual.displacement).max() > 0.1
+    for solution in (usual, papers, converged):
+        path = solution.save(tmp_path / "kept.npz")
+        assert Solution.load(path).provenance.model == solution.provenance.model
+        with np.load(path, allow_pickle=False) as file:
+            assert f'"model": "{solution.provenance.model}"' in str(file["header"])
+
+
+@pytest.mark.parametrize("name", get_args(ModelName))
+def test_a_name_chooses_the_model_that_has_it(name):
+    prior, optimizer = chosen(name)
+    parameters = {"prior": prior.parameters, "optimizer": optimizer.parameters}
+    assert model_name(parameters) == name
+    assert Provenance("cpu", "a device", parameters=parameters).model == name, "older files"
+
+
+@pytest.mark.parametrize("parameters", [{}, {"prior": 3}, {"prior": {"name": "?"}}, None, [1]])
+def test_what_is_not_told_has_no_name(parameters):
+    assert model_name(parameters) == ""
+
+
+def test_the_blanket_reading_has_a_name_of_its_own():
+    problem = napari_hmrf.phantom("bar", 32).problem
+    blanket = SeilerPrior(conditional="blanket")
+    for optimizer, name in ((ICM(3), "paper, blanket"), (Multigrid(), "paper, blanket, converged")):
+        solution = solve(problem, blanket, optimizer=optimizer, backend="cpu")
+        assert solution.provenance.model == name
 
 
 LABELS, IMAGE, FIELD = np.ones((4, 5), int), np.ones((4, 5)), np.zeros((4, 5, 2))

@@ -22,7 +22,7 @@ from napari_hmrf.solver.backends import BACKEND_NAMES, COMPILING, host, open_bac
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
-from napari_hmrf.solver.priors import Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.warm_start import Initial, beginning
@@ -63,10 +63,10 @@ def solve(
     ----------
     problem : Problem
     prior : SeilerPrior or ElasticPrior, optional
-        The energy; by default the paper's, centred.
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``.
     optimizer : ICM or Multigrid, optional
-        The schedule; by default the paper's (70 sweeps on each level) for the paper's prior, and
-        multigrid for elastic tissue.
+        The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
+        level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
         and logs once which.
@@ -221,7 +221,7 @@ def run_here(
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     begun = time.perf_counter()
-    prior = (prior or SeilerPrior()).resolved(problem)
+    prior = (prior or ElasticPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = beginning(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
