@@ -25,7 +25,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
 from napari_hmrf.field.live_warp import Warper
-from napari_hmrf.layers.ground import Ground
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
 from napari_hmrf.ui.grab.arrows import ArrowsLayer
 from napari_hmrf.ui.grab.live_layers import LiveLayers
@@ -239,7 +239,7 @@ class Window:
         """Have the clock run beside what happens."""
         wrapped = [
             (Rendering, "show", "drawing"),
-            (Ground, "problem", "problem"),
+            (Ground, "statement", "problem"),
             (Warper, "__call__", "warp"),
             (LiveLayers, "show", "image layer"),
             (ArrowsLayer, "show", "arrows layer"),

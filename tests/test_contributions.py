@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
+from study_reader import read_layers
 
 from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.errors import FileFormatError
@@ -16,9 +17,9 @@ from napari_hmrf.layers.contributions import (
     sample_mass_effect,
     save_solution,
 )
-from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM

@@ -7,8 +7,8 @@ import pytest
 from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
+from study_reader import read_ground
 
-from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -161,7 +161,9 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     settle(widget)
     assert np.array_equal(told[-1], seen[-1].picture)
     assert thumbnails
-    assert np.array_equal(by_name(person.viewer, "MR").data, widget._puller.ground.pictures.image)
+    assert np.array_equal(
+        by_name(person.viewer, "MR").data, widget._puller.ground.study.pictures.image
+    )
 
 
 def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):

@@ -9,10 +9,11 @@ from napari.layers import Image, Labels, Points, Shapes
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from study_reader import read_layers
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
-from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.landmarks import LandmarkLayers
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.point_steps import PointSteps

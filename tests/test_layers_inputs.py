@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
+from study_reader import read_layers
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.inputs import Request, copy_layers, prepare, read_layers
+from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -87,18 +89,33 @@ def test_nothing_that_is_painted_later_changes_what_was_read():
 
 
 def test_reading_again_tells_whether_anything_that_matters_changed():
-    wanted = request()
-    first = copy_layers(wanted)
-    assert first.same_as(copy_layers(wanted))
+    wanted, copies = request(), LayerCopies()
+    first = read_study(wanted, copies=copies)
+    assert first.same_as(read_study(wanted, copies=copies))
     wanted.tissue.data[5, 5] = 2
-    assert not first.same_as(copy_layers(wanted))
+    wanted.tissue.refresh()
+    second = read_study(wanted, copies=copies)
+    assert not first.same_as(second)
+    assert second.motion.labels is first.motion.labels, "what did not change is not copied again"
+    wanted.boundary.data[6, 6] = 2
+    copies.forget()
+    assert not second.same_as(read_study(wanted, copies=copies)), "nobody told of this one"
+
+
+def test_arrows_that_did_not_change_are_the_same_observation():
+    arrows = Vectors(np.array([[[5.0, 5.0], [1.0, 0.0]]]), name="Arrows")
+    wanted, copies = request(boundary=arrows), LayerCopies()
+    first = read_study(wanted, copies=copies)
+    assert first.same_as(read_study(wanted, copies=copies))
+    arrows.data = arrows.data * 2
+    assert not first.same_as(read_study(wanted, copies=copies))
 
 
 def test_a_label_without_a_row_can_be_given_one_and_it_is_said():
     wanted = request()
     wanted.tissue.data[5, 5] = 9
     wanted.boundary.data[6, 6] = 7
-    inputs = prepare(copy_layers(wanted), complete=True)
+    inputs = read_layers(wanted)
     assert inputs.problem.stiffness[5, 5] == 20
     np.testing.assert_array_equal(inputs.problem.confidence[6, 6], [1, 1])
     assert inputs.notes == (
@@ -284,14 +301,6 @@ def test_an_extreme_stiffness_ratio_is_refused():
     assert "million times" in str(refusal(request(tissue=Image(m, name="stiffness"))))
 
 
-def test_tissue_labels_without_a_stiffness_are_listed():
-    tissue = tissue_labels()
-    tissue[3, 3], tissue[4, 4] = 9, 12
-    error = refusal(request(tissue=Labels(tissue, name="Tissue")))
-    assert error.field == "Tissue"
-    assert "labels 9, 12 without a stiffness" in error.message
-
-
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
@@ -302,8 +311,6 @@ def test_no_boundary_at_all_is_refused_by_layer():
 
 def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
     void = request()
-    error = refusal(Request(void.tissue, void.boundary, void.image, (), ()))
-    assert "without a stiffness" in str(error)
     airy = tuple(Material(label, "air", 0.0) for label in range(3))
     error = refusal(Request(void.tissue, void.boundary, void.image, airy, RULES))
     assert str(error).startswith("There is no tissue in 'Tissue'")

@@ -7,10 +7,11 @@ from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
+from screen import Cell
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui import live_mode
 
@@ -32,10 +33,9 @@ def by_name(widget, name):
 
 def cold(widget):
     """What a script finds for the same layers."""
-    prior, optimizer, _ = widget.solver
-    inputs = read_layers(widget.request(), prior, optimizer)
-    near = Multigrid(1e-4) if isinstance(optimizer, Multigrid) else optimizer
-    return solve(inputs.problem, inputs.prior, optimizer=near, backend="cpu")
+    stated = statement_of(widget.read(widget.request()))
+    near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
+    return solve(stated.problem, stated.prior, optimizer=near, backend="cpu")
 
 
 def assert_newest(widget):
@@ -44,7 +44,7 @@ def assert_newest(widget):
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
         known = known_of(layer)
-        here = known.get("slice") == widget._latest.done.snapshot.frame.slice_name
+        here = known.get("slice") == widget._latest.done.study.grid.place.slice_name
         if known.get("kind") == "arrows" and here:
             assert known["solution"].displacement is found.displacement
             assert not known["inputs_changed"]
@@ -434,7 +434,7 @@ def stroke(viewer, places, between=lambda: None):
 def test_tissue_follows_while_the_brush_is_down(at_work, settle, qtbot):
     viewer, dock = at_work
     boundary = viewer.layers["Boundary"]
-    dock._face.boundary.table.cellClicked.emit(0, 1)
+    Cell(dock._face.boundary.seen, 0).click()
     assert viewer.layers.selection.active is boundary
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
@@ -467,11 +467,11 @@ def test_tables_are_undone_and_followed(living, settle):
     footer = widget.footer
     assert not footer.steps.undo.enabled
     rules, materials = widget.rules, widget.materials
-    widget._face.boundary.table.item(1, 4).setText("5")
+    Cell(widget._face.boundary.seen, 1, 4).write("5")
     assert footer.steps.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
-    widget._face.tissue.table.item(1, 2).setText("33")
+    Cell(widget._face.tissue.seen, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.steps.undo.native.click()
@@ -504,9 +504,9 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
 
 def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
     widget, (_, _, boundary) = living
-    table = widget._face.boundary.table
+    table = widget._face.boundary.seen
     before = widget.rules
-    table.item(1, 4).setText("5")
+    Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
     assert widget.rules == before
     QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
@@ -518,7 +518,7 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
-    widget._face.tissue.table.item(1, 2).setText("33")
+    Cell(widget._face.tissue.seen, 1, 2).write("33")
     widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
+from study_reader import read_layers
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import BOUNDARY, described
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.stiffness_layers import (
     StiffnessStack,

@@ -3,6 +3,7 @@
 import pytest
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
+from screen import Cell
 
 from napari_hmrf.tissue.drawing import Arrow
 
@@ -20,18 +21,13 @@ def seated(make_napari_viewer, small_sample, qtbot):
     return Person(viewer, qtbot), dock
 
 
-def pick(table, row):
-    """Click a row, as one does before typing in it; its layer is then the active one."""
-    table.cellClicked.emit(row, 1)
-
-
 def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated):
     person, dock = seated
     tissue, materials = dock.tissue, dock.materials
-    table = dock._face.tissue.table
-    pick(table, 1)
+    table = dock._face.tissue.seen
+    Cell(table, 1).click()
     assert person.viewer.layers.selection.active is tissue
-    table.item(1, 2).setText("33")
+    Cell(table, 1, 2).write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert dock.status == "Took back: changed the stiffness of label 1 in 'Tissue'."
@@ -45,17 +41,17 @@ def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated)
 def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
     person, dock = seated
     tissue, materials = dock.tissue, dock.materials
-    table = dock._face.tissue.table
+    table = dock._face.tissue.seen
     clean = tissue.data.copy()
-    pick(table, 1)
+    Cell(table, 1).click()
     person.paint((1, 1), (1, 4), (1, 8))
     painted = tissue.data.copy()
     assert (painted != clean).any()
-    table.item(1, 2).setText("33")
+    Cell(table, 1, 2).write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert (tissue.data == painted).all(), "the number came later"
-    table.item(1, 2).setText("44")
+    Cell(table, 1, 2).write("44")
     person.paint((18, 1), (18, 4), (18, 8))
     person.key(Z, CTRL)
     assert (tissue.data == painted).all()
@@ -67,7 +63,7 @@ def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
 def test_a_closed_dock_leaves_the_keys_to_napari(seated):
     person, dock = seated
     tissue = dock.tissue
-    pick(dock._face.tissue.table, 1)
+    Cell(dock._face.tissue.seen, 1).click()
     assert tissue.keymap
     person.viewer.layers.selection.active = dock.boundary
     assert not tissue.keymap

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels
+from study_reader import read_layers
 
-from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -172,7 +172,8 @@ def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
     busy_thread.set()
     wait_for(lambda: bool(said))
     assert said[0] is not None
-    assert "Changed since the last result" in widget.status
+    widget.boundary.events.data()
+    wait_for(lambda: "Changed since the last result" in widget.status)
 
 
 def test_whatever_goes_wrong_in_looking_again_means_changed(

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.arrow_thinning import apart, one_per_cell
-from napari_hmrf.layers.layer_names import naming
 from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import naming
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 
 FloatArray = npt.NDArray[np.float32]

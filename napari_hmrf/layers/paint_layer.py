@@ -16,12 +16,12 @@ import numpy.typing as npt
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.palette import Palette
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
+from napari_hmrf.tissue.palette import Palette
 
 FloatArray = npt.NDArray[np.float32]
 

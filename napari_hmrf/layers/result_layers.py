@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -28,6 +28,7 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.models import in_words, short_name
+from napari_hmrf.study.study import Pictures
 
 Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
 #: The layers there can be, in the order they are stacked, lowest first.
@@ -50,31 +51,6 @@ class LayerData(NamedTuple):
     data: Any
     attributes: dict[str, Any]
     kind: str
-
-
-@dataclass(frozen=True, eq=False)
-class Pictures:
-    """What may be deformed along with the field.
-
-    Attributes
-    ----------
-    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
-    labels : ndarray of int, shape (H, W), optional
-    name, labels_name : str
-        Of the layers they came from; results are named after them.
-    level : int, optional
-        Of a multiscale layer, where there was one: 0, the finest.
-    look, labels_look : dict
-        How they are drawn: colormap and the like, as a new layer takes it.
-    """
-
-    image: npt.NDArray[Any] | None = None
-    labels: npt.NDArray[Any] | None = None
-    name: str = ""
-    labels_name: str = ""
-    level: int | None = None
-    look: dict[str, Any] = field(default_factory=dict)
-    labels_look: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,13 +67,7 @@ class Problem:
         *,
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
-        m = _as_float32("stiffness", stiffness)
-        if m.ndim != 2:
-            hint = "3-D grids are not supported yet: solve slice by slice" if m.ndim == 3 else ""
-            raise ProblemError(
-                "stiffness",
-                f"has shape {m.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip(),
-            )
+        m = _as_image(stiffness)
         pixel = _checked_spacing(spacing, m.ndim)
         _check_grid(m)
         c = _as_float32("confidence", confidence)
@@ -190,6 +184,33 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
             field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
         )
     return array
+
+
+def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
+    """Copy a stiffness image to float32, as a `Problem` has it.
+
+    Raises
+    ------
+    ProblemError
+        As of a `Problem`, but for an image in which there is no tissue.
+    """
+    m = _as_image(stiffness)
+    _check_grid(m)
+    _check_stiffness_unit(stiffness, m)
+    if m.any():
+        _check_stiffness(m)
+    return m
+
+
+def _as_image(stiffness: npt.ArrayLike) -> FloatArray:
+    image = _as_float32("stiffness", stiffness)
+    if image.ndim != 2:
+        hint = "3-D grids are not supported yet: solve slice by slice" if image.ndim == 3 else ""
+        raise ProblemError(
+            "stiffness",
+            f"has shape {image.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip(),
+        )
+    return image
 
 
 def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:

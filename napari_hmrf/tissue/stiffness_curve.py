@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -177,13 +177,7 @@ class StiffnessCurve:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types, for a layer's metadata."""
-        return {
-            "points": [list(point) for point in self.points],
-            "void_below": self.void_below,
-            "between": self.between,
-            "logarithmic": self.logarithmic,
-            "unit": self.unit,
-        }
+        return {**asdict(self), "points": [list(point) for point in self.points]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> StiffnessCurve:
@@ -194,7 +188,7 @@ class StiffnessCurve:
         ProblemError
             If it is not what `as_dict` made.
         """
-        known = ("points", "void_below", "between", "logarithmic", "unit")
+        known = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
             raise _bad(f"is not stored as a curve. Give a mapping of {', '.join(known)}")
         return cls(**dict(values))

@@ -6,6 +6,7 @@ from typing import Any
 
 from magicgui.widgets import Container
 
+from napari_hmrf.layers.compat import unwrapped
 from napari_hmrf.ui.brush_circle import clear_middle
 from napari_hmrf.ui.dock_life import Life
 from napari_hmrf.ui.tabs import Tabs
@@ -21,8 +22,7 @@ class Dock(Container):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(labels=False)
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
+        self._viewer = unwrapped(napari_viewer)
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         Tabs(self, self._viewer, self._on_front)
         clear_middle(self._viewer)

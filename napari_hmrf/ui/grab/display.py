@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.layers.arrow_layer import Lines
-from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.image_choice import image_covering_at
 from napari_hmrf.layers.paint_layer import outline_of
 from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
@@ -75,7 +75,7 @@ class Display:
         with self.own_doing():
             self.painted.forget()
             if ground is not None:
-                self.arrows.place(ground.frame, ground.shape)
+                self.arrows.place(ground.study.grid.place, ground.shape)
 
     @property
     def covering(self) -> Any:

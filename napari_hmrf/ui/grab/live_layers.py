@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from napari.layers import Layer
 
-from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.ui.grab.pixel_update import overwrite
 from napari_hmrf.ui.grab.tissue_view import Seen
 from napari_hmrf.ui.result_turns import sign, take_turn
@@ -72,9 +72,9 @@ class LiveLayers:
         if seen.outputs is not None:
             made = sign(seen.outputs.layers["arrows"], "grab")
             made.attributes["name"] = ARROWS
-            made.attributes["metadata"][METADATA]["source"] = seen.ground.pictures.name
+            made.attributes["metadata"][METADATA]["source"] = seen.ground.study.pictures.name
             layer = self.arrows
-            if layer is None or layer.ndim != seen.ground.frame.ndim:
+            if layer is None or layer.ndim != seen.ground.study.grid.place.ndim:
                 self._arrows = self._add(made, len(self._viewer.layers), visible=False)
             else:
                 update_layer(layer, made)
@@ -85,7 +85,9 @@ class LiveLayers:
 
     def take_turn(self, ground: Ground) -> None:
         """Have these layers seen, and no other result of the slice."""
-        take_turn(self._viewer, "grab", ground.pictures.name, ground.frame.slice_name)
+        take_turn(
+            self._viewer, "grab", ground.study.pictures.name, ground.study.grid.place.slice_name
+        )
 
     def outdate(self) -> None:
         """The displacement is not that of what is seen: hide it until it is."""
@@ -94,11 +96,11 @@ class LiveLayers:
             layer.visible, self._hidden = False, True
 
     def _show_picture(self, seen: Seen, image: Any, quick: bool) -> None:
-        frame, layer = seen.ground.frame, self.picture
+        frame, layer = seen.ground.study.grid.place, self.picture
         data = frame.put_image(seen.picture)
         rgb = seen.picture.ndim == 3
         if layer is not None and (layer.ndim, layer.rgb) == (frame.ndim, rgb):
-            same = known_of(layer).get("source") == seen.ground.pictures.name
+            same = known_of(layer).get("source") == seen.ground.study.pictures.name
             if same and frame == self._frame:
                 # Whoever takes the layer's data is told of others, and may write to them.
                 if quick and layer.data is self._own and overwrite(self._viewer, layer, data):
@@ -107,7 +109,7 @@ class LiveLayers:
             else:
                 update_layer(layer, LayerData(data, self._attributes(seen.ground, rgb), "image"))
                 if self._of() is not image:  # nobody has chosen yet how that one is drawn
-                    for name, value in seen.ground.pictures.look.items():
+                    for name, value in seen.ground.study.pictures.look.items():
                         setattr(layer, name, value)
         else:
             made = LayerData(data, self._attributes(seen.ground, rgb), "image")
@@ -117,11 +119,11 @@ class LiveLayers:
         self._frame, self._of = frame, weakref.ref(image)
 
     def _attributes(self, ground: Ground, rgb: bool) -> dict[str, Any]:
-        facts = {"kind": "image", "by": "grab", "source": ground.pictures.name}
-        place = {"slice": ground.frame.slice_name, "unit": ground.frame.unit}
+        facts = {"kind": "image", "by": "grab", "source": ground.study.pictures.name}
+        place = {"slice": ground.study.grid.place.slice_name, "unit": ground.study.grid.place.unit}
         return {
-            **ground.pictures.look,
-            **ground.frame.placement(image=True),
+            **ground.study.pictures.look,
+            **ground.study.grid.place.placement(image=True),
             "rgb": rgb,
             "name": PICTURE,
             "metadata": {METADATA: {**facts, **place}},

@@ -118,13 +118,13 @@ class Scene:
         self.cursor.watch(None, None, None, self._fraction)
         self.words = ""
         if result is None:
-            face.image.refresh()
+            face.image.reset_choices()
             self.player.motion = None
             face.how_far.say("")
             face.energy.show_solution(None)
             return
         with face.image.changed.blocked():
-            face.image.refresh()
+            face.image.reset_choices()
             if face.image.value is None or face.image.value.name != result.source:
                 face.image.value = source_of(self._viewer.layers, result)
         with face.colours.changed.blocked():

@@ -95,7 +95,11 @@ def _held_exactly(problem: Problem) -> tuple[str, ...]:
     if not count:
         return ()
     what = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
-    return (f"{what} held exactly, though of a confidence below 1, as elastic tissue is",)
+    note = (
+        f"{what} held exactly, though of a confidence below 1, as beside rigid tissue nothing may "
+        "slip"
+    )
+    return (note,)
 
 
 def _thin_boundary(problem: Problem) -> tuple[str, ...]:
