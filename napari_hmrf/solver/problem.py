@@ -205,7 +205,11 @@ def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
 def _as_image(stiffness: npt.ArrayLike) -> FloatArray:
     image = _as_float32("stiffness", stiffness)
     if image.ndim != 2:
-        hint = "3-D grids are not supported yet: solve slice by slice" if image.ndim == 3 else ""
+        hint = ""
+        if image.ndim == 3:
+            swapped = image.shape[-1] == 2  # one value for each component
+            order = "Give observed, confidence and stiffness in this order."
+            hint = order if swapped else "3-D grids are not supported yet: solve slice by slice"
         raise ProblemError(
             "stiffness",
             f"has shape {image.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip(),
