@@ -206,7 +206,7 @@ def available(names: Sequence[str]) -> dict[str, str]:
     found = {}
     for name in names:
         try:
-            run = solve(phantom("bar", 16).problem, backend=name).provenance
+            run = solve(phantom("bar", 16).problem, SeilerPrior(), backend=name).provenance
         except BackendError as error:
             print(f"  ({name} is not available: {error})", file=sys.stderr)
             continue
@@ -218,9 +218,10 @@ def available(names: Sequence[str]) -> dict[str, str]:
 def median_seconds(example: Phantom, backend: str, repeats: int) -> float:
     """Median wall time of a solve in a warm process: the first few are up to half as slow again."""
     for _ in range(WARM_UP):
-        solve(example.problem, backend=backend)
+        solve(example.problem, SeilerPrior(), backend=backend)
     return statistics.median(
-        solve(example.problem, backend=backend).provenance.seconds for _ in range(repeats)
+        solve(example.problem, SeilerPrior(), backend=backend).provenance.seconds
+        for _ in range(repeats)
     )
 
 

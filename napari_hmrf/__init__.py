@@ -11,6 +11,7 @@ Importing this package imports neither napari nor Qt, OpenGL or numba, nor any p
 """
 
 from napari_hmrf.errors import (
+    ArgumentError,
     BackendError,
     Cancelled,
     ConvergenceError,
@@ -66,6 +67,7 @@ __all__ = [
     "ICM",
     "PHANTOM_NAMES",
     "RIGID",
+    "ArgumentError",
     "BackendError",
     "BoundaryRule",
     "Cancelled",

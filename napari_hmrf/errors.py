@@ -29,6 +29,10 @@ class ProblemError(HmrfError, ValueError):
         super().__init__(f"{field}: {message}")
 
 
+class ArgumentError(HmrfError, ValueError, TypeError):
+    """An argument is of a kind, or has a value, that it cannot have."""
+
+
 class BackendError(HmrfError, RuntimeError):
     """A backend is missing, cannot start, or gave a result that must not be trusted."""
 

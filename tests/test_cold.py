@@ -154,8 +154,15 @@ class Waiting:
     def __init__(self, prior, optimizer, backend="cpu"):
         self.reports = queue.SimpleQueue()
         self.cancel = threading.Event()
-        asked = PROBLEM, prior, optimizer, backend, self.reports.put, self.cancel
-        self.answer = ThreadPoolExecutor(1).submit(solve, *asked)
+        self.answer = ThreadPoolExecutor(1).submit(
+            solve,
+            PROBLEM,
+            prior,
+            optimizer=optimizer,
+            backend=backend,
+            progress=self.reports.put,
+            cancel=self.cancel,
+        )
 
     def is_told(self, beginning):
         while not (report := self.reports.get(timeout=LONG)).message.startswith(beginning):

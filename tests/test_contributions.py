@@ -8,7 +8,7 @@ from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
 from study_reader import read_layers
 
-from napari_hmrf import Problem, solve
+from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.layers.contributions import (
     open_solution,
@@ -31,7 +31,7 @@ def solution():
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
     problem = Problem(y, c, np.ones((8, 9)), spacing=(1.0, 0.5))
-    return solve(problem, optimizer=ICM(20), backend="cpu")
+    return solve(problem, SeilerPrior(), optimizer=ICM(20), backend="cpu")
 
 
 @pytest.fixture

@@ -86,14 +86,16 @@ def test_the_loops_do_what_the_literal_program_does():
     # Rounding decides between candidates of equal energy, so single sites part by a small step.
     problem = frame_problem((48, 37))
     literal = solve_literally(problem, optimizer=ICM(iterations=30))
-    ours = solve(problem, optimizer=ICM(iterations=30), backend="cpu").displacement
+    ours = solve(problem, SeilerPrior(), optimizer=ICM(iterations=30), backend="cpu").displacement
     assert np.sqrt(np.mean((literal - ours) ** 2)) < 0.01
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_converged_field_is_the_fixed_point(seed):
     problem = frame_problem((64, 64), seed=seed)
-    solution = solve(problem, optimizer=ICM(iterations=20000, steps=None), backend="cpu")
+    solution = solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=20000, steps=None), backend="cpu"
+    )
     off = np.abs(solution.displacement - centred_fixed_point(problem))
     assert off.max() < 0.01
 
@@ -107,7 +109,9 @@ def test_the_converged_field_honours_void():
     ring = (r >= 24) & (r < 27)
     y = np.stack([(i - 32) / 10, (j - 30) / 15], axis=-1) * ring[..., None]
     problem = Problem(y, np.repeat(ring[..., None], 2, -1), m)
-    solution = solve(problem, optimizer=ICM(iterations=20000, steps=None), backend="cpu")
+    solution = solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=20000, steps=None), backend="cpu"
+    )
     assert (solution.displacement[~problem.tissue] == 0).all()
     inside = problem.tissue
     off = np.abs(solution.displacement - centred_fixed_point(problem))[inside]
@@ -117,7 +121,7 @@ def test_the_converged_field_honours_void():
 @pytest.mark.parametrize(("ratio", "expected"), [(2.0, 2.04), (5.0, 5.7)])
 @pytest.mark.parametrize("length", [32, 128])
 def test_a_bar_strains_where_it_is_soft_whatever_the_number_of_pixels(ratio, expected, length):
-    solution = solve(bar(length, ratio), optimizer=CONVERGED, backend="cpu")
+    solution = solve(bar(length, ratio), SeilerPrior(), optimizer=CONVERGED, backend="cpu")
     along = solution.displacement[2, :, 1]
     strain = np.diff(along)
     stiff = strain[length // 8 : length // 4].mean()
@@ -132,21 +136,23 @@ def test_uniform_tissue_follows_its_border_linearly():
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     for spacing in [(1, 1), (0.5, 1.5)]:
         problem = Problem(affine, c, np.ones((40, 33)), spacing=spacing)
-        found = solve(problem, optimizer=CONVERGED, backend="cpu").displacement
+        found = solve(problem, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement
         assert np.abs(found - affine).max() < 2e-3
 
 
 def test_nothing_moves_when_the_boundary_is_fixed():
     problem = frame_problem((30, 30), amplitude=0)
     for optimizer in (ICM(), ICM(steps=None)):
-        assert (solve(problem, optimizer=optimizer, backend="cpu").displacement == 0).all()
+        assert (
+            solve(problem, SeilerPrior(), optimizer=optimizer, backend="cpu").displacement == 0
+        ).all()
 
 
 def test_only_ratios_of_stiffness_matter():
     problem = frame_problem((33, 20))
     scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1024)
-    first = solve(problem, optimizer=ICM(steps=None), backend="cpu").displacement
-    second = solve(scaled, optimizer=ICM(steps=None), backend="cpu").displacement
+    first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
+    second = solve(scaled, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
     np.testing.assert_allclose(first, second, atol=1e-5)
 
 
@@ -155,8 +161,8 @@ def test_the_unit_of_length_does_not_matter():
     inches = Problem(
         problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
     )
-    first = solve(problem, optimizer=ICM(steps=None), backend="cpu")
-    second = solve(inches, optimizer=ICM(steps=None), backend="cpu")
+    first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu")
+    second = solve(inches, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu")
     np.testing.assert_allclose(first.displacement, second.displacement * 25.4, atol=1e-4)
     np.testing.assert_allclose(first.energy, second.energy, rtol=1e-3)
 
@@ -168,8 +174,10 @@ def test_flipped_tissue_moves_the_flipped_way(shape):
     sides = Problem(
         problem.observed[:, ::-1] * (1, -1), problem.confidence[:, ::-1], problem.stiffness[:, ::-1]
     )
-    first = solve(problem, optimizer=CONVERGED, backend="cpu").displacement
-    second = solve(sides, optimizer=CONVERGED, backend="cpu").displacement[:, ::-1] * (1, -1)
+    first = solve(problem, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement
+    second = solve(sides, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement[
+        :, ::-1
+    ] * (1, -1)
     np.testing.assert_allclose(first, second, atol=0.01)
 
 
@@ -201,7 +209,7 @@ def test_the_recorded_energy_is_that_of_the_field():
 
 def test_the_history_has_every_iteration_coarse_to_fine():
     problem = frame_problem((50, 41))
-    solution = solve(problem, optimizer=ICM(iterations=13), backend="cpu")
+    solution = solve(problem, SeilerPrior(), optimizer=ICM(iterations=13), backend="cpu")
     assert [run.shape for run in solution.levels] == [
         level.shape for level in reversed(levels((50, 41)))
     ]
@@ -212,9 +220,12 @@ def test_the_history_has_every_iteration_coarse_to_fine():
 
 def test_a_tolerance_leaves_each_level_when_its_energy_has_settled():
     problem = frame_problem((64, 64))
-    fixed = solve(problem, optimizer=ICM(iterations=500, steps=None), backend="cpu")
+    fixed = solve(problem, SeilerPrior(), optimizer=ICM(iterations=500, steps=None), backend="cpu")
     loose = solve(
-        problem, optimizer=ICM(iterations=500, steps=None, energy_change=1e-3), backend="cpu"
+        problem,
+        SeilerPrior(),
+        optimizer=ICM(iterations=500, steps=None, energy_change=1e-3),
+        backend="cpu",
     )
     assert loose.iterations < fixed.iterations / 2
     assert all(run.iterations <= 500 for run in loose.levels)
@@ -248,7 +259,7 @@ def test_a_thin_plate_goes_where_it_is_pushed_however_stiff_it_is(ratio, optimiz
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[20:44, 32] = 1
     y[20:44, 32, 1] = 8
-    found = solve(Problem(y, c, m), optimizer=optimizer, backend="cpu").displacement
+    found = solve(Problem(y, c, m), SeilerPrior(), optimizer=optimizer, backend="cpu").displacement
     np.testing.assert_allclose(found[20:44, 32, 1], 8, atol=0.002)
 
 
@@ -272,7 +283,9 @@ def test_tissue_never_moves_further_than_something_pushes_it(height, width, seed
     m[0, 0], c[0, 0] = 1, 1
     y = rng.normal(size=(height, width, 2))
     problem = Problem(y, c, m)
-    found = solve(problem, optimizer=ICM(iterations=20, steps=None), backend="cpu").displacement
+    found = solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=20, steps=None), backend="cpu"
+    ).displacement
     held = np.where((c > 0) & (m > 0)[..., None], problem.observed, 0)
     for k in (0, 1):
         assert found[..., k].max() <= max(0, held[..., k].max()) + 1e-4

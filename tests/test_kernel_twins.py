@@ -269,9 +269,9 @@ def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
     disc = np.hypot(rows - 35, cols - 25) < 20
     full = Problem(np.ones((70, 50, 2)), np.ones((70, 50, 2)) * disc[..., None], np.ones((70, 50)))
     body = Problem(full.observed, full.confidence, np.where(disc, 2.0, 0))
-    expected = solve(body, backend="cpu")
+    expected = solve(body, SeilerPrior(), backend="cpu")
     for problem in (full, body, full, body):
-        found = solve(problem, backend=f"opengl:{stage}")
+        found = solve(problem, SeilerPrior(), backend=f"opengl:{stage}")
     assert (found.displacement[~disc] == 0).all()
     np.testing.assert_allclose(found.energy, expected.energy, rtol=0.02, atol=1e-3)
 

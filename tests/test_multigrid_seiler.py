@@ -158,7 +158,7 @@ def test_what_is_observed_gives_way_where_it_is_pulled_harder_than_its_confidenc
 def test_the_number_of_cycles_hardly_depends_on_the_size():
     for name in ("mass-effect", "expansion", "bar"):
         cycles = [
-            solve(phantom(name, size).problem, optimizer=Multigrid(0.01)).iterations
+            solve(phantom(name, size).problem, SeilerPrior(), optimizer=Multigrid(0.01)).iterations
             for size in (100, 200, 400)
         ]
         assert max(cycles) <= 11
@@ -171,14 +171,14 @@ def test_a_tumour_that_swims_in_soft_tissue_is_found(ratio, name):
     problem = phantom(name, 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
     problem = Problem(problem.observed, problem.confidence, m)
-    found = solve(problem, optimizer=Multigrid(1e-3))
+    found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-3))
     expected = solve_exactly(problem, "centred")
     assert np.abs(found.displacement - expected)[problem.tissue].max() < 1e-3
 
 
 def test_nothing_moves_further_than_something_pushes_it():
     problem = random_problem(ratio=1e3, seed=2)
-    found = solve(problem, optimizer=Multigrid(1e-4)).displacement
+    found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4)).displacement
     for component in (0, 1):
         pushed = problem.observed[..., component][
             (problem.confidence[..., component] > 0) & problem.tissue
@@ -194,7 +194,9 @@ def test_a_bars_halves_strain_as_their_stiffness_says_at_any_length():
         y, c = np.zeros((3, length, 2)), np.zeros((3, length, 2))
         c[:, [0, -1]] = 1
         y[:, -1, 1] = 10
-        along = solve(Problem(y, c, m), optimizer=Multigrid(1e-4)).displacement[1, :, 1]
+        along = solve(Problem(y, c, m), SeilerPrior(), optimizer=Multigrid(1e-4)).displacement[
+            1, :, 1
+        ]
         middle = length // 2
         ratio = (along[-1] - along[middle]) / (along[middle - 1] - along[0])
         assert ratio == pytest.approx(5.71, abs=0.03)
@@ -236,9 +238,9 @@ def test_a_start_from_elsewhere_moves_nothing_that_nothing_moves():
     c[4:8, 4:8] = 1
     y[4:8, 4:8, 0] = 2
     problem = Problem(y, c, np.ones((12, 12)))
-    start = solve(problem, optimizer=ICM())
+    start = solve(problem, SeilerPrior(), optimizer=ICM())
     assert np.abs(start.displacement[0, :, 0]).max() > 0.1
-    found = solve(problem, optimizer=Multigrid(1e-4), initial=start).displacement
+    found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4), initial=start).displacement
     np.testing.assert_allclose(found, solve_exactly(problem, "centred"), atol=1e-4)
 
 
@@ -257,14 +259,16 @@ def test_a_piece_that_nothing_holds_is_named():
     # Centred, a border that is the middle of no clique holds it.
     y = np.zeros_like(c)
     y[3:17, 2:4] = 1
-    found = solve(Problem(y, np.where(y > 0, 1, 0), m), optimizer=Multigrid()).displacement
+    found = solve(
+        Problem(y, np.where(y > 0, 1, 0), m), SeilerPrior(), optimizer=Multigrid()
+    ).displacement
     assert np.abs(found[5:15, 18:27]).max() < 1e-3
 
 
 def test_what_cannot_converge_is_an_error_and_not_a_field():
     problem = phantom("mass-effect", 48).problem
     with pytest.raises(ConvergenceError, match=r"not sure to be within 1e-06 px"):
-        solve(problem, optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
+        solve(problem, SeilerPrior(), optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
     with pytest.raises(ConvergenceError, match=r"px from converged after 2 cycles"):
         solve(problem, ElasticPrior(), optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
 
@@ -277,6 +281,6 @@ def test_it_can_be_cancelled_on_the_way(reading):
 
 
 def test_the_papers_schedule_stays_the_default():
-    levels = solve(phantom("bar", 48).problem).levels
+    levels = solve(phantom("bar", 48).problem, SeilerPrior()).levels
     assert len(levels) == 7
     assert {level.iterations for level in levels} == {70}

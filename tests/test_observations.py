@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse.linalg as spl
 from elastic_oracle import direct_solution, stiffness_matrix
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, phantom, solve
 
 
 def reference(problem, prior):
@@ -183,7 +183,7 @@ def test_a_start_of_another_grid_is_refused():
     with pytest.raises(ValueError, match="initial is of a grid"):
         solve(large, ElasticPrior(), initial=solve(small, ElasticPrior()))
     with pytest.raises(ValueError, match="initial is for Multigrid"):
-        solve(small, initial=solve(small))
+        solve(small, SeilerPrior(), initial=solve(small, SeilerPrior()))
 
 
 def test_poissons_ratio_may_differ_from_site_to_site():
@@ -222,4 +222,4 @@ def test_a_solution_says_how_close_it_is(tmp_path):
     assert np.all(np.diff(solution.energy) <= 0)
     loaded = type(solution).load(solution.save(tmp_path / "a.npz"))
     assert loaded.convergence == solution.convergence
-    assert solve(problem).convergence is None
+    assert solve(problem, SeilerPrior()).convergence is None

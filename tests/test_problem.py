@@ -145,6 +145,12 @@ def test_a_volume_is_told_to_come_slice_by_slice():
         Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), np.ones((3, 4, 5)))
 
 
+def test_images_in_another_order_are_told_the_right_one():
+    y, c, m = good()
+    with pytest.raises(ProblemError, match="Give observed, confidence and stiffness in this order"):
+        Problem(m, c, y)
+
+
 @pytest.mark.parametrize(
     "spacing",
     [

@@ -32,7 +32,7 @@ ROOMS = (
     {"study"},
     {"tissue", "field"},
     {"solver"},
-    LEAVES := {"array_file", "atomic_write", "errors", "resources"},
+    LEAVES := {"arguments", "array_file", "atomic_write", "errors", "resources"},
 )
 #: What people and other processes start.
 ENTRIES = {"__init__", "__main__", "cli", "compiling"}

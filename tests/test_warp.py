@@ -349,7 +349,7 @@ def test_the_brain_grows_outward_in_its_picture():
         ({"image": np.zeros((6, 6), complex)}, "image: has values of type complex128"),
         ({"image": [[1], [1, 2]]}, "image: is not an array of numbers"),
         ({"displacement": np.zeros((6, 6))}, "displacement: has shape"),
-        ({"displacement": None}, "displacement: has values of type object"),
+        ({"displacement": None}, "displacement: is None, of type NoneType"),
         ({"displacement": np.zeros((6, 6, 3))}, "displacement: has shape"),
         ({"displacement": np.full((6, 6, 2), np.nan)}, r"displacement: is NaN .* at \(0, 0\)"),
         ({"spacing": (1.0,)}, "spacing"),

@@ -703,7 +703,7 @@ def test_one_sweep_is_told_as_one():
 
     y = np.zeros((8, 8, 2))
     problem = Problem(y, np.ones_like(y), np.ones((8, 8)))
-    solution = solve(problem, optimizer=ICM(1))
+    solution = solve(problem, SeilerPrior(), optimizer=ICM(1))
     coarse, *_ = solution.levels
     solution = replace(solution, levels=(coarse,), energy=solution.energy[:1])
     done = SimpleNamespace(outputs=SimpleNamespace(solution=solution, folds=0))

@@ -12,7 +12,7 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
 
-from napari_hmrf import Problem, solve
+from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.strain import green_lagrange_strain
 from napari_hmrf.field.warp import warp
@@ -512,7 +512,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
     path = str(
-        solve(Problem(y, c, np.ones((8, 9))), optimizer=ICM(20), backend="cpu").save(
+        solve(Problem(y, c, np.ones((8, 9))), SeilerPrior(), optimizer=ICM(20), backend="cpu").save(
             tmp_path / "kept.npz"
         )
     )

@@ -351,6 +351,7 @@ def test_results_say_which_model_made_them(widget, small_sample, run):
     known = viewer_of(widget).layers["MR arrows, elastic"].metadata[METADATA]
     assert known["model"] == "elastic (Poisson's ratio 0.45, plane stress), converged"
     assert known["provenance"]["parameters"]["prior"]["name"] == "ElasticPrior"
+    assert known["provenance"]["model"] == "elastic"
     widget.model.energy.value = "paper"
     widget.model.schedule.value = "converged"
     run(widget)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
-from napari_hmrf.field.resample import as_image, check_order, checked_fill, filled_in, resample
+from napari_hmrf.field.resample import as_image, checked_fill, checked_order, filled_in, resample
 from napari_hmrf.field.warp import checked_sizes, moved_sites, only_read
 from napari_hmrf.solver.backends import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -176,8 +176,8 @@ class _Look:
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
         self._image = image = np.ascontiguousarray(as_image(picture.image, grid))
-        check_order(picture.order)
-        self._order = 0 if image.dtype.kind == "b" else picture.order
+        order = checked_order(picture.order)
+        self._order = 0 if image.dtype.kind == "b" else order
         self._fill = checked_fill(picture.fill, image.dtype)
         loops = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
         self._kind = loops.get(image.dtype.name, "")

@@ -222,13 +222,14 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     """
     tensor = _as_strain(strain)
     across = as_numbers("through", through).astype(np.float64)
-    third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
-    squares = (
-        (tensor[..., 0, 0] - third) ** 2
-        + (tensor[..., 1, 1] - third) ** 2
-        + (across - third) ** 2
-        + 2 * tensor[..., 0, 1] ** 2
-    )
+    with np.errstate(invalid="ignore"):  # infinite strains have no distance
+        third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
+        squares = (
+            (tensor[..., 0, 0] - third) ** 2
+            + (tensor[..., 1, 1] - third) ** 2
+            + (across - third) ** 2
+            + 2 * tensor[..., 0, 1] ** 2
+        )
     equivalent: FloatArray = np.sqrt(2 / 3 * squares).astype(np.float32)
     return equivalent
 

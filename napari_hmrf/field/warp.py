@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, resample
@@ -228,10 +229,7 @@ def checked_field(
 
 def checked_sizes(spacing: Sequence[float]) -> Float64Array:
     """Check a pixel spacing: shape (2,)."""
-    try:
-        sizes = np.asarray(spacing, dtype=np.float64)
-    except (TypeError, ValueError):
-        sizes = np.zeros(0)
-    if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
-        raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
+    sizes = np.array(reals(spacing, 2))
+    if not (np.isfinite(sizes) & (sizes > 0)).all():
+        raise ProblemError("spacing", f"is {shown(spacing)}. Give 2 positive, finite pixel sizes.")
     return sizes

@@ -168,7 +168,7 @@ def _timings(name: str) -> Iterator[str]:
     """How long solves of the paper's size of image take."""
     problem = phantom("expansion").problem
     started = time.perf_counter()
-    solution = solve(problem, backend=name)
+    solution = solve(problem, SeilerPrior(), backend=name)
     seconds = time.perf_counter() - started
     visits = sum(level.iterations * math.prod(level.shape) for level in solution.levels)
     yield (

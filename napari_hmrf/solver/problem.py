@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 
 FloatArray = npt.NDArray[np.float32]
@@ -175,6 +176,9 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length
         raise ProblemError(field, f"is not an array of numbers ({error}).") from None
+    if array.dtype.kind not in "biuf" and not array.ndim:
+        kind = type(value).__name__
+        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Give real numbers.")
     if array.dtype.kind not in "biuf":
         raise ProblemError(
             field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
@@ -201,7 +205,11 @@ def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
 def _as_image(stiffness: npt.ArrayLike) -> FloatArray:
     image = _as_float32("stiffness", stiffness)
     if image.ndim != 2:
-        hint = "3-D grids are not supported yet: solve slice by slice" if image.ndim == 3 else ""
+        hint = ""
+        if image.ndim == 3:
+            swapped = image.shape[-1] == 2  # one value for each component
+            order = "Give observed, confidence and stiffness in this order."
+            hint = order if swapped else "3-D grids are not supported yet: solve slice by slice"
         raise ProblemError(
             "stiffness",
             f"has shape {image.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip(),
@@ -226,14 +234,11 @@ def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    try:
-        if isinstance(spacing, str):
-            raise TypeError
-        values = tuple(float(size) for size in spacing)  # type: ignore[attr-defined]
-    except (TypeError, ValueError):
-        raise ProblemError("spacing", f"is {spacing!r}. Give {ndim} positive numbers.") from None
-    if len(values) != ndim or not all(math.isfinite(size) and size > 0 for size in values):
-        raise ProblemError("spacing", f"is {values}. Give {ndim} positive, finite pixel sizes.")
+    values = reals(spacing, ndim)
+    if not all(0 < size < math.inf for size in values):
+        raise ProblemError(
+            "spacing", f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes."
+        )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(
             "spacing", f"is {values}. Choose a unit of length in which pixels are not so extreme."

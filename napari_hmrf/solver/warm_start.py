@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
@@ -27,14 +28,14 @@ def beginning(initial: Initial, problem: Problem) -> Beginning:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If one is of another grid.
     """
     solutions = (initial,) if isinstance(initial, Solution) else tuple(initial)
     for each in solutions:
         theirs, ours = (each.tissue.shape, each.spacing), (problem.shape, problem.spacing)
         if theirs != ours:
-            raise ValueError(
+            raise ArgumentError(
                 f"initial is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem "
                 f"of {ours[0]} pixels of size {ours[1]}. Leave it out"
             )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sized
 from dataclasses import KW_ONLY, asdict, dataclass, replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends.base import Backend, FloatArray, SiteRule
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.optimizers.base import LevelRun, Monitor, Outcome, Report
@@ -46,20 +48,21 @@ class ICM:
     energy_change: float | None = None
 
     def __post_init__(self) -> None:
-        if not _is_whole(self.iterations) or self.iterations < 1:
-            raise ValueError(
-                f"iterations must be a whole number of at least 1, not {self.iterations!r}"
-            )
+        enough = is_whole(self.iterations) and self.iterations >= 1
+        refuse_unless(enough, "iterations", self.iterations, "a whole number of at least 1")
         object.__setattr__(self, "iterations", int(self.iterations))
         if self.steps is not None:
-            steps = tuple(float(step) for step in self.steps)
-            if not steps or not all(math.isfinite(step) and step > 0 for step in steps):
-                raise ValueError(
-                    f"steps must be positive numbers, or None for the closed form, not {steps!r}"
-                )
+            steps = reals(
+                self.steps, max(1, len(self.steps) if isinstance(self.steps, Sized) else 0)
+            )
+            positive = all(math.isfinite(step) and step > 0 for step in steps)
+            what = "positive numbers, such as (1, 0.1), or None for the closed form"
+            refuse_unless(positive, "steps", self.steps, what)
             object.__setattr__(self, "steps", steps)
-        if self.energy_change is not None and not self.energy_change > 0:
-            raise ValueError(f"energy_change must be above 0, not {self.energy_change!r}")
+        change = self.energy_change
+        refuse_unless(
+            change is None or real(change) > 0, "energy_change", change, "a number above 0, or None"
+        )
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -81,9 +84,11 @@ class ICM:
     ) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
         if start is not None:
-            raise ValueError("ICM begins with zero on its coarsest level: initial is for Multigrid")
+            raise ArgumentError(
+                "ICM begins with zero on its coarsest level: initial is for Multigrid"
+            )
         if not isinstance(prior, SeilerPrior):
-            raise ValueError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
+            raise ArgumentError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
         rule = SiteRule(
             blanket=prior.conditional == "blanket",
             relaxation=prior.relaxation,
@@ -146,10 +151,6 @@ class ICM:
             return False
         change = abs(energies[-1] - energies[-1 - BLOCK])
         return change <= self.energy_change * abs(energies[-1])
-
-
-def _is_whole(number: object) -> bool:
-    return isinstance(number, Real) and float(number).is_integer()
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,13 +13,13 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import KW_ONLY, dataclass
-from numbers import Real
 from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.arguments import is_one_of, real, refuse_unless
+from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     ElementShape,
@@ -69,12 +69,11 @@ class ElasticPrior:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
-        if self.plane not in get_args(Plane):
-            raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
-        penalty: Any = self.penalty
-        if not (isinstance(penalty, Real) and float(penalty) > 0):
-            raise ValueError(f"penalty must be a positive number or inf, not {penalty!r}")
-        object.__setattr__(self, "penalty", float(penalty))
+        known = is_one_of(self.plane, get_args(Plane))
+        refuse_unless(known, "plane", self.plane, '"stress" or "strain"')
+        penalty = real(self.penalty)
+        refuse_unless(penalty > 0, "penalty", self.penalty, "a positive number or inf")
+        object.__setattr__(self, "penalty", penalty)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -184,12 +183,12 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
     low, high = POISSON_RANGE
     given = as_numbers("poisson", value)
     if given.ndim == 0:
-        if not low <= value <= high:
-            raise ValueError(f"poisson must lie between {low} and {high}, not {value!r}")
-        return float(value)
+        right = low <= float(given) <= high
+        refuse_unless(right, "poisson", value, f"from {low:g} to {high:g}")
+        return float(given)
     made = np.array(given, dtype=np.float32, order="C")
     if made.ndim != 2:
-        raise ValueError(
+        raise ArgumentError(
             f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"
         )
     made.setflags(write=False)

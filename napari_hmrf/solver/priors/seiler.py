@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import is_one_of, real, refuse_unless
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.cliques import (
     LINES,
@@ -77,17 +77,13 @@ class SeilerPrior:
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        if self.penalty is not None and not _is_above_0(self.penalty, _LARGEST_PENALTY):
-            raise ValueError(
-                f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
-                f"{self.penalty!r}"
-            )
-        if self.conditional not in get_args(Conditional):
-            raise ValueError(
-                f'conditional must be "centred" or "blanket", not {self.conditional!r}'
-            )
-        if self.damping is not None and not _is_above_0(self.damping, 1):
-            raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
+        firm = self.penalty is None or 0 < real(self.penalty) <= _LARGEST_PENALTY
+        what = f"a number above 0 and up to {_LARGEST_PENALTY:g}, or None"
+        refuse_unless(firm, "penalty", self.penalty, what)
+        known = is_one_of(self.conditional, get_args(Conditional))
+        refuse_unless(known, "conditional", self.conditional, '"centred" or "blanket"')
+        damped = self.damping is None or 0 < real(self.damping) <= 1
+        refuse_unless(damped, "damping", self.damping, "a number above 0 and up to 1, or None")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -215,10 +211,6 @@ def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
         for at in sites:
             found[at] |= exists[..., None] & carried[line]
     return found
-
-
-def _is_above_0(number: object, largest: float) -> bool:
-    return isinstance(number, Real) and 0 < float(number) <= largest
 
 
 def _around(m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_]) -> Float64Array:
