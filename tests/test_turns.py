@@ -125,22 +125,6 @@ def go_on_pulling(viewer):
     viewer.layers.selection = {viewer.layers["Arrows"]}
 
 
-def test_what_was_pulled_is_seen_as_it_was_too(two_results):
-    viewer, look = two_results
-    look.before = True
-    assert seen(viewer) <= {"Arrows"}
-    look.before = False
-    assert viewer.layers["Deformed image"].visible
-
-
-def test_colours_of_what_was_pulled_are_named_after_the_image(two_results, wait_for):
-    viewer, look = two_results
-    look.colours = "squeeze"
-    wait_for(lambda: look.idle)
-    assert "MR largest squeeze (%)" in {layer.name.partition(",")[0] for layer in viewer.layers}
-    assert look.image is viewer.layers["MR"]
-
-
 def colours_seen(viewer):
     """What the colours that are seen belong to: who made the result."""
     return [
@@ -150,9 +134,18 @@ def colours_seen(viewer):
     ]
 
 
-def test_a_look_begins_with_the_result_that_is_seen(two_results):
+def test_a_look_begins_with_the_result_that_is_seen_as_it_was_and_in_colours(two_results, wait_for):
     viewer, look = two_results
     assert look.result is viewer.layers["Displacement"]
+    assert look.image is viewer.layers["MR"], "which was pulled"
+    look.before = True
+    assert seen(viewer) <= {"Arrows"}
+    look.before = False
+    assert viewer.layers["Deformed image"].visible
+    look.colours = "squeeze"
+    wait_for(lambda: look.idle)
+    assert "MR largest squeeze (%)" in {layer.name.partition(",")[0] for layer in viewer.layers}
+    assert look.image is viewer.layers["MR"]
 
 
 def test_a_look_that_comes_to_the_front_looks_at_what_is_seen_by_then(
