@@ -143,7 +143,7 @@ def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, sol
 
 def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, settle, qtbot):
     person, widget = pulling
-    picture = by_name(person.viewer, "Deformed image")
+    picture = by_name(person.viewer, "MR deformed, elastic")
     told, thumbnails, seen = [], [], []
     person.press(30, 30)
     person.move(32, 32)
@@ -169,7 +169,7 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person.press(30, 30)
     person.move(32, 32)
     qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
-    picture = by_name(person.viewer, "Deformed image")
+    picture = by_name(person.viewer, "MR deformed, elastic")
     theirs = np.zeros_like(picture.data)
     picture.data = theirs
     person.move(34, 34)

@@ -356,7 +356,7 @@ def test_another_slice_in_mid_stroke_ends_it_there(open_window, settle):
     assert seen_paint(person)[0, 22, 30] == number_of("pin")
 
 
-@pytest.mark.parametrize("gone", ["Painted", "Deformed image", "Displacement"])
+@pytest.mark.parametrize("gone", ["Painted", "MR deformed, elastic", "MR arrows, elastic"])
 def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle, gone):
     person, widget = brushing
     person.key(PIN)
@@ -435,7 +435,7 @@ def test_scripts_paint_without_a_mouse(open_window, settle):
     )
     widget.drawing = Drawing(strokes)
     settle(widget)
-    field = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"].displacement
+    field = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"].displacement
     assert field[20, 30] == pytest.approx((3, 0), abs=0.02)
     assert field[44, 30] == pytest.approx((0, 0), abs=0.02)
     kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]

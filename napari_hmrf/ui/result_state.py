@@ -13,12 +13,14 @@ from napari_hmrf.ui.messages import CHANGED, OTHER_SLICE, details, report
 
 
 class Latest:
-    """What came out last, and what it was made with.
+    """What came out last in a viewer, and what it was made with; have it `shared`.
 
     Attributes
     ----------
     done : Done or None
         The result.
+    source : callable
+        Returns what was deformed, as long as that is there.
     settings : tuple
         Prior and optimizer it was made with.
     fresh : bool
@@ -29,8 +31,9 @@ class Latest:
         What was found in the paint since.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, _: Any = None) -> None:
         self.done: Done | None = None
+        self.source: Callable[[], Any] = lambda: None
         self.settings: tuple[Any, ...] = ()
         self.fresh = self.here = True
         self.note = ""

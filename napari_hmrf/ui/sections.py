@@ -105,7 +105,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
             # What a dock has deformed, or drawn of it, is nobody's stiffness.
             lambda layer: (
                 isinstance(layer, Labels)
-                or (isinstance(layer, Image) and "by" not in known_of(layer))
+                or (isinstance(layer, Image) and "kind" not in known_of(layer))
             ),
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
             label="tissue",

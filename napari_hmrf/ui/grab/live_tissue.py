@@ -18,7 +18,7 @@ from napari_hmrf.field.resample import emptiness
 from napari_hmrf.layers.background import air_that_is_tissue
 from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
-from napari_hmrf.layers.result_layers import RESTORED, result_layers
+from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
@@ -273,7 +273,8 @@ class _Scene:
                 tissue=body,
                 frame={"drawing": seen.drawing.as_dict()},
             )
-            outputs = result_layers(solution, self.ground.frame, None, kinds=RESTORED)
+            pictures = replace(self.ground.pictures, image=None)
+            outputs = result_layers(solution, self.ground.frame, pictures, moved=seen.picture)
         except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
             _log.exception("the displacement could not be drawn")
             return

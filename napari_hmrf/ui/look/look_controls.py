@@ -24,7 +24,7 @@ class LookControls(Dock):
         super().__init__(napari_viewer)
         self._taken: FoundResult | None = None
         self._face = LookFace(self, self._layers, self._is_result, self._is_source)
-        self._scene = Scene(self, self._viewer, self._face)
+        self._scene = Scene(self, self._viewer, self._face, self._results)
 
     @property
     def result(self) -> Any:
@@ -61,14 +61,11 @@ class LookControls(Dock):
     @property
     def before(self) -> bool:
         """Whether the image is seen as it was, and nothing of the result."""
-        return self._scene.shown.held
+        return self._scene.is_before
 
     @before.setter
     def before(self, hold: bool) -> None:
-        if hold:
-            self._scene.shown.hold_before()
-        else:
-            self._scene.shown.release()
+        self._scene.show_before(hold)
 
     @property
     def colours(self) -> str:

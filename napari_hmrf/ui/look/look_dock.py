@@ -15,7 +15,6 @@ from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.look.look_controls import LookControls
 from napari_hmrf.ui.look.look_form import BEFORE_KEY, PAUSE, PLAY
-from napari_hmrf.ui.look.look_layers import is_seen, seen_instead
 from napari_hmrf.ui.look.look_messages import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, POINT
 from napari_hmrf.ui.timers import single_shot
 
@@ -119,7 +118,7 @@ class LookAtResult(LookControls):
         self._face.result.refresh()
         offered = self._face.result.offered
         if seen:
-            offered = [each for each in offered if is_seen(self._viewer, each)] or offered
+            offered = [each for each in offered if self._results.of(each).visible] or offered
         if offered and offered[-1] is not self.result:
             with self._face.result.changed.blocked():
                 self._face.result.value = offered[-1]
@@ -254,14 +253,6 @@ class LookAtResult(LookControls):
         self._bind_key()
         self._choose(seen=True)
         self._take()
-
-    def _on_front(self) -> None:
-        """What has been seen since, by the work of another dock, is what is looked at."""
-        if self.away or self.result is None:
-            return
-        other = seen_instead(self._viewer, self.result, self._face.result.offered)
-        if other is not None:
-            self.result = other
 
     def _on_closed(self) -> None:
         self._unbind_key()
