@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             problem = phantom(name, size).problem
             cycles, seconds = galerkin(problem, prior)
             solve(problem, prior, backend="cpu")
-            solution = solve(problem, prior, Multigrid(1e-3), backend="cpu")
+            solution = solve(problem, prior, optimizer=Multigrid(1e-3), backend="cpu")
             print(
                 f"{name:14}{size:6}{cycles:10}{1000 * seconds:9.0f} ms"
                 f"{same_model(problem, prior):12}{1000 * solution.provenance.seconds:9.0f} ms",
@@ -112,7 +112,7 @@ def same_model(problem: Problem, prior: ElasticPrior) -> int:
 def reduced_system(problem: Problem, prior: ElasticPrior) -> tuple[sp.csr_array, np.ndarray]:
     """The stiffness matrix with zero rows and columns where nothing moves, and the load."""
     system = assemble(problem, prior)
-    held = (problem.c > 0) & problem.tissue[..., None]
+    held = (problem.confidence > 0) & problem.tissue[..., None]
     site = np.flatnonzero(system.free)
     place = np.stack([2 * site, 2 * site + 1], axis=-1).ravel()
     moves = ~held.ravel()[place]

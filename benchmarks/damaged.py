@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf import FileFormatError, Solution, is_solution_file, phantom, solve
+from napari_hmrf import FileFormatError, SeilerPrior, Solution, is_solution_file, phantom, solve
 
 MOST_SECONDS = 2.0
 MOST_BYTES = 100e6
@@ -283,7 +283,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "damaged.npz")
-        saved = solve(phantom("expansion", 24).problem, backend="cpu").save(Path(folder, "a.npz"))
+        saved = solve(phantom("expansion", 24).problem, SeilerPrior(), backend="cpu").save(
+            Path(folder, "a.npz")
+        )
         original = Solution.load(saved)
         outcomes: Counter[tuple[str, str]] = Counter()
         slowest: tuple[float, str] = (0.0, "")

@@ -43,7 +43,7 @@ def least(job: Callable[[], Any], times: int) -> float:
 def measure(size: int, stage: str, times: int = 7) -> str:
     """Time the iteration of one solve; on the compute thread."""
     problem, prior = phantom("mass-effect", size).problem, ElasticPrior()
-    cycles = solve(problem, prior, Multigrid(0.01), backend=f"opengl:{stage}").iterations
+    cycles = solve(problem, prior, optimizer=Multigrid(0.01), backend=f"opengl:{stage}").iterations
     backend = OpenGLBackend(lambda: None, stage)
     try:
         model = backend.elastic_model(prior.material(problem))

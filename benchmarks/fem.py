@@ -26,7 +26,8 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
     Parameters
     ----------
     problem : Problem
-        Its `y` is prescribed exactly, component by component, wherever ``c > 0`` on tissue.
+        What was observed is prescribed exactly, component by component, wherever it has
+        confidence on tissue.
     poisson : float
         Poisson's ratio, the same everywhere; above -1 and below 1/2.
 
@@ -41,19 +42,19 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
     ValueError
         If a connected part of the elements could move freely.
     """
-    sites = np.arange(problem.m.size).reshape(problem.shape)
+    sites = np.arange(problem.stiffness.size).reshape(problem.shape)
     corners = np.stack(
         [sites[:-1, :-1], sites[1:, :-1], sites[1:, 1:], sites[:-1, 1:]]
     )  # around each element, shape (4, H - 1, W - 1)
     exists = problem.tissue.ravel()[corners].all(axis=0)
     corners = corners[:, exists]
-    prescribed = (problem.c > 0) & problem.tissue[..., None]
-    displacement = np.where(prescribed, problem.y.astype(np.float64), 0.0)
+    prescribed = (problem.confidence > 0) & problem.tissue[..., None]
+    displacement = np.where(prescribed, problem.observed.astype(np.float64), 0.0)
     if corners.size == 0:
         return displacement
     nodes, elements = np.unique(corners, return_inverse=True)
     elements = elements.reshape(corners.shape)
-    modulus = problem.m.astype(np.float64).ravel()[corners].mean(axis=0)
+    modulus = problem.stiffness.astype(np.float64).ravel()[corners].mean(axis=0)
     places = np.argwhere(np.ones(problem.shape, dtype=bool))[nodes] * np.asarray(problem.spacing)
     mesh = MeshQuad(places.T.copy(), elements, sort_t=False, validate=False)
     basis = Basis(mesh, ElementVector(ElementQuad1()), intorder=2)

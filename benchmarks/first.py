@@ -52,7 +52,7 @@ def _paper(conditional: Any, converged: bool) -> tuple[Any, Any]:
 def _elastic(poisson: float, plane: Any, **more: Any) -> tuple[Any, Any]:
     from napari_hmrf import ElasticPrior, Multigrid
 
-    return ElasticPrior(poisson, plane, **more), Multigrid()
+    return ElasticPrior(poisson, plane=plane, **more), Multigrid()
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def child(model: str, backend: str, size: int) -> First:
     seconds = []
     for _ in range(2):
         begun = time.perf_counter()
-        napari_hmrf.solve(problem, prior, optimizer, backend)
+        napari_hmrf.solve(problem, prior, optimizer=optimizer, backend=backend)
         seconds.append(time.perf_counter() - begun)
     return First(importing, *seconds, taken())
 

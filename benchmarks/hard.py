@@ -54,7 +54,7 @@ CONTRASTS = (1.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7)
 KEPT = Path(__file__).resolve().parent.parent / "benchmark-output" / "hard"
 #: No row may take more than so many times the better peer's time.
 MOST = 1.3
-STRAIN = ElasticPrior(0.499, "strain")
+STRAIN = ElasticPrior(0.499, plane="strain")
 _STRAIN_CASES = ("expansion", "mass-effect", "inclusion")
 _STRAIN_SIZES, _LARGEST_REFERENCE = (300, 1200), 513
 _STRAIN_CONTRASTS = (1.0, 1e2, 1e4)
@@ -339,7 +339,7 @@ def print_rigid(sizes: Sequence[int]) -> None:
             exact = rigid_field(images, PRIOR)
             cells = [name, str(size), str(ours.iterations), f"{ours.seconds:.3g}"]
             cells += [_error(distance(ours.field, exact)), _error(ours.reported)]
-            cells.append(_error(largest_strain(ours.field, bodies(np.isinf(images.m)) > 0)))
+            cells.append(_error(largest_strain(ours.field, bodies(np.isinf(images.stiffness)) > 0)))
             _print_row([*cells, f"{over:.2f}"], widths)
 
 
@@ -347,11 +347,16 @@ def over_soft(images: Images) -> float:
     """How many times as long tissue with bone takes as without: medians of solves in turn."""
     seconds = np.zeros((_TURNS, 2))
     for turn in range(_TURNS):
-        for which, m in enumerate((images.m, np.ones_like(images.m))):
+        for which, m in enumerate((images.stiffness, np.ones_like(images.stiffness))):
             # With another unit of stiffness nothing kept is of any use.
-            problem = Problem(images.y, images.c, m * np.float32(2 ** (turn % 8)), images.spacing)
+            problem = Problem(
+                images.observed,
+                images.confidence,
+                m * np.float32(2 ** (turn % 8)),
+                spacing=images.spacing,
+            )
             started = time.perf_counter()
-            solve(problem, PRIOR, Multigrid(), backend="cpu")
+            solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
             seconds[turn, which] = time.perf_counter() - started
     with_bone, without = np.median(seconds, axis=0)
     return float(with_bone / without)

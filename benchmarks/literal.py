@@ -104,9 +104,9 @@ def solve_literally(
     if optimizer.steps is None:
         raise ValueError("the literal program needs a candidate set")
     gamma = candidates(optimizer.steps)
-    finest_m = np.asarray(problem.m / problem.m.max())
-    finest_y = problem.y / _f(problem.unit)
-    finest_p = _f(prior.penalty_for(problem)) * problem.c
+    finest_m = np.asarray(problem.stiffness / problem.stiffness.max())
+    finest_y = problem.observed / _f(problem.unit)
+    finest_p = _f(prior.penalty_for(problem)) * problem.confidence
     coarse = coarse_m = None
     for level in reversed(levels(problem.shape)):
         at = np.ix_(*nearest_pixels(level, problem.shape))

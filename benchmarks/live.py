@@ -53,7 +53,9 @@ class Drag:
         drawn = phantom("mass-effect", size)
         self.problem = drawn.problem
         self._size = size
-        self._rendering = Rendering(Canvas(self.problem.y.copy(), self.problem.c.copy()))
+        self._rendering = Rendering(
+            Canvas(self.problem.observed.copy(), self.problem.confidence.copy())
+        )
         self._warper = Warper(np.stack([drawn.image] * 3, axis=-1))
         self.costs: dict[str, list[float]] = {stage: [] for stage in STAGES}
         self.shown: list[Update] = []
@@ -73,7 +75,9 @@ class Drag:
     def _read(self, drawing: Drawing) -> Problem:
         self._timed("draw", lambda: self._rendering.show(drawing))
         canvas = self._rendering.canvas
-        made: Problem = self._timed("check", lambda: Problem(canvas.y, canvas.c, self.problem.m))
+        made: Problem = self._timed(
+            "check", lambda: Problem(canvas.observed, canvas.confidence, self.problem.stiffness)
+        )
         return made
 
     def _show(self, update: Update) -> None:

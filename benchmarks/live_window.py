@@ -25,8 +25,8 @@ from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
 from napari_hmrf.field.live_warp import Warper
-from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.viewer_results import ResultLayers
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
 from napari_hmrf.ui.grab.arrows import ArrowsLayer
 
@@ -61,7 +61,7 @@ class Window:
         self.late: list[float] = []
         self.viewer = napari.Viewer(show=False)
         drawn = phantom("mass-effect", size)
-        image, m = drawn.image, drawn.problem.m
+        image, m = drawn.image, drawn.problem.stiffness
         if kind == "colour":
             image = np.stack([np.uint8(255 * image / image.max())] * 3, axis=-1)
         elif kind == "stack":
@@ -239,7 +239,7 @@ class Window:
         """Have the clock run beside what happens."""
         wrapped = [
             (Rendering, "show", "drawing"),
-            (Ground, "problem", "problem"),
+            (Ground, "statement", "problem"),
             (Warper, "__call__", "warp"),
             (ResultLayers, "show", "image layer"),
             (ArrowsLayer, "show", "arrows layer"),

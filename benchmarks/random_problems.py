@@ -33,7 +33,7 @@ class RandomProblem:
     Attributes
     ----------
     number : int
-    y, c, m, spacing
+    observed, confidence, stiffness, spacing
         As for `Problem`.
     prior : ElasticPrior or SeilerPrior
     tolerance : float
@@ -47,9 +47,9 @@ class RandomProblem:
     """
 
     number: int
-    y: Array
-    c: Array
-    m: Array
+    observed: Array
+    confidence: Array
+    stiffness: Array
     spacing: tuple[float, float]
     prior: ElasticPrior | SeilerPrior
     tolerance: float
@@ -63,12 +63,12 @@ class RandomProblem:
     @functools.cached_property
     def problem(self) -> Problem:
         """It, as the package takes it."""
-        return Problem(self.y, self.c, self.m, self.spacing)
+        return Problem(self.observed, self.confidence, self.stiffness, spacing=self.spacing)
 
     @property
     def words(self) -> str:
         """What it is, in a line."""
-        size = " x ".join(map(str, self.m.shape))
+        size = " x ".join(map(str, self.stiffness.shape))
         pixel = "" if len(set(self.spacing)) == 1 else f", pixel {_ratio(self.spacing)}"
         nu = ""
         if isinstance(self.prior, ElasticPrior):
@@ -103,9 +103,9 @@ def random_problem(seed: int, number: int) -> RandomProblem:
     body = m[m > 0]
     return RandomProblem(
         number=number,
-        y=y,
-        c=c,
-        m=m,
+        observed=y,
+        confidence=c,
+        stiffness=m,
         spacing=spacing,
         prior=prior,
         tolerance=float(dice.choice([1e-3, 1e-2, 1e-4], p=[0.8, 0.1, 0.1])),
@@ -304,7 +304,7 @@ def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | Seil
     penalty = None if dice.random() < 0.45 else float(10 ** dice.uniform(-3, 4))
     how = "held" if penalty is None else "slips"
     if kind in ("centred", "blanket"):
-        return SeilerPrior(penalty, kind), f"{kind}, {how}"
+        return SeilerPrior(penalty=penalty, conditional=kind), f"{kind}, {how}"
     nu = dice.choice([0.0, 0.3, 0.45, 0.49, 0.499, dice.uniform(0, 0.499)])
     poisson = float(nu)
     if dice.random() < 0.25:
@@ -313,4 +313,4 @@ def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | Seil
         share = share if dice.random() < 0.5 else 1.0 * (share > 0.5)
         # A map is stored in single precision.
         poisson = np.clip(nu + share * (other - nu), 0, 0.499).astype(np.float32)
-    return ElasticPrior(poisson, kind, penalty or math.inf), f"elastic {kind}, {how}"
+    return ElasticPrior(poisson, plane=kind, penalty=penalty or math.inf), f"elastic {kind}, {how}"

@@ -36,8 +36,8 @@ def solve_exactly(problem: Problem, reading: str) -> npt.NDArray[np.float64]:
     """
     height, width = problem.shape
     number = np.arange(height * width).reshape(problem.shape)
-    m = problem.m.astype(np.float64)
-    field = np.where(problem.c > 0, problem.y, 0).astype(np.float64)
+    m = problem.stiffness.astype(np.float64)
+    field = np.where(problem.confidence > 0, problem.observed, 0).astype(np.float64)
     weights = line_weights(problem.spacing)
     for component in (0, 1):
         parts = []
@@ -63,7 +63,9 @@ def solve_exactly(problem: Problem, reading: str) -> npt.NDArray[np.float64]:
         matrix = (middle if reading == "centred" else residual).T @ residual
         if not len(t):
             continue
-        free = (problem.c[..., component].ravel() == 0) & (np.asarray(matrix.diagonal()) > 0)
+        free = (problem.confidence[..., component].ravel() == 0) & (
+            np.asarray(matrix.diagonal()) > 0
+        )
         values = field[..., component].ravel()
         right = -(matrix[free][:, ~free] @ values[~free])
         values[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)

@@ -40,7 +40,7 @@ from napari_hmrf import (
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 
-CONVERGED = ICM(iterations=50_000, steps=None, tolerance=1e-7)
+CONVERGED = ICM(iterations=50_000, steps=None, energy_change=1e-7)
 WARM_UP = 5
 PHANTOMS = ("expansion", "mass-effect")
 
@@ -147,8 +147,10 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
     results = []
     for label, prior, optimizer, bound in methods:
         try:
-            solve(problem, prior, optimizer, backend="cpu")  # compiled before the clock starts
-            solution = solve(problem, prior, optimizer, backend="cpu")
+            solve(
+                problem, prior, optimizer=optimizer, backend="cpu"
+            )  # compiled before the clock starts
+            solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
         except ValueError as error:
             print(f"  ({label} is left out: {error})", file=sys.stderr)
             continue
@@ -204,7 +206,7 @@ def available(names: Sequence[str]) -> dict[str, str]:
     found = {}
     for name in names:
         try:
-            run = solve(phantom("bar", 16).problem, backend=name).provenance
+            run = solve(phantom("bar", 16).problem, SeilerPrior(), backend=name).provenance
         except BackendError as error:
             print(f"  ({name} is not available: {error})", file=sys.stderr)
             continue
@@ -216,9 +218,10 @@ def available(names: Sequence[str]) -> dict[str, str]:
 def median_seconds(example: Phantom, backend: str, repeats: int) -> float:
     """Median wall time of a solve in a warm process: the first few are up to half as slow again."""
     for _ in range(WARM_UP):
-        solve(example.problem, backend=backend)
+        solve(example.problem, SeilerPrior(), backend=backend)
     return statistics.median(
-        solve(example.problem, backend=backend).provenance.seconds for _ in range(repeats)
+        solve(example.problem, SeilerPrior(), backend=backend).provenance.seconds
+        for _ in range(repeats)
     )
 
 

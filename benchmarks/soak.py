@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from napari_hmrf import BackendError, phantom, solve
+from napari_hmrf import BackendError, SeilerPrior, phantom, solve
 from napari_hmrf.solver.backends import compute_thread
 
 ENERGIES = ("paper", "elastic")
@@ -139,7 +139,7 @@ def _available(size: int) -> list[str]:
     names = []
     for name in ("opengl", "cpu"):
         try:
-            solve(phantom("expansion", size).problem, backend=name)
+            solve(phantom("expansion", size).problem, SeilerPrior(), backend=name)
         except BackendError as error:
             print(f"without {name}: {error}", file=sys.stderr)
             continue

@@ -134,7 +134,9 @@ def judge(drawn: RandomProblem, backend: str) -> Verdict:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             optimizer = Multigrid(drawn.tolerance)
-            solution = solve(problem, drawn.prior, optimizer, backend, cancel=patience)
+            solution = solve(
+                problem, drawn.prior, optimizer=optimizer, backend=backend, cancel=patience
+            )
     except HmrfError as error:
         refusal = error
     except Exception as error:  # noqa: BLE001 - that is what is looked for
@@ -182,7 +184,7 @@ def _distance(displacement: np.ndarray, truth: Exact) -> float:
 
 def _swing(drawn: RandomProblem, truth: Exact) -> float:
     """How far the field moves if the force of each observation changes by a millionth."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.c.shape)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.confidence.shape)
     other = exact_field(drawn.problem, drawn.prior, 1 + 1e-6 * signs)
     return _distance(other.displacement, truth) if other.sure else float("inf")
 

@@ -4,13 +4,14 @@ Paint the inputs, or make them, then::
 
     from napari_hmrf import Problem, solve
 
-    solution = solve(Problem(y, c, m))
+    solution = solve(Problem(observed, confidence, stiffness))
     solution.displacement  # (H, W, 2): the tissue at X moves to X + d(X)
 
 Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.
 """
 
 from napari_hmrf.errors import (
+    ArgumentError,
     BackendError,
     Cancelled,
     ConvergenceError,
@@ -27,6 +28,15 @@ from napari_hmrf.field.deformation import (
 )
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import resample
+from napari_hmrf.field.strain import (
+    deformation_gradient,
+    equivalent_strain,
+    folds,
+    green_lagrange_strain,
+    principal_strains,
+    small_strain,
+    strain_through_slice,
+)
 from napari_hmrf.field.warp import inverse_map, warp
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
@@ -41,19 +51,32 @@ from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solver.solve import solve
+from napari_hmrf.tissue.boundary_rules import (
+    RIGID,
+    BoundaryRule,
+    Material,
+    boundary_images,
+    poisson_image,
+    stiffness_image,
+)
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
 __version__ = "0.1.0"
 
 __all__ = [
     "ICM",
     "PHANTOM_NAMES",
+    "RIGID",
+    "ArgumentError",
     "BackendError",
+    "BoundaryRule",
     "Cancelled",
     "ConvergenceError",
     "ElasticPrior",
     "FileFormatError",
     "HmrfError",
     "LiveSolver",
+    "Material",
     "Monitor",
     "Multigrid",
     "Phantom",
@@ -63,19 +86,31 @@ __all__ = [
     "Provenance",
     "SeilerPrior",
     "Solution",
+    "StiffnessCurve",
     "Warper",
     "__version__",
     "arrows",
+    "boundary_images",
     "count_folds",
+    "deformation_gradient",
     "deformation_grid",
+    "equivalent_strain",
+    "folds",
+    "green_lagrange_strain",
     "inverse_map",
     "is_solution_file",
     "jacobian_determinant",
+    "luminance",
     "magnitude",
     "phantom",
+    "poisson_image",
+    "principal_strains",
     "reference_displacement",
     "resample",
     "sample",
+    "small_strain",
     "solve",
+    "stiffness_image",
+    "strain_through_slice",
     "warp",
 ]

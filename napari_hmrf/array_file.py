@@ -24,6 +24,7 @@ from typing import IO, Any, BinaryIO, Generic, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import is_stream, write_whole
 from napari_hmrf.errors import FileFormatError
 
@@ -125,7 +126,7 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
         If it could not be read back: the header holds something that is not of a JSON type, or
         the format refuses it.
     """
-    target = Path(path)
+    target = Path(checked_path(path))
     if not is_stream(target):
         target = Path(os.path.realpath(target))
         if not target.suffix:
@@ -144,6 +145,7 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
     OSError
         If it cannot be opened (`FileNotFoundError`, `PermissionError`).
     """
+    path = checked_path(path)
 
     def refusal(reason: str) -> FileFormatError:
         return FileFormatError(f"{Path(path).name}: not a valid {form.what}: {reason}")
@@ -170,6 +172,7 @@ def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
     True too for one that is damaged elsewhere or written by a later version: `read` then says what
     is wrong.
     """
+    path = checked_path(path)
     try:
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
             return bool(_header(archive)["format"] == form.name)

@@ -15,10 +15,11 @@ import napari_hmrf
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
-from napari_hmrf.solver.optimizers import Monitor, Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.optimizers import ICM, Monitor, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
-from napari_hmrf.study.models import Model
+from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 if TYPE_CHECKING:
@@ -67,16 +68,12 @@ def _parser() -> argparse.ArgumentParser:
         "--phantom", choices=PHANTOM_NAMES, default=PHANTOM_NAMES[0], help="default: %(default)s"
     )
     demo.add_argument(
-        "--prior",
-        choices=get_args(Model),
-        default="paper",
-        help="what tissue is taken to be: the paper's Markov random field, or linear elasticity "
-        "(default: %(default)s)",
-    )
-    demo.add_argument(
-        "--converged",
-        action="store_true",
-        help="go on where the paper's schedule stops; elastic tissue always is converged",
+        "--model",
+        choices=[name.replace(", ", "-") for name in get_args(ModelName)],
+        default="elastic",
+        help="what tissue is taken to be: elastic, the paper's Markov random field by its "
+        "schedule, or that field converged (default: %(default)s). What the paper's schedule makes "
+        "of it is printed beside it",
     )
     low, high = POISSON_RANGE
     demo.add_argument(
@@ -138,14 +135,16 @@ def _poisson(text: str) -> float:
     return poisson
 
 
-def _prior(options: argparse.Namespace) -> Prior:
-    """The energy asked for."""
-    if options.prior == "elastic":
+def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
+    """The energy asked for, and how it is minimised."""
+    name = next(name for name in get_args(ModelName) if name.replace(", ", "-") == options.model)
+    prior, optimizer = chosen(name)
+    if isinstance(prior, ElasticPrior):
         nu = USUAL_POISSON if options.poisson is None else options.poisson
-        return ElasticPrior(nu, options.plane or "stress")
+        return ElasticPrior(nu, plane=options.plane or "stress"), optimizer
     if options.poisson is not None or options.plane is not None:
-        raise HmrfError("--poisson and --plane are for --prior elastic: the paper's has neither")
-    return SeilerPrior()
+        raise HmrfError("--poisson and --plane are for --model elastic: the paper's has neither")
+    return prior, optimizer
 
 
 def _selftest() -> int:
@@ -155,18 +154,28 @@ def _selftest() -> int:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from napari_hmrf.samples.demo import demonstrate, write_results
+    from napari_hmrf.samples.demo import demonstrate, table, write_results
 
-    prior = _prior(options)
-    optimizer = Multigrid() if options.converged else None
+    models = [_model(options)]
+    if models[0] != chosen("paper"):
+        models.append(chosen("paper"))
     # Before the work, so that it is not done in vain.
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()
-    demonstration = demonstrate(
-        options.phantom, options.size, options.backend, progress.show, prior, optimizer
-    )
+    demonstrations = [
+        demonstrate(
+            options.phantom,
+            options.size,
+            backend=options.backend,
+            progress=progress.show,
+            prior=prior,
+            optimizer=optimizer,
+        )
+        for prior, optimizer in models
+    ]
     progress.end()
-    print(demonstration.table(), flush=True)
+    print(table(*demonstrations), flush=True)
+    demonstration = demonstrations[0]
     _tell("drawing ...")
     written = write_results(demonstration, options.out)
     print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
@@ -174,7 +183,7 @@ def _demo(options: argparse.Namespace) -> int:
         return 0
     if _has_display():
         _tell("opening napari ...")
-        _open_napari(demonstration, prior, options.converged)
+        _open_napari(demonstration, *models[0])
     else:
         _tell("napari is not opened, as there is no display (or CI is set)")
     return 0
@@ -225,7 +234,7 @@ def _has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _open_napari(demonstration: Demonstration, prior: Prior, converged: bool) -> None:
+def _open_napari(demonstration: Demonstration, prior: Prior, optimizer: Optimizer) -> None:
     """Show a demonstration in napari, with the widget beside it, until the window is closed."""
     import napari
     from napari.layers import Layer
@@ -236,9 +245,10 @@ def _open_napari(demonstration: Demonstration, prior: Prior, converged: bool) ->
     for data, attributes, kind in phantom_layers(demonstration.phantom):
         viewer.add_layer(Layer.create(data, attributes, kind))
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
-    widget.model.schedule.value = "converged" if converged else "paper"
+    widget.model.schedule.value = "paper" if isinstance(optimizer, ICM) else "converged"
+    widget.model.energy.value = "elastic" if isinstance(prior, ElasticPrior) else "paper"
     if isinstance(prior, ElasticPrior):
-        widget.model.energy.value, widget.model.plane.value = "elastic", prior.plane
+        widget.model.plane.value = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
     # Solved again, so that the layers of the result are the widget's own, which it will update.
     widget.deform()

@@ -79,8 +79,8 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
     m = np.ones((_SIZE, _SIZE))
     if bone:
         m[18:23, 12:17] = np.inf
-    problem = Problem(c, c, m, spacing)
-    solve(problem, prior, optimizer, backend="cpu")
+    problem = Problem(c, c, m, spacing=spacing)
+    solve(problem, prior, optimizer=optimizer, backend="cpu")
 
 
 def _pictures() -> None:

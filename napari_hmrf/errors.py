@@ -17,8 +17,8 @@ class ProblemError(HmrfError, ValueError):
     Parameters
     ----------
     field : str
-        The input at fault: ``"y"``, ``"c"``, ``"m"``, ``"spacing"`` or ``"poisson"``; the
-        widget replaces it by the name of the layer the input came from.
+        The input at fault: ``"observed"``, ``"confidence"``, ``"stiffness"``, ``"spacing"`` or
+        ``"poisson"``; the widget replaces it by the name of the layer the input came from.
     message : str
         What is wrong and what to do, without the field's name.
     """
@@ -27,6 +27,10 @@ class ProblemError(HmrfError, ValueError):
         self.field = field
         self.message = message
         super().__init__(f"{field}: {message}")
+
+
+class ArgumentError(HmrfError, ValueError, TypeError):
+    """An argument is of a kind, or has a value, that it cannot have."""
 
 
 class BackendError(HmrfError, RuntimeError):

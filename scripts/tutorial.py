@@ -182,7 +182,7 @@ def tumour(_: dict[str, Path]) -> None:
     keep(person, "tumour-jacobian")
     person.choose(look._face.colours, "nothing")
     open_dock(person, "Deform tissue")
-    table = face.boundary.table
+    table = face.boundary.seen
     person.write(table, 1, 5, "10")
     wait(0.5)
     keep(person, "tumour-table", table, face.boundary.choice)
@@ -230,8 +230,7 @@ def landmarks(_: dict[str, Path]) -> None:
 def painting(person: Person, table: Any, row: int) -> None:
     """Take the brush of a row."""
     person.show(table)
-    item = table.item(row, 0)
-    person.click(table.viewport(), table.visualItemRect(item).center())
+    person.click(table.viewport(), table.visualRect(table.model().index(row, 0)).center())
 
 
 def ring(person: Person, centre: tuple[float, float], radii: tuple[float, float]) -> None:
@@ -255,14 +254,14 @@ def own(images: dict[str, Path]) -> None:
     person.click(face.tissue.background)
     wait(0.5)
     keep(person, "own-background")
-    painting(person, face.tissue.table, 3)
+    painting(person, face.tissue.seen, 3)
     person.viewer.layers["Tissue"].brush_size = 24
     person.drag((110, 98), (112, 98), (116, 96), (108, 102))
     wait(0.5)
     keep(person, "own-tissue")
-    painting(person, face.boundary.table, 1)
+    painting(person, face.boundary.seen, 1)
     ring(person, (112, 98), (21, 22))
-    painting(person, face.boundary.table, 0)
+    painting(person, face.boundary.seen, 0)
     person.drag((204, 150), (204, 170), (204, 190))
     wait(0.5)
     keep(person, "own-boundary")

@@ -130,7 +130,7 @@ class Person:
     def write(self, table: Any, row: int, column: int, text: str) -> None:
         """Write into the cell of a table."""
         self.show(table)
-        place = table.visualItemRect(table.item(row, column)).center()
+        place = table.visualRect(table.model().index(row, column)).center()
         self.click(table.viewport(), place)
         QTest.mouseDClick(table.viewport(), LEFT, PLAIN, place)
         wait(0.1)

@@ -7,9 +7,11 @@ import os
 import sys
 import threading
 from concurrent.futures import Future
+from functools import cache
 
 import numpy as np
 import pytest
+from at_rest import AtRest
 from compiling import compile_most, compile_once
 from hypothesis import settings
 from patience import LONG, LONG_MS
@@ -21,6 +23,8 @@ settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
 # Whoever needs a loop compiles it: no test is to depend on what another process has done by then.
 os.environ["NAPARI_HMRF_COMPILE"] = "here"
+# napari reads no settings of the person at this machine, and writes none, which takes long.
+os.environ["NAPARI_CONFIG"] = ""
 
 _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -55,22 +59,26 @@ def pytest_runtestloop(session):
         compile_most(backwards=worker["workerid"] != "gw0")
 
 
-_windows_opened = 0
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    """Have Python look no more for garbage in what all tests share.
+    """Have Python look no more for garbage in what was there before a window is opened.
 
-    Each window that napari's fixture closes has everything looked through: modules, compiled loops,
-    what tests are made of, more than a second's work by the end.
+    With each window that napari's fixture closes everything is looked through: modules, compiled
+    loops, what tests are made of. What is new since the last one is little.
     """
-    global _windows_opened
     if _WINDOWS & set(item.fixturenames):
-        if _windows_opened % 20 == 0:
-            gc.collect()
-            gc.freeze()
-        _windows_opened += 1
+        _read_manifests_once()
+        gc.collect()
+        gc.freeze()
+
+
+@cache
+def _read_manifests_once():
+    """Have each window find the plugins that the first one found; to read them again takes long."""
+    from npe2 import PluginManifest
+
+    found = list(PluginManifest.discover())
+    PluginManifest.discover = lambda paths=(): iter(found)
 
 
 @pytest.fixture(autouse=True)
@@ -171,6 +179,12 @@ def wait_for(qtbot):
 
 
 @pytest.fixture
+def at_rest(qtbot):
+    """Let the windows do all they have to do."""
+    return AtRest(qtbot)
+
+
+@pytest.fixture
 def every_pass_a_batch(monkeypatch):
     """How often shaders look whether to go on does not depend on how busy the machine is."""
     from napari_hmrf.solver.backends.opengl import pace
@@ -203,7 +217,7 @@ def made(monkeypatch):
 
 
 @pytest.fixture
-def open_window(make_napari_viewer, qtbot):
+def open_window(make_napari_viewer, qtbot, at_rest):
     """Open a window with *Grab and pull* beside an image."""
     from person import Person
 
@@ -214,7 +228,7 @@ def open_window(make_napari_viewer, qtbot):
             data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
         viewer.add_image(data, name="MR", **place)
         _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
-        qtbot.wait(50)
+        at_rest(thread=False)
         return Person(viewer, qtbot), widget
 
     return opened
@@ -231,11 +245,6 @@ def pulling(open_window, settle):
 
 
 @pytest.fixture
-def settle(qtbot):
+def settle(at_rest):
     """Wait until the tissue has followed, and its displacement is drawn."""
-
-    def wait(widget):
-        qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
-        qtbot.wait(60)
-
-    return wait
+    return lambda widget: at_rest.until(lambda: not widget.busy)

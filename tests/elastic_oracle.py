@@ -32,8 +32,8 @@ def stiffness_matrix(problem, prior):
 def direct_solution(problem, prior) -> np.ndarray:
     """The field of least energy, boundaries held exactly, in the unit of the problem."""
     matrix = stiffness_matrix(problem, prior)
-    field = np.where(problem.c > 0, problem.y, 0).astype(float).ravel()
-    free = (problem.c.ravel() == 0) & (matrix.diagonal() > 0)
+    field = np.where(problem.confidence > 0, problem.observed, 0).astype(float).ravel()
+    free = (problem.confidence.ravel() == 0) & (matrix.diagonal() > 0)
     right = -(matrix[free][:, ~free] @ field[~free])
     field[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
     return field.reshape(*problem.shape, 2)

@@ -30,7 +30,7 @@ class Example:
         made = make(self.prior.material(self.problem))
         height, width = self.problem.shape
         held = np.zeros((2, height + 4, width + 4), bool)
-        held[:, 2:-2, 2:-2] = np.moveaxis(self.problem.c > 0, -1, 0)
+        held[:, 2:-2, 2:-2] = np.moveaxis(self.problem.confidence > 0, -1, 0)
         made.hold(held)
         return made
 
@@ -47,7 +47,7 @@ def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
     m[random.random(shape) < 0.05] = 0
     m[0, 0] = 1
     held = (random.random((*shape, 2)) < 0.1) & (m > 0)[..., None]
-    return Example(Problem(random.normal(size=(*shape, 2)), held, m, spacing), prior)
+    return Example(Problem(random.normal(size=(*shape, 2)), held, m, spacing=spacing), prior)
 
 
 def with_levels(stage, given: Example, job, number=0):
@@ -95,7 +95,7 @@ def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     c[:, :2] = c[:, -2:] = 1
     y[:, -2:] = (1.5, 4)
-    return Problem(y * spacing, c, m, spacing)
+    return Problem(y * spacing, c, m, spacing=spacing)
 
 
 def cycles(stage, given: Example, smoothing):

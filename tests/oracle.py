@@ -37,19 +37,19 @@ def potential(m, d, s, t, u, component) -> float:
 def total_energy(problem: Problem, d: np.ndarray, penalty: float) -> float:
     """U_total (eq. 7), one clique after the other."""
     energy = sum(
-        potential(problem.m, d, s, t, u, component)
-        for s, t, u, components in cliques(problem.m)
+        potential(problem.stiffness, d, s, t, u, component)
+        for s, t, u, components in cliques(problem.stiffness)
         for component in components
     )
-    held = problem.tissue[..., None] * penalty * problem.c.astype(float)
-    return energy + float((held * np.abs(problem.y - d)).sum())
+    held = problem.tissue[..., None] * penalty * problem.confidence.astype(float)
+    return energy + float((held * np.abs(problem.observed - d)).sum())
 
 
 def local_energy(problem: Problem, d: np.ndarray, penalty: float, site: Site, blanket: bool):
     """A function from a site's displacement to the energy that the site looks at."""
     mine = [
         clique
-        for clique in cliques(problem.m)
+        for clique in cliques(problem.stiffness)
         if clique[1] == site or (blanket and site in clique[:3])
     ]
 
@@ -57,12 +57,12 @@ def local_energy(problem: Problem, d: np.ndarray, penalty: float, site: Site, bl
         changed = d.astype(float).copy()
         changed[site] = value
         prior = sum(
-            potential(problem.m, changed, s, t, u, component)
+            potential(problem.stiffness, changed, s, t, u, component)
             for s, t, u, components in mine
             for component in components
         )
-        off = np.abs(problem.y[site].astype(float) - value)
-        return prior + float((penalty * problem.c[site].astype(float) * off).sum())
+        off = np.abs(problem.observed[site].astype(float) - value)
+        return prior + float((penalty * problem.confidence[site].astype(float) * off).sum())
 
     return energy
 
@@ -73,7 +73,7 @@ def centred_fixed_point(problem: Problem) -> np.ndarray:
     Observed components (c > 0) hold their y; a free component with no clique around it holds 0.
     """
     height, width = problem.shape
-    m = problem.m.astype(float)
+    m = problem.stiffness.astype(float)
     field = np.zeros((height, width, 2))
     rows: list[int] = []
     columns: list[int] = []
@@ -83,18 +83,18 @@ def centred_fixed_point(problem: Problem) -> np.ndarray:
     def number(site: Site, component: int) -> int:
         return (site[0] * width + site[1]) * 2 + component
 
-    for s, t, u, components in cliques(problem.m):
+    for s, t, u, components in cliques(problem.stiffness):
         to_u, to_s = m[t] / m[u], m[t] / m[s]
         weight_s = to_u * (1 + to_u) + (1 + to_s)
         weight_u = (1 + to_u) + to_s * (1 + to_s)
         for k in components:
-            if problem.c[t][k] > 0:
+            if problem.confidence[t][k] > 0:
                 continue
             diagonal[t][k] += weight_s + weight_u
             rows += [number(t, k)] * 2
             columns += [number(s, k), number(u, k)]
             values += [-weight_s, -weight_u]
-    right = np.where(problem.c > 0, problem.y, 0).astype(float).ravel()
+    right = np.where(problem.confidence > 0, problem.observed, 0).astype(float).ravel()
     diagonal = np.where(diagonal > 0, diagonal, 1).ravel()
     size = height * width * 2
     matrix = sp.coo_matrix((values, (rows, columns)), shape=(size, size)).tocsc()

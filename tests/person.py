@@ -51,14 +51,20 @@ class Person:
             self.move(*place)
         self.release(*places[-1])
 
-    def paint(self, *places):
-        """A drag whose every move is felt: vispy drops moves that follow another closely."""
+    def paint(self, *places, between=lambda: None):
+        """A drag whose every move is felt: vispy and napari drop moves that follow closely."""
         self.press(*places[0])
         for place in places[1:]:
-            self._qtbot.wait(25)
+            self._canvas.native._last_time = 0.0
             self.move(*place)
-        self._qtbot.wait(25)
+            self._qtbot.waitUntil(lambda place=place: self._is_at(*place), timeout=LONG_MS)
+            between()
         self.release(*places[-1])
+
+    def _is_at(self, row, col):
+        """Whether napari knows that the pointer is there, to a pixel of the screen."""
+        at = self.where(*self.viewer.cursor.position[-2:]) - self.where(row, col)
+        return at.manhattanLength() <= 2
 
     def key(self, key, modifiers=PLAIN):
         self._canvas.native.setFocus()

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from qtpy.QtCore import Qt
+from qtpy.QtCore import QEvent, QSize, Qt
+from qtpy.QtGui import QIcon
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QAbstractButton, QAbstractSlider, QComboBox, QLabel, QTableWidget
+from qtpy.QtWidgets import (
+    QAbstractButton,
+    QAbstractSlider,
+    QApplication,
+    QComboBox,
+    QLabel,
+    QLineEdit,
+    QTableView,
+)
 
 
 class Screen:
@@ -74,33 +83,73 @@ class Screen:
         """All that is said in it."""
         return "\n".join(each.text() for each in self._native.findChildren(QLabel))
 
-    def _table(self, name):
-        tables = self._native.findChildren(QTableWidget)
-        return next(
-            (table, row)
-            for table in tables
-            for row in range(table.rowCount())
-            for column in range(table.columnCount())
-            if table.item(row, column) is not None and table.item(row, column).text() == name
-        )
-
     def cell(self, name, title):
         """The cell in the row of that name, below that title."""
-        table, row = self._table(name)
-        (column,) = (
-            each
-            for each in range(table.columnCount())
-            if table.horizontalHeaderItem(each).text().startswith(title)
-        )
-        return table.item(row, column)
+        for table in self._native.findChildren(QTableView):
+            (column,) = [
+                each
+                for each in range(2, table.model().columnCount())
+                if head(table, each).startswith(title)
+            ] or [None]
+            for row in range(table.model().rowCount()):
+                if column and name in (Cell(table, row, each).text() for each in (0, 1)):
+                    return Cell(table, row, column)
+        raise LookupError(f"no {title!r} of {name!r}")
 
     def click_row(self, name):
         """Click the name in a row of a table."""
-        table, row = self._table(name)
-        (column,) = (
-            each
-            for each in range(table.columnCount())
-            if table.item(row, each) is not None and table.item(row, each).text() == name
-        )
-        place = table.visualItemRect(table.item(row, column)).center()
-        QTest.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, pos=place)
+        for table in self._native.findChildren(QTableView):
+            for row in range(table.model().rowCount()):
+                if Cell(table, row).text() == name:
+                    Cell(table, row).click()
+                    return
+        raise LookupError(name)
+
+
+def head(table, column):
+    """What the head of a column says."""
+    return table.model().headerData(column, Qt.Orientation.Horizontal)
+
+
+class Cell:
+    """A cell of a table, as somebody reads it, clicks it and writes into it."""
+
+    def __init__(self, table, row, column=1):
+        self._table, self._index = table, table.model().index(row, column)
+
+    def text(self):
+        return self._index.data()
+
+    def colour(self, selected):
+        """Of the square in it, RGB from 0 to 1, where its row is selected and where it is not."""
+        mode = QIcon.Mode.Selected if selected else QIcon.Mode.Normal
+        square = self._index.data(Qt.ItemDataRole.DecorationRole).pixmap(QSize(14, 14), mode)
+        return square.toImage().pixelColor(5, 5).getRgbF()[:3]
+
+    def can_be_typed(self):
+        return bool(self._index.flags() & Qt.ItemFlag.ItemIsEditable)
+
+    def click(self):
+        place = self._table.visualRect(self._index).center()
+        QTest.mouseClick(self._table.viewport(), Qt.MouseButton.LeftButton, pos=place)
+
+    def write(self, text):
+        """Type something, and Return."""
+        self._table.edit(self._index)
+        *_, editor = self._table.viewport().findChildren(QLineEdit)
+        editor.selectAll()
+        QTest.keyClicks(editor, text)
+        if not text:
+            QTest.keyClick(editor, Qt.Key.Key_Delete)
+        QTest.keyClick(editor, Qt.Key.Key_Return)
+        # Qt has the editor answer the key first.
+        QApplication.sendPostedEvents(self._table.itemDelegate(), int(QEvent.Type.MetaCall))
+
+    def chosen(self):
+        """What the box in it shows."""
+        return self._table.indexWidget(self._index).currentText()
+
+    def choose(self, words):
+        """Choose from the box in it, by the keys."""
+        while self.chosen() != words:
+            QTest.keyClick(self._table.indexWidget(self._index), Qt.Key.Key_Down)

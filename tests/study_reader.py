@@ -12,12 +12,11 @@ from napari.layers import Layer
 from studies import Study
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
-from napari_hmrf.layers.ground import read_ground
-from napari_hmrf.layers.inputs import Request, copy_layers, prepare
 from napari_hmrf.layers.landmarks import LandmarkLayers
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, rows_of
+from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.stiffness_layers import stiffness_layer
+from napari_hmrf.study.ground import Ground, statement_of
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
@@ -35,30 +34,55 @@ def read(study: Study) -> Read:
     prior, optimizer = _model(**study.model)
     view = View.of(study.viewer.dims)
     tissue = study.tissue if study.curve is None else _by_curve(study)
-    if study.drawing is not None:
-        ground = read_ground(study.image, tissue, study.boundary, view, study.hold_edge, prior)
-        drawing = Drawing.from_dict({"version": 1, "marks": study.drawing})
-        has_tissue = any(mark.get("action") == "tissue" for mark in study.drawing)
-        return Read(*ground.problem(drawing.render(ground.base), has_tissue), optimizer)
-    landmarks = None
+    landmarks = drawing = None
     if study.where is not None:
         landmarks = LandmarkLayers(study.where, study.should, **study.landmarks)
+    if study.drawing is not None:
+        drawing = Drawing.from_dict({"version": 1, "marks": study.drawing})
     request = Request(
         tissue=tissue,
         boundary=study.boundary,
         image=study.image,
-        materials=_table(tissue, TISSUE),
-        rules=_table(study.boundary, BOUNDARY),
         confidence=study.confidence,
         view=view,
         landmarks=landmarks,
+        hold_edge=study.hold_edge and drawing is not None,
+        drawing=drawing,
     )
-    inputs = prepare(copy_layers(request), prior, optimizer, complete=True)
-    return Read(inputs.problem, inputs.prior, optimizer)
+    stated = statement_of(read_study(request, prior, optimizer))
+    return Read(stated.problem, stated.prior, stated.optimizer)
 
 
-def _table(layer: Any, role: Any) -> tuple[Any, ...]:
-    return () if layer is None else rows_of(layer, role) or ()
+def read_ground(image: Any, tissue: Any = None, boundary: Any = None, **how: Any) -> Ground:
+    """Read what is drawn on; by default its edge is held."""
+    chosen = {"hold_edge": True, "drawing": Drawing(), **how}
+    return Ground.of(read_study(Request(tissue, boundary, image, **chosen)))
+
+
+class Stated(NamedTuple):
+    """A request, read and stated."""
+
+    problem: Problem
+    prior: Any
+    frame: Any
+    pictures: Any
+    ignored: int
+    notes: tuple[str, ...]
+
+
+def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> Stated:
+    """Read chosen layers to the end; by default for the paper's prior and schedule."""
+    study = read_study(request, prior or SeilerPrior(), optimizer or ICM())
+    ground = Ground.of(study)
+    stated = ground.statement()
+    return Stated(
+        problem=stated.problem,
+        prior=stated.prior,
+        frame=study.grid.place,
+        pictures=study.pictures,
+        ignored=ground.ignored,
+        notes=ground.notes_on(stated),
+    )
 
 
 def _by_curve(study: Study) -> Any:
@@ -75,5 +99,5 @@ def _model(
     penalty: float | None = None,
 ) -> tuple[Any, Any]:
     if energy == "elastic":
-        return ElasticPrior(poisson, plane, penalty=grip), Multigrid()
-    return SeilerPrior(penalty), ICM() if schedule == "paper" else Multigrid()
+        return ElasticPrior(poisson, plane=plane, penalty=grip), Multigrid()
+    return SeilerPrior(penalty=penalty), ICM() if schedule == "paper" else Multigrid()

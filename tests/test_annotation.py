@@ -50,7 +50,7 @@ def test_every_pixel_takes_the_stiffness_of_its_material():
 def test_labels_without_a_stiffness_are_all_named():
     with pytest.raises(ProblemError, match="labels 3, 9 without a stiffness") as caught:
         stiffness_image(np.array([[1, 3], [9, 1]]), TISSUES)
-    assert caught.value.field == "m"
+    assert caught.value.field == "stiffness"
 
 
 def test_two_materials_for_a_label_are_refused():
@@ -131,7 +131,9 @@ def test_an_outline_expands_along_its_normal_in_physical_lengths(radii, spacing)
     shape = tuple(int(100 / step) | 1 for step in spacing)
     filled, normal = _ellipse(shape, radii, spacing)
     rim = _rim(filled, 2)
-    y, c = boundary_images(rim.astype(int), [BoundaryRule(1, "expand", amount=2.0)], spacing)
+    y, c = boundary_images(
+        rim.astype(int), [BoundaryRule(1, "expand", amount=2.0)], spacing=spacing
+    )
     assert (c[rim] == 1).all()
     angles = _angles(y[rim], normal[rim])
     assert angles.max() < 20
@@ -171,8 +173,8 @@ def test_an_open_line_is_refused_however_thick_the_brush(width, spacing):
     line = np.zeros((length + 2, width + 4), int)
     line[1:-1, 2:-2] = 1
     with pytest.raises(ProblemError, match=r"open line.*Close.*ring.*moves by") as caught:
-        boundary_images(line, [BoundaryRule(1, "expand", amount=1.0)], spacing)
-    assert caught.value.field == "y"
+        boundary_images(line, [BoundaryRule(1, "expand", amount=1.0)], spacing=spacing)
+    assert caught.value.field == "observed"
 
 
 @pytest.mark.parametrize("width", [4, 8, 16])
@@ -215,12 +217,12 @@ def test_boundary_labels_without_a_rule_are_named():
 @pytest.mark.parametrize(
     ("rule", "field"),
     [
-        (BoundaryRule(0, "fixed"), "y"),
-        (BoundaryRule(1, "push"), "y"),
-        (BoundaryRule(1, "move", vector=(np.nan, 0)), "y"),
-        (BoundaryRule(1, "expand", amount=np.inf), "y"),
-        (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "c"),
-        (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "c"),
+        (BoundaryRule(0, "fixed"), "observed"),
+        (BoundaryRule(1, "push"), "observed"),
+        (BoundaryRule(1, "move", vector=(np.nan, 0)), "observed"),
+        (BoundaryRule(1, "expand", amount=np.inf), "observed"),
+        (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "confidence"),
+        (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "confidence"),
     ],
 )
 def test_rules_out_of_range_are_refused(rule, field):

@@ -16,6 +16,7 @@ from damaged import MOST_BYTES, damaged, look
 from napari_hmrf import (
     FileFormatError,
     Provenance,
+    SeilerPrior,
     Solution,
     array_file,
     atomic_write,
@@ -45,7 +46,7 @@ def made_up(shape=(7, 11), frame=None):
             preparation_seconds=1e-9,
             parameters={"prior": {"penalty": 1e4, "damping": None}, "steps": [1.0, 0.1]},
             versions={"napari-hmrf": "0.1.0"},
-            inputs={"y": "00ff"},
+            inputs={"observed": "00ff"},
         ),
         frame=frame,
     )
@@ -122,7 +123,7 @@ def test_what_was_saved_comes_back_exactly(solution, path):
 
 
 def test_a_real_solution_comes_back(tmp_path):
-    solution = solve(phantom("mass-effect", 32).problem, backend="cpu")
+    solution = solve(phantom("mass-effect", 32).problem, SeilerPrior(), backend="cpu")
     back = Solution.load(solution.save(tmp_path / "solution.npz"))
     assert_same(back, solution)
     assert back.iterations == solution.iterations

@@ -26,14 +26,14 @@ def twins(prior, shape, spacing):
     rng = np.random.default_rng(0)
     m = 10 ** rng.uniform(-2, 1, shape)
     m[rng.random(shape) < 0.1] = 0
-    problem = Problem(np.zeros((*shape, 2)), rng.random((*shape, 2)) < 0.2, m, spacing)
+    problem = Problem(np.zeros((*shape, 2)), rng.random((*shape, 2)) < 0.2, m, spacing=spacing)
     material = prior.material(problem)
     if isinstance(prior, ElasticPrior):
         both = CpuElasticModel(material), elastic.ArrayElasticModel(material)
     else:
         both = CpuSeilerModel(material), seiler.ArraySeilerModel(material)
     held = np.zeros((2, shape[0] + 4, shape[1] + 4), dtype=bool)
-    held[:, 2:-2, 2:-2] = np.moveaxis(problem.observed, -1, 0)
+    held[:, 2:-2, 2:-2] = np.moveaxis(problem.known, -1, 0)
     for model in both:
         model.hold(held)
     return both

@@ -12,19 +12,19 @@ from napari_hmrf.solver.warm_start import beginning
 WITHIN = Multigrid(0.01)
 PRIOR = ElasticPrior()
 PROBLEM = phantom("mass-effect", 96).problem
-PATCH = (np.arange(96)[:, None, None] < 30) & (PROBLEM.c > 0)
+PATCH = (np.arange(96)[:, None, None] < 30) & (PROBLEM.confidence > 0)
 
 
-def pushed(by, across=0.0, c=PROBLEM.c, m=PROBLEM.m, spacing=(1.0, 1.0)):
+def pushed(by, across=0.0, c=PROBLEM.confidence, m=PROBLEM.stiffness, spacing=(1.0, 1.0)):
     """The problem with a patch moved further, in pixels along both axes."""
     step = np.array([by, across]) * spacing
-    return Problem(PROBLEM.y * np.array(spacing) + step * PATCH, c, m, spacing)
+    return Problem(PROBLEM.observed * np.array(spacing) + step * PATCH, c, m, spacing=spacing)
 
 
 def well_known(backend="cpu", **about):
     """Two solutions, better than will be asked for."""
     problems = [pushed(by, **about) for by in (0, 1)]
-    return [solve(each, PRIOR, Multigrid(1e-3), backend) for each in problems]
+    return [solve(each, PRIOR, optimizer=Multigrid(1e-3), backend=backend) for each in problems]
 
 
 @pytest.mark.parametrize("backend", ["cpu", "opengl"])
@@ -32,8 +32,8 @@ def well_known(backend="cpu", **about):
 def test_a_patch_that_goes_on_as_before_needs_no_cycle(backend, spacing):
     known = well_known(backend, spacing=spacing)
     further = pushed(2, spacing=spacing)
-    found = solve(further, PRIOR, WITHIN, backend, start=known)
-    exact = solve(further, PRIOR, Multigrid(1e-5), backend)
+    found = solve(further, PRIOR, optimizer=WITHIN, backend=backend, initial=known)
+    exact = solve(further, PRIOR, optimizer=Multigrid(1e-5), backend=backend)
     assert found.iterations == 0
     assert len(found.energy) == 1
     assert found.mean_energy == pytest.approx(exact.mean_energy, rel=1e-3)
@@ -47,32 +47,34 @@ def test_a_patch_that_goes_on_as_before_needs_no_cycle(backend, spacing):
 
 def test_what_was_moved_and_comes_back_is_known():
     known = well_known()
-    assert solve(pushed(0.4), PRIOR, WITHIN, "cpu", start=known).iterations == 0
-    assert solve(pushed(1), PRIOR, WITHIN, "cpu", start=known[1]).iterations == 0
+    assert solve(pushed(0.4), PRIOR, optimizer=WITHIN, backend="cpu", initial=known).iterations == 0
+    assert (
+        solve(pushed(1), PRIOR, optimizer=WITHIN, backend="cpu", initial=known[1]).iterations == 0
+    )
 
 
 def test_errors_add_up_until_they_are_too_large_and_a_cycle_brings_them_down():
     known, cycles = well_known()[::-1], []
     for by in range(2, 12):
-        found = solve(pushed(by), PRIOR, WITHIN, "cpu", start=known)
+        found = solve(pushed(by), PRIOR, optimizer=WITHIN, backend="cpu", initial=known)
         assert found.convergence.error <= WITHIN.tolerance
         cycles.append(found.iterations)
         known = [found, *known][:4]
     assert cycles[0] == 0
     assert 0 < sum(cycles) < len(cycles)
-    exact = solve(pushed(11), PRIOR, Multigrid(1e-5), "cpu")
+    exact = solve(pushed(11), PRIOR, optimizer=Multigrid(1e-5), backend="cpu")
     np.testing.assert_allclose(found.displacement, exact.displacement, atol=WITHIN.tolerance)
 
 
 def softer_within():
     """Tissue that is softer where it hardly strains: what is left over there hardly tells."""
-    m = PROBLEM.m.copy()
+    m = PROBLEM.stiffness.copy()
     m[60:80, 20:40] *= 1e-3
     return m
 
 
 def held_elsewhere():
-    c = PROBLEM.c.copy()
+    c = PROBLEM.confidence.copy()
     c[48, 48] = 1
     return c
 
@@ -87,42 +89,46 @@ def held_elsewhere():
     ids=["to a side", "softer", "held elsewhere"],
 )
 def test_another_problem_is_not_taken_for_known(edited):
-    found = solve(edited, PRIOR, WITHIN, "cpu", start=well_known())
-    exact = solve(edited, PRIOR, Multigrid(1e-5), "cpu")
+    found = solve(edited, PRIOR, optimizer=WITHIN, backend="cpu", initial=well_known())
+    exact = solve(edited, PRIOR, optimizer=Multigrid(1e-5), backend="cpu")
     assert found.iterations > 0
     np.testing.assert_allclose(found.displacement, exact.displacement, atol=WITHIN.tolerance)
 
 
 def test_a_push_that_soft_tissue_hardly_resists_is_a_push_all_the_same():
-    m = np.where(np.arange(96)[:, None] < 34, 1e-5, 1) * PROBLEM.m
-    found = solve(pushed(2, across=0.5, m=m), PRIOR, WITHIN, "cpu", start=well_known(m=m))
-    exact = solve(pushed(2, across=0.5, m=m), PRIOR, Multigrid(1e-5), "cpu")
+    m = np.where(np.arange(96)[:, None] < 34, 1e-5, 1) * PROBLEM.stiffness
+    found = solve(
+        pushed(2, across=0.5, m=m), PRIOR, optimizer=WITHIN, backend="cpu", initial=well_known(m=m)
+    )
+    exact = solve(pushed(2, across=0.5, m=m), PRIOR, optimizer=Multigrid(1e-5), backend="cpu")
     assert found.iterations > 0
     np.testing.assert_allclose(found.displacement, exact.displacement, atol=WITHIN.tolerance)
 
 
 def test_another_poissons_ratio_is_not_taken_for_known():
-    found = solve(pushed(2), ElasticPrior(0.2), WITHIN, "cpu", start=well_known())
+    found = solve(
+        pushed(2), ElasticPrior(0.2), optimizer=WITHIN, backend="cpu", initial=well_known()
+    )
     assert found.iterations > 0
 
 
 def test_tissue_that_was_another_in_between_is_not_taken_for_known():
     known = well_known()
-    solve(pushed(0, m=softer_within()), PRIOR, WITHIN, "cpu")
-    assert solve(pushed(2), PRIOR, WITHIN, "cpu", start=known).iterations > 0
+    solve(pushed(0, m=softer_within()), PRIOR, optimizer=WITHIN, backend="cpu")
+    assert solve(pushed(2), PRIOR, optimizer=WITHIN, backend="cpu", initial=known).iterations > 0
 
 
 def test_a_copy_is_not_taken_for_what_was_found_nor_what_was_changed_since():
     known = well_known()
     copies = [replace(each, displacement=each.displacement.copy()) for each in known]
-    assert solve(pushed(2), PRIOR, WITHIN, "cpu", start=copies).iterations > 0
+    assert solve(pushed(2), PRIOR, optimizer=WITHIN, backend="cpu", initial=copies).iterations > 0
     place = np.s_[30:36, 44:50]
     assert PROBLEM.tissue[place].all()
-    assert not PROBLEM.observed[place].any(), "what is observed is looked at anyway"
+    assert not PROBLEM.known[place].any(), "what is observed is looked at anyway"
     known[1].displacement[place] += 0.3
-    found = solve(pushed(2), PRIOR, WITHIN, "cpu", start=known)
+    found = solve(pushed(2), PRIOR, optimizer=WITHIN, backend="cpu", initial=known)
     assert found.iterations > 0
-    exact = solve(pushed(2), PRIOR, Multigrid(1e-5), "cpu")
+    exact = solve(pushed(2), PRIOR, optimizer=Multigrid(1e-5), backend="cpu")
     np.testing.assert_allclose(found.displacement, exact.displacement, atol=WITHIN.tolerance)
 
 
@@ -130,10 +136,10 @@ def test_what_nobody_has_any_more_is_forgotten():
     known = well_known()
     model = models_last()
     for by in range(5):
-        solve(pushed(by), PRIOR, WITHIN, "cpu", start=known)
+        solve(pushed(by), PRIOR, optimizer=WITHIN, backend="cpu", initial=known)
     del known
     gc.collect()
-    found = solve(pushed(7), PRIOR, WITHIN, "cpu")
+    found = solve(pushed(7), PRIOR, optimizer=WITHIN, backend="cpu")
     assert [known() is found.displacement for known, _ in model.found._known] == [True]
 
 
@@ -144,13 +150,13 @@ def models_last():
 
 
 def test_a_result_without_a_cycle_can_be_saved_and_read(tmp_path):
-    found = solve(pushed(2), PRIOR, WITHIN, "cpu", start=well_known())
+    found = solve(pushed(2), PRIOR, optimizer=WITHIN, backend="cpu", initial=well_known())
     read = type(found).load(found.save(tmp_path / "found.npz"))
     assert (read.iterations, len(read.energy)) == (0, 1)
 
 
 def test_shares_add_up_to_one_and_bring_the_patch_where_it_is_to_be():
-    solutions = [*well_known(), solve(pushed(0, 1), PRIOR, WITHIN, "cpu")]
+    solutions = [*well_known(), solve(pushed(0, 1), PRIOR, optimizer=WITHIN, backend="cpu")]
     begin = beginning(solutions, pushed(3, -2))
     assert sum(begin.shares) == pytest.approx(1)
     assert begin.shares[1:] == pytest.approx((3, -2), abs=1e-3)

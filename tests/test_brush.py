@@ -74,22 +74,22 @@ def test_each_brush_says_its_own_of_what_it_covers(brush, history, paint, y, c):
     history.do(Drawing((Arrow((20, 20), (7, 8), 15.0, 0.8),)), "pulled")
     drag(brush, paint, (18, 20), (22, 20))
     canvas = rendered(history)
-    assert canvas.y[20, 20] == pytest.approx(y)
-    assert canvas.c[20, 20] == pytest.approx(c)
-    assert canvas.y[32, 20] == pytest.approx((7, 8)), "beside the brush nothing has changed"
+    assert canvas.observed[20, 20] == pytest.approx(y)
+    assert canvas.confidence[20, 20] == pytest.approx(c)
+    assert canvas.observed[32, 20] == pytest.approx((7, 8)), "beside the brush nothing has changed"
 
 
 def test_tissue_becomes_what_is_painted(brush, history):
     drag(brush, Paint("tissue", 4.0, label=3), (20, 20), (30, 20))
     labels = rendered(history).labels
     assert (labels[25, 20], labels[25, 30]) == (3, 1)
-    assert not rendered(history).c.any(), "and nothing is held by that"
+    assert not rendered(history).confidence.any(), "and nothing is held by that"
 
 
 def test_a_soft_brush_fades_confidence_out(brush, history):
     history.do(Drawing((Arrow((30, 25), (0, 0), 40.0),)), "held")
     drag(brush, Paint("confidence", 10.0, confidence=0.0, softness=1.0), (30, 25))
-    down = rendered(history).c[30:42, 25, 0]
+    down = rendered(history).confidence[30:42, 25, 0]
     assert down[0] == pytest.approx(0, abs=0.01)
     assert (np.diff(down[:11]) > 0).all()
     assert down[11] == 1
@@ -97,11 +97,11 @@ def test_a_soft_brush_fades_confidence_out(brush, history):
 
 def test_a_ring_expands_outward_and_shrinks_inward(brush, history):
     drag(brush, Paint("expand", 3.0, amount=2.0), *ring())
-    y = rendered(history).y
+    y = rendered(history).observed
     assert y[16, 25] == pytest.approx((-2, 0), abs=0.15)
     assert y[30, 32] == pytest.approx((0, 2), abs=0.15)
     assert brush.change(amount=-2.0)
-    assert rendered(history).y[16, 25] == pytest.approx((2, 0), abs=0.15)
+    assert rendered(history).observed[16, 25] == pytest.approx((2, 0), abs=0.15)
 
 
 def test_an_open_line_cannot_expand_and_leaves_nothing(brush, history):
@@ -177,7 +177,7 @@ def test_the_uppermost_stroke_is_found_under_a_place():
 
 def test_what_was_painted_last_is_known_of_each_pixel():
     base = Canvas.blank(SHAPE, SPACING)
-    base = Canvas(base.y, base.c, None, SPACING, np.zeros(SHAPE, np.uint8))
+    base = Canvas(base.observed, base.confidence, None, SPACING, np.zeros(SHAPE, np.uint8))
     marks = (
         Stroke("pin", (((20, 20),),), 8.0),
         Stroke("free", (((20, 20),),), 3.0),

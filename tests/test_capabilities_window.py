@@ -126,13 +126,13 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
 ):
     dock, screen = deform
     small_sample(viewer)
-    screen.cell(GEL, "Stiffness").setText("12,5")
+    screen.cell(GEL, "Stiffness").write("12,5")
     assert dock.materials[1].stiffness == 12.5
     for nonsense in ("stiff", "-3", "nan", "1e39", ""):
-        screen.cell(GEL, "Stiffness").setText(nonsense)
+        screen.cell(GEL, "Stiffness").write(nonsense)
         assert screen.cell(GEL, "Stiffness").text() == "12.5"
         assert "kept 12.5" in screen.words
-    screen.cell(GEL, "Stiffness").setText("rigid")
+    screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
     assert "is rigid, which the paper's model cannot have" in screen.words
     screen.press("Take the elastic model")
@@ -221,8 +221,8 @@ def test_a_preview_shows_what_paint_will_do(deform, viewer, small_sample, wait_f
     wait_for(lambda: "boundary preview" in viewer.layers)
     preview = viewer.layers["boundary preview"]
     assert (preview.data[:, 1] == (0, 3)).all()
-    screen.cell("2", "row").setText("2")
-    screen.cell("2", "col").setText("0")
+    screen.cell("2", "row").write("2")
+    screen.cell("2", "col").write("0")
     wait_for(lambda: bool((preview.data[:, 1] == (2, 0)).all()))
     screen.tick("Preview arrows while painting", False)
     wait_for(lambda: "boundary preview" not in viewer.layers)
@@ -378,12 +378,12 @@ def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
 ):
     dock, screen = deform
     small_sample(viewer)
-    screen.cell(GEL, "Stiffness").setText("33")
+    screen.cell(GEL, "Stiffness").write("33")
     pull = GrabAndPull(viewer)
     qtbot.addWidget(pull.native)
     pull.start()
     pull.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
-    screen.cell(GEL, "Stiffness").setText("44")
+    screen.cell(GEL, "Stiffness").write("44")
     other = Screen(pull)
     wait_for(lambda: "the stiffness of label 1" in other.button("Undo").toolTip())
     other.press("Undo")

@@ -1,6 +1,7 @@
 """The commands: what they print, write and answer."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -9,7 +10,7 @@ import pytest
 from patience import LONG_MS
 
 import napari_hmrf
-from napari_hmrf import Solution, cli, solve
+from napari_hmrf import SeilerPrior, Solution, cli, solve
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
 from napari_hmrf.solver.optimizers import Monitor
@@ -25,20 +26,41 @@ def demo(tmp_path, *more):
     return cli.main(["demo", "--backend", "cpu", "--out", str(tmp_path / "out"), *more])
 
 
-def table(printed):
+def tables(printed):
+    """What is printed of each model, one beside the other."""
     lines = [line for line in printed.partition("\n\n")[0].splitlines() if line]
-    return {line[:13].strip(): line[13:].strip() for line in lines}
+    names, *columns = zip(*(re.split(r" {2,}", line) for line in lines), strict=True)
+    return [dict(zip(names, column, strict=True)) for column in columns]
 
 
-def test_the_demo_measures_the_sample_against_finite_elements(tmp_path, capsys):
+def table(printed):
+    return tables(printed)[0]
+
+
+def test_the_demo_is_elastic_and_has_the_papers_beside_it(tmp_path, capsys):
     assert demo(tmp_path) == 0
     said = capsys.readouterr()
     assert "napari is not opened" in said.err
-    measured = table(said.out)
-    assert set(measured) == {
-        *("sample", "model", "renderer", "levels", "iterations", "seconds", "mean energy"),
-        *("RMSD to FEM", "folds"),
-    }
+    elastic, papers = tables(said.out)
+    for measured in (elastic, papers):
+        assert set(measured) == {
+            *("sample", "model", "renderer", "levels", "iterations", "seconds", "mean energy"),
+            *("RMSD to FEM", "folds"),
+        }
+        assert measured["sample"] == "Brain that expands outward, 300 x 300"
+    assert elastic["model"] == "elastic (Poisson's ratio 0.45, plane stress), converged"
+    assert papers["model"] == "the paper's prior (centred), 70 sweeps per level"
+    assert (elastic["levels"], papers["levels"]) == ("1", "10")
+    # Its finite elements are of another Poisson's ratio.
+    far = [each["RMSD to FEM"].partition(" px")[0] for each in (elastic, papers)]
+    assert 0 < float(far[0]) < float(far[1])
+    written = Solution.load(tmp_path / "out" / "solution.npz")
+    assert written.provenance.model == "elastic"
+
+
+def test_the_demo_measures_the_papers_model_against_finite_elements(tmp_path, capsys):
+    assert demo(tmp_path, "--model", "paper") == 0
+    (measured,) = tables(capsys.readouterr().out)
     assert measured["levels"] == "10"
     assert measured["iterations"] == "700"
     assert measured["folds"] == "0"
@@ -54,18 +76,18 @@ def test_the_demo_has_no_finite_elements_at_other_sizes(tmp_path, capsys):
 
 
 def test_elastic_tissue_of_the_same_material_is_the_finite_element_field(tmp_path, capsys):
-    assert demo(tmp_path, "--prior", "elastic", "--poisson", "0.3") == 0
+    assert demo(tmp_path, "--model", "elastic", "--poisson", "0.3") == 0
     measured = table(capsys.readouterr().out)
     assert measured["model"] == "elastic (Poisson's ratio 0.3, plane stress), converged"
     # The field it is held against is stored to a thousandth of a pixel.
     assert 0 < float(measured["RMSD to FEM"].removesuffix(" px")) < 0.001
-    assert demo(tmp_path, "--prior", "elastic", "--plane", "strain") == 0
+    assert demo(tmp_path, "--model", "elastic", "--plane", "strain") == 0
     measured = table(capsys.readouterr().out)
     assert measured["RMSD to FEM"].endswith(" px (of Poisson's ratio 0.3, plane stress)")
 
 
 def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
-    options = ("--size", "40", "--converged")
+    options = ("--size", "40", "--model", "paper-converged")
     assert demo(tmp_path, *options) == 0
     measured = table(capsys.readouterr().out)
     assert measured["model"] == "the paper's prior (centred), converged"
@@ -73,15 +95,15 @@ def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
 
 @pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
 def test_the_papers_prior_has_no_poisson_ratio_to_give(tmp_path, capsys, option):
-    assert demo(tmp_path, "--size", "40", *option) == 1
-    assert "are for --prior elastic" in capsys.readouterr().err
+    assert demo(tmp_path, "--size", "40", "--model", "paper", *option) == 1
+    assert "are for --model elastic" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("poisson", ["0.5", "-1", "nan", "much"])
 def test_a_poisson_ratio_that_is_none_is_refused_before_any_work(tmp_path, capsys, poisson):
     with pytest.raises(SystemExit):
-        demo(tmp_path, "--prior", "elastic", "--poisson", poisson)
+        demo(tmp_path, "--model", "elastic", "--poisson", poisson)
     assert "is not a number from 0 to 0.499" in capsys.readouterr().err
 
 
@@ -125,7 +147,7 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
     from napari_hmrf.io import figures
 
     bar = phantom("bar", 48)
-    solution = solve(bar.problem, backend="cpu")
+    solution = solve(bar.problem, SeilerPrior(), backend="cpu")
     figure = figures.displacement_picture(bar.image, solution)
     (quiver,) = (artist for artist in figure.axes[0].collections if isinstance(artist, Quiver))
     for x, y, right, down in zip(quiver.X, quiver.Y, quiver.U, quiver.V, strict=True):
@@ -141,7 +163,7 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
     from napari_hmrf.io import figures
 
     bar = phantom("bar", 48)
-    solution = solve(bar.problem, backend="cpu")
+    solution = solve(bar.problem, SeilerPrior(), backend="cpu")
     draw = getattr(figures, f"{kind}_picture")
     figure = draw(solution, image=bar.image)
     below, colours = figure.axes[0].images
@@ -165,13 +187,13 @@ def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
 
     done = []
 
-    def solved(*given, backend, progress):
+    def solved(*given, backend, **more):
         done.append(backend)
-        return solve(*given, backend="cpu", progress=progress)
+        return solve(*given, backend="cpu", **more)
 
     monkeypatch.setattr(module, "solve", solved)
     monkeypatch.setattr(module, "provide_loops", lambda job, report: done.append(job))
-    demonstrate("expansion", 32, backend, lambda _: None)
+    demonstrate("expansion", 32, backend=backend, progress=lambda _: None)
     assert done == expected
 
 
@@ -231,9 +253,9 @@ def test_a_window_opens_only_where_somebody_may_see_it(monkeypatch, platform, va
 
 def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
     problem, field = selftest.affine_example()
-    inside = problem.c[..., 0] == 0
+    inside = problem.confidence[..., 0] == 0
     assert np.count_nonzero(inside) == 14 * 21
-    assert np.array_equal(problem.y[~inside], field[~inside].astype(np.float32))
+    assert np.array_equal(problem.observed[~inside], field[~inside].astype(np.float32))
     # Second differences vanish: the field has no bend for the energy to resist.
     assert np.allclose(np.diff(field, 2, axis=0), 0)
     assert np.allclose(np.diff(field, 2, axis=1), 0)
@@ -286,7 +308,7 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     monkeypatch.setattr(cli, "_has_display", lambda: True)
     monkeypatch.setattr(napari, "Viewer", lambda: viewer)
     monkeypatch.setattr(napari, "run", lambda: None)
-    options = ("--prior", "elastic", "--poisson", "0.3", "--plane", "strain")
+    options = ("--model", "elastic", "--poisson", "0.3", "--plane", "strain")
     assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect", *options) == 0
     (widget,) = viewer.window.dock_widgets.values()
     qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)

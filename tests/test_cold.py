@@ -73,25 +73,25 @@ def cold(monkeypatch, tmp_path):
 def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypatch):
     require_opengl()
     prior, optimizer = MODELS[model]
-    early = solve(PROBLEM, prior, optimizer, backend="opengl")
+    early = solve(PROBLEM, prior, optimizer=optimizer, backend="opengl")
     image = np.random.default_rng(0).random(PROBLEM.shape)
-    seen = warp(image, early.displacement, PROBLEM.spacing, tissue=PROBLEM.tissue)
+    seen = warp(image, early.displacement, spacing=PROBLEM.spacing, tissue=PROBLEM.tissue)
     assert not loops.in_use()
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")
-    late = solve(PROBLEM, prior, optimizer, backend="cpu")
+    late = solve(PROBLEM, prior, optimizer=optimizer, backend="cpu")
     if early.convergence is not None:
         sure = early.convergence.error + late.convergence.error
         off = np.abs(early.displacement - late.displacement).max() / PROBLEM.unit
         assert off < sure + 1e-5
-    again = warp(image, early.displacement, PROBLEM.spacing, tissue=PROBLEM.tissue)
+    again = warp(image, early.displacement, spacing=PROBLEM.spacing, tissue=PROBLEM.tissue)
     np.testing.assert_allclose(seen, again, atol=1e-6)
 
 
 def test_a_bone_moves_as_one_before_the_loops_are_compiled(cold, monkeypatch):
     require_opengl()
-    m = PROBLEM.m.copy()
+    m = PROBLEM.stiffness.copy()
     m[18:23, 12:17] = np.inf
-    bony = Problem(PROBLEM.y, PROBLEM.c, m, PROBLEM.spacing)
+    bony = Problem(PROBLEM.observed, PROBLEM.confidence, m, spacing=PROBLEM.spacing)
     early = solve(bony, ElasticPrior(0.3), backend="opengl")
     assert not loops.in_use()
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")
@@ -154,8 +154,15 @@ class Waiting:
     def __init__(self, prior, optimizer, backend="cpu"):
         self.reports = queue.SimpleQueue()
         self.cancel = threading.Event()
-        asked = PROBLEM, prior, optimizer, backend, self.reports.put, self.cancel
-        self.answer = ThreadPoolExecutor(1).submit(solve, *asked)
+        self.answer = ThreadPoolExecutor(1).submit(
+            solve,
+            PROBLEM,
+            prior,
+            optimizer=optimizer,
+            backend=backend,
+            progress=self.reports.put,
+            cancel=self.cancel,
+        )
 
     def is_told(self, beginning):
         while not (report := self.reports.get(timeout=LONG)).message.startswith(beginning):

@@ -45,7 +45,7 @@ TISSUES = {
 @pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
 def test_irregular_tissue_is_as_close_as_it_is_said_to_be(tissue, contrast):
     problem = pushed(tissue(contrast))
-    solution = solve(problem, PRIOR, Multigrid(), backend="cpu")
+    solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     off = np.abs(solution.displacement - direct_solution(problem, PRIOR)).max()
     assert off <= 3 * solution.convergence.error + 1e-4
     assert off <= 3e-3
@@ -54,7 +54,7 @@ def test_irregular_tissue_is_as_close_as_it_is_said_to_be(tissue, contrast):
 def test_so_it_is_by_shaders():
     require_opengl()
     problem = pushed(two_phases(65, 5, 1e5))
-    solution = solve(problem, PRIOR, Multigrid(), backend="opengl")
+    solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="opengl")
     assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() <= 1e-3
 
 
@@ -62,7 +62,11 @@ def test_it_is_said_that_the_whole_system_had_to_be_factorised():
     said = []
     problem = pushed(fibres(65, 1e6))
     solution = solve(
-        problem, PRIOR, Multigrid(), backend="cpu", progress=lambda m: said.append(m.message)
+        problem,
+        PRIOR,
+        optimizer=Multigrid(),
+        backend="cpu",
+        progress=lambda m: said.append(m.message),
     )
     assert solution.convergence.way == "factors"
     assert any("factorising" in message for message in said)
@@ -70,7 +74,7 @@ def test_it_is_said_that_the_whole_system_had_to_be_factorised():
 
 @pytest.mark.parametrize("kind", ["expansion", "mass-effect"])
 def test_soft_tissue_needs_cycles_only(kind):
-    solution = solve(phantom(kind, 128).problem, PRIOR, Multigrid(), backend="cpu")
+    solution = solve(phantom(kind, 128).problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     assert solution.convergence.way == "cycles"
     assert solution.iterations <= 7
 
@@ -81,8 +85,8 @@ def test_stiff_tissue_turns_freely_where_pixels_are_oblong():
     y, c = np.zeros((40, 40, 2)), np.zeros((40, 40, 2))
     c[0] = c[-1] = 1
     y[-1, :, 1] = 3
-    problem = Problem(y, c, m, (0.28, 1.0))
-    solution = solve(problem, PRIOR, Multigrid(), backend="cpu")
+    problem = Problem(y, c, m, spacing=(0.28, 1.0))
+    solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 1e-3
 
 
@@ -90,11 +94,13 @@ def test_stiff_tissue_turns_freely_where_pixels_are_oblong():
 def test_nearly_incompressible_tissue_takes_forty_cycles_at_most(contrast):
     i, j = np.indices((97, 97))
     m = np.where((i - 48) ** 2 + (j - 48) ** 2 < 400, contrast, 1.0)
-    solution = solve(pushed(m), ElasticPrior(0.499, plane="strain"), Multigrid(), backend="cpu")
+    solution = solve(
+        pushed(m), ElasticPrior(0.499, plane="strain"), optimizer=Multigrid(), backend="cpu"
+    )
     assert solution.iterations <= 40
 
 
 def test_a_cancel_during_factors_is_answered():
     flag = During("factorising")
     with pytest.raises(Cancelled):
-        solve(pushed(fibres(129, 1e6)), PRIOR, Multigrid(), backend="cpu", cancel=flag)
+        solve(pushed(fibres(129, 1e6)), PRIOR, optimizer=Multigrid(), backend="cpu", cancel=flag)

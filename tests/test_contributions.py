@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
+from study_reader import read_layers
 
-from napari_hmrf import Problem, solve
+from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.layers.contributions import (
     open_solution,
@@ -16,9 +17,9 @@ from napari_hmrf.layers.contributions import (
     sample_mass_effect,
     save_solution,
 )
-from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
@@ -29,8 +30,8 @@ def solution():
     y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
-    problem = Problem(y, c, np.ones((8, 9)), (1.0, 0.5))
-    return solve(problem, optimizer=ICM(20), backend="cpu")
+    problem = Problem(y, c, np.ones((8, 9)), spacing=(1.0, 0.5))
+    return solve(problem, SeilerPrior(), optimizer=ICM(20), backend="cpu")
 
 
 @pytest.fixture
@@ -81,7 +82,7 @@ def test_a_sample_makes_the_very_problem_of_its_phantom(opened, name):
     )
     problem = read_layers(request).problem
     expected = sample(name).problem
-    for field in ("y", "c", "m"):
+    for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
 
 

@@ -9,6 +9,7 @@ from patience import LONG_MS
 from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
+from screen import Cell
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
@@ -302,8 +303,8 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
 
 def test_tissue_from_intensity_is_pulled(qtbot):
     from napari.components import ViewerModel
+    from study_reader import read_ground
 
-    from napari_hmrf.layers.ground import read_ground
     from napari_hmrf.ui.deform_dock import DeformTissue
 
     viewer = ViewerModel()
@@ -315,7 +316,7 @@ def test_tissue_from_intensity_is_pulled(qtbot):
     assert grab.tissue is layer
     assert grab.image is image
     ground = read_ground(grab.image, grab.tissue)
-    np.testing.assert_array_equal(ground.m, layer.data)
+    np.testing.assert_array_equal(ground.stiffness, layer.data)
 
 
 @pytest.mark.parametrize("shape", [(3, 24, 30), (24, 30, 3)])
@@ -494,11 +495,11 @@ def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample
     small_sample(widget._viewer)
     table = widget._face.tissue.table
     said = []
-    table.changed.connect(said.append)
+    table.edited.connect(lambda: said.append(table.contents))
     before = table.contents
     table.apply_preset(PRESETS[1])
     assert said == [table.contents]
-    table.item(1, 2).setText("3")
+    Cell(widget._face.tissue.seen, 1, 2).write("3")
     assert said[1:] == [table.contents]
     table.contents = before
     assert said[2:] == [before]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image
+from screen import head
 
 from napari_hmrf.layers.metadata import BOUNDARY, described
 from napari_hmrf.layers.place import Frame
@@ -62,16 +63,16 @@ def test_the_table_says_which_way_its_arrows_will_point(qtbot):
     viewer.add_image(np.zeros((20, 30)), name="t1", **place)
     widget = DeformTissue(viewer)
     qtbot.addWidget(widget.native)
-    table = widget._face.boundary.table
+    table = widget._face.boundary.seen
     boundary = np.zeros((20, 30), np.uint8)
     boundary[10, 10] = 1
-    rule = BoundaryRule(1, "move", (0.0, 10.0))
+    rule = BoundaryRule(1, "move", vector=(0.0, 10.0))
     layer = viewer.add_labels(
         boundary, name="Boundary", metadata=described(BOUNDARY, (rule,)), **place
     )
     widget.boundary = layer
     qtbot.waitUntil(lambda: "boundary preview" in viewer.layers)
-    assert table.horizontalHeaderItem(4).text().startswith("col ←")
+    assert head(table, 4).startswith("col ←")
     preview = viewer.layers["boundary preview"]
     start, step = preview.data[0]
     seen = np.subtract(preview.data_to_world(start + step), preview.data_to_world(start))

@@ -29,11 +29,11 @@ def model_of(prior, shape, spacing=(1.0, 1.0), held=True, seed=0):
         c[rng.random(c.shape) < 0.05] = 1
     else:
         c[0, 0] = 1
-    problem = Problem(np.zeros_like(c), c, m, spacing)
+    problem = Problem(np.zeros_like(c), c, m, spacing=spacing)
     kind = CpuElasticModel if isinstance(prior, ElasticPrior) else CpuSeilerModel
     model = kind(prior.material(problem))
     planes = np.zeros((2, shape[0] + 4, shape[1] + 4), dtype=bool)
-    planes[:, 2:-2, 2:-2] = np.moveaxis(problem.observed, -1, 0)
+    planes[:, 2:-2, 2:-2] = np.moveaxis(problem.known, -1, 0)
     model.hold(planes)
     return model
 
@@ -63,7 +63,7 @@ def test_what_next_to_nothing_holds_is_found_to_many_digits():
     problem = Problem(np.zeros((34, 34, 2)), rng.random((34, 34, 2)) < 0.07, m)
     model = CpuSeilerModel(PRIORS["blanket"].material(problem))
     held = np.zeros(model.moves.shape, dtype=bool)
-    held[:, 2:-2, 2:-2] = np.moveaxis(problem.observed, -1, 0)
+    held[:, 2:-2, 2:-2] = np.moveaxis(problem.known, -1, 0)
     model.hold(held)
     d = rng.normal(size=model.moves.shape) * model.moves
     factors = Factors(model.material, model.moves, silent)

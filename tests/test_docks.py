@@ -7,7 +7,7 @@ from npe2 import PluginManifest
 from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QDockWidget, QLabel, QTabBar
+from qtpy.QtWidgets import QDockWidget, QLabel, QTabBar
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -26,24 +26,24 @@ COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.command
 
 
 @pytest.fixture
-def choose(qtbot):
+def choose(at_rest):
     """Choose a command in a menu or in the command palette."""
     from napari._app_model import get_app_model
 
     def chosen(name):
         get_app_model().commands.execute_command(f"napari-hmrf.{name}").result()
-        qtbot.wait(50)
+        at_rest()
 
     return chosen
 
 
 @pytest.fixture
-def window(make_napari_viewer, qtbot):
+def window(make_napari_viewer, at_rest):
     """A window on a small screen, with an image."""
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
     viewer.add_image(np.full((40, 40), 100, np.uint8), name="MR")
-    qtbot.wait(50)
+    at_rest()
     return viewer.window
 
 
@@ -79,20 +79,20 @@ def test_docks_are_tabs_in_one_place_and_the_newest_is_in_front(window, choose):
     assert tab_titles(main) == ["Deform tissue", "Grab and pull", "Look at the result"]
 
 
-def test_all_docks_fit_on_a_small_screen(window, choose):
+def test_all_docks_fit_on_a_small_screen(window, choose, at_rest):
     for name in ("deform", "grab", "look"):
         choose(name)
     for kind in KINDS:
         dock(kind)
-        QApplication.processEvents()
+        at_rest()
         assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
     assert (window._qt_window.width(), window._qt_window.height()) == ROOM
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_dock_fits_on_a_small_screen(window, kind, qtbot):
+def test_each_dock_fits_on_a_small_screen(window, kind, at_rest):
     dock(kind)
-    qtbot.wait(50)
+    at_rest()
     assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
     assert (window._qt_window.width(), window._qt_window.height()) == ROOM
 
@@ -106,27 +106,27 @@ def corners_seen(viewer):
     return top, bottom, left, right
 
 
-def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(make_napari_viewer, qtbot):
+def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(make_napari_viewer, at_rest):
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
-    qtbot.wait(50)
+    at_rest()
     viewer.add_image(np.full((40, 80), 100, np.uint8), name="MR")
-    qtbot.wait(50)
+    at_rest()
     dock(DeformTissue, viewer)
-    qtbot.wait(150)
+    at_rest()
     _, _, left, right = corners_seen(viewer)
     assert left < 0
     assert right > 79
 
 
-def test_a_view_that_somebody_chose_stays_beside_a_dock(window, qtbot):
+def test_a_view_that_somebody_chose_stays_beside_a_dock(window, at_rest):
     viewer = window._qt_viewer.viewer
     camera = viewer.scene.camera
     camera.zoom *= 3
     camera.center = (0, 10, 12)
     chosen = (camera.zoom, camera.center)
     dock(DeformTissue)
-    qtbot.wait(150)
+    at_rest()
     assert (camera.zoom, camera.center) == chosen
 
 
@@ -156,11 +156,11 @@ def test_a_dock_that_was_put_elsewhere_stays_there(window, choose):
     assert not window._qt_window.tabifiedDockWidgets(frame_of(dock(GrabAndPull)))
 
 
-def test_a_closed_dock_can_be_opened_again(window, choose, qtbot):
+def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
     choose("deform")
     choose("grab")
     window.remove_dock_widget(frame_of(dock(GrabAndPull)))
-    qtbot.wait(50)
+    at_rest()
     assert in_front(window) == [DeformTissue]
     choose("grab")
     assert in_front(window) == [GrabAndPull]
@@ -222,10 +222,10 @@ TYPED = {
 }
 
 
-def test_the_palette_finds_commands_by_what_people_type(window, qtbot):
+def test_the_palette_finds_commands_by_what_people_type(window, at_rest):
     main = window._qt_window
     QTest.keyClick(main, Qt.Key.Key_P, CTRL | SHIFT)
-    qtbot.wait(20)
+    at_rest()
     palette = main._command_palette
     if not palette.isVisible():  # where no window manager gives the window the keyboard
         window._toggle_command_palette()

@@ -65,14 +65,14 @@ edits = st.tuples(
 def canvas(shape=SHAPE, spacing=SPACING):
     """Images on which something is observed already, everywhere else for each component."""
     found = Canvas.blank(shape, spacing, np.ones(shape, np.uint8))
-    found.y[::3], found.c[::3] = (0.5, -0.5), 0.75
+    found.observed[::3], found.confidence[::3] = (0.5, -0.5), 0.75
     return found
 
 
 def same(one, other):
     return (
-        np.array_equal(one.y, other.y)
-        and np.array_equal(one.c, other.c)
+        np.array_equal(one.observed, other.observed)
+        and np.array_equal(one.confidence, other.confidence)
         and np.array_equal(one.labels, other.labels)
     )
 
@@ -100,40 +100,40 @@ def test_an_arrow_moves_its_patch_and_nothing_else():
     )
     rows, cols = np.indices((30, 40))
     patch = np.hypot(rows - 10, 2.0 * (cols - 12)) <= 4
-    assert (drawn.y[patch] == (3, -2)).all()
-    assert (drawn.c[patch] == 0.5).all()
-    assert not drawn.y[~patch].any()
-    assert not drawn.c[~patch].any()
+    assert (drawn.observed[patch] == (3, -2)).all()
+    assert (drawn.confidence[patch] == 0.5).all()
+    assert not drawn.observed[~patch].any()
+    assert not drawn.confidence[~patch].any()
 
 
 @given(st.tuples(st.floats(0, SHAPE[0] - 1), st.floats(0, SHAPE[1] - 1)))
 def test_the_smallest_patch_still_has_a_pixel(place):
     drawn = Drawing((Arrow(place, (1, 1), radius=1e-6),)).render(Canvas.blank(SHAPE, SPACING))
     nearest = tuple(round(along) for along in place)
-    assert drawn.c[nearest].all()
-    assert 1 <= (drawn.c[..., 0] > 0).sum() <= 4
+    assert drawn.confidence[nearest].all()
+    assert 1 <= (drawn.confidence[..., 0] > 0).sum() <= 4
 
 
 def test_an_arrow_of_one_component_leaves_the_other_as_it_is_beneath():
     base = Canvas.blank((9, 9))
-    base.y[:], base.c[:] = (0, 5), (0, 1)
+    base.observed[:], base.confidence[:] = (0, 5), (0, 1)
     drawn = Drawing((Arrow((4, 4), (2, 7), radius=1, components="row"),)).render(base)
-    assert tuple(drawn.y[4, 4]) == (2, 5)
-    assert tuple(drawn.c[4, 4]) == (1, 1)
-    assert not drawn.y[0, 0, 0]
+    assert tuple(drawn.observed[4, 4]) == (2, 5)
+    assert tuple(drawn.confidence[4, 4]) == (1, 1)
+    assert not drawn.observed[0, 0, 0]
 
 
 def test_where_marks_overlap_the_later_one_wins():
     first, second = Arrow((5, 5), (1, 0), 3), Arrow((5, 7), (0, 1), 3)
     one = Drawing((first, second)).render(Canvas.blank((12, 14)))
     other = Drawing((second, first)).render(Canvas.blank((12, 14)))
-    assert tuple(one.y[5, 6]) == (0, 1)
-    assert tuple(other.y[5, 6]) == (1, 0)
+    assert tuple(one.observed[5, 6]) == (0, 1)
+    assert tuple(other.observed[5, 6]) == (1, 0)
 
 
 def test_a_landmark_takes_its_place_to_where_it_should_be():
     drawn = Drawing((Landmark((4, 5), (6, 2), radius=0.5),)).render(Canvas.blank((9, 9), (0.5, 2)))
-    assert tuple(drawn.y[4, 5]) == (1.0, -6.0)
+    assert tuple(drawn.observed[4, 5]) == (1.0, -6.0)
 
 
 def test_brushes_pin_free_and_move_what_they_touch():
@@ -141,10 +141,10 @@ def test_brushes_pin_free_and_move_what_they_touch():
     base = canvas((11, 15), (1.0, 1.0))
     for action, moved, certain in [("pin", (0, 0), 1), ("free", (0, 0), 0), ("move", (2, 1), 1)]:
         drawn = Drawing((Stroke(action, line, radius=1, by=(2, 1)),)).render(base)
-        assert (drawn.y[4:7, 2:13] == moved).all()
-        assert (drawn.c[4:7, 2:13] == certain).all()
-        assert np.array_equal(drawn.y[:4], base.y[:4])
-        assert np.array_equal(drawn.c[:, 14], base.c[:, 14])
+        assert (drawn.observed[4:7, 2:13] == moved).all()
+        assert (drawn.confidence[4:7, 2:13] == certain).all()
+        assert np.array_equal(drawn.observed[:4], base.observed[:4])
+        assert np.array_equal(drawn.confidence[:, 14], base.confidence[:, 14])
 
 
 def test_a_painted_ring_expands_outward_and_shrinks_inward():
@@ -155,11 +155,11 @@ def test_a_painted_ring_expands_outward_and_shrinks_inward():
     for amount in (2, -2):
         stroke = Stroke("expand", (ring,), radius=1.5, amount=amount)
         drawn = Drawing((stroke,)).render(Canvas.blank((41, 41)))
-        painted = drawn.c[..., 0] > 0
+        painted = drawn.confidence[..., 0] > 0
         assert painted.sum() > 150
-        along = (drawn.y * outward).sum(axis=-1)[painted] / amount
+        along = (drawn.observed * outward).sum(axis=-1)[painted] / amount
         assert along.min() > 0.98
-        assert np.allclose(np.linalg.norm(drawn.y[painted], axis=-1), 2, atol=1e-5)
+        assert np.allclose(np.linalg.norm(drawn.observed[painted], axis=-1), 2, atol=1e-5)
 
 
 def test_an_open_line_cannot_expand_and_nothing_is_changed():
@@ -175,15 +175,15 @@ def test_an_open_line_cannot_expand_and_nothing_is_changed():
 
 def test_a_soft_brush_fades_the_confidence_of_what_is_observed():
     base = Canvas.blank((21, 21))
-    base.y[:, :15], base.c[:, :15] = (1, 0), 1
+    base.observed[:, :15], base.confidence[:, :15] = (1, 0), 1
     stroke = Stroke("confidence", (((10, 10),),), radius=8, confidence=0.2, softness=0.5)
     drawn = Drawing((stroke,)).render(base)
-    across = drawn.c[10, 10:15, 0]
+    across = drawn.confidence[10, 10:15, 0]
     assert across[0] == pytest.approx(0.2)
-    assert (np.diff(drawn.c[10, 3:10, 0]) <= 0).all()
-    assert 0.2 < drawn.c[10, 4, 0] < 1
-    assert not drawn.c[:, 15:].any(), "what is not observed stays so"
-    assert np.array_equal(drawn.y, base.y)
+    assert (np.diff(drawn.confidence[10, 3:10, 0]) <= 0).all()
+    assert 0.2 < drawn.confidence[10, 4, 0] < 1
+    assert not drawn.confidence[:, 15:].any(), "what is not observed stays so"
+    assert np.array_equal(drawn.observed, base.observed)
 
 
 def test_a_tissue_brush_paints_labels_and_needs_some():
@@ -198,7 +198,9 @@ def test_a_tissue_brush_paints_labels_and_needs_some():
 def test_what_is_drawn_is_what_tissue_does():
     held = Stroke("pin", (((0, 0), (0, 19), (19, 19), (19, 0), (0, 0)),), radius=0.5)
     drawn = Drawing((held, Arrow((10, 10), (2, 1), radius=2))).render(Canvas.blank((20, 20)))
-    moved = solve(Problem(drawn.y, drawn.c, np.ones((20, 20))), ElasticPrior()).displacement
+    moved = solve(
+        Problem(drawn.observed, drawn.confidence, np.ones((20, 20))), ElasticPrior()
+    ).displacement
     assert moved[10, 10] == pytest.approx((2, 1), abs=1e-3)
     assert 0.2 < moved[10, 4, 0] < 1.8
     assert not moved[0].any()
@@ -207,17 +209,17 @@ def test_what_is_drawn_is_what_tissue_does():
 @pytest.mark.parametrize(
     ("make", "field", "hint"),
     [
-        (lambda: Arrow((0, float("nan")), (1, 1), 2), "y", "Give a number"),
-        (lambda: Arrow((0, 0), (1, float("inf")), 2), "y", "Give a number"),
-        (lambda: Arrow((0, 0, 0), (1, 1), 2), "y", r"Give \(row, col\)"),
-        (lambda: Arrow((0, 0), (1, 1), 0), "y", "above 0"),
-        (lambda: Arrow((0, 0), (1, 1), 2, confidence=0), "c", "Remove the mark"),
-        (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "y", '"row"'),
-        (lambda: Landmark((0, 0), (1, 1), 2, confidence=1.5), "c", "from 0 to 1"),
-        (lambda: Stroke("melt", (((0, 0),),), 1), "y", '"pin"'),
-        (lambda: Stroke("pin", (), 1), "y", "without a place"),
-        (lambda: Stroke("pin", ((),), 1), "y", "without a place"),
-        (lambda: Canvas.blank((4, 4), labels=np.zeros((3, 4), int)), "m", "is needed"),
+        (lambda: Arrow((0, float("nan")), (1, 1), 2), "observed", "Give a number"),
+        (lambda: Arrow((0, 0), (1, float("inf")), 2), "observed", "Give a number"),
+        (lambda: Arrow((0, 0, 0), (1, 1), 2), "observed", r"Give \(row, col\)"),
+        (lambda: Arrow((0, 0), (1, 1), 0), "observed", "above 0"),
+        (lambda: Arrow((0, 0), (1, 1), 2, confidence=0), "confidence", "Remove the mark"),
+        (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "observed", '"row"'),
+        (lambda: Landmark((0, 0), (1, 1), 2, confidence=1.5), "confidence", "from 0 to 1"),
+        (lambda: Stroke("melt", (((0, 0),),), 1), "observed", '"pin"'),
+        (lambda: Stroke("pin", (), 1), "observed", "without a place"),
+        (lambda: Stroke("pin", ((),), 1), "observed", "without a place"),
+        (lambda: Canvas.blank((4, 4), labels=np.zeros((3, 4), int)), "stiffness", "is needed"),
     ],
 )
 def test_marks_that_mean_nothing_are_refused(make, field, hint):
@@ -275,7 +277,10 @@ def test_a_rendering_kept_up_to_date_is_that_made_anew(begin, sequence):
         assert same(rendering.canvas, drawing.render(base))
         if window is not None:
             top, bottom, left, right = window
-            for mine, its in ((old.y, rendering.canvas.y), (old.c, rendering.canvas.c)):
+            for mine, its in (
+                (old.observed, rendering.canvas.observed),
+                (old.confidence, rendering.canvas.confidence),
+            ):
                 mine[top:bottom, left:right] = its[top:bottom, left:right]
             old.labels[top:bottom, left:right] = rendering.canvas.labels[top:bottom, left:right]
         assert same(old, rendering.canvas), "changed beyond the pixels it named"
@@ -424,9 +429,9 @@ def test_what_is_said_against_folds_helps():
         rendering = Rendering(Canvas(np.zeros_like(c), c))
         rendering.show(Drawing((Arrow((48, col), (0, by), radius),)))
         canvas = rendering.canvas
-        problem = Problem(canvas.y, canvas.c, np.ones(c.shape[:2]))
-        solution = solve(problem, ElasticPrior(), Multigrid(0.05), backend="cpu")
-        return count_folds(solution.displacement, solution.spacing, solution.tissue)
+        problem = Problem(canvas.observed, canvas.confidence, np.ones(c.shape[:2]))
+        solution = solve(problem, ElasticPrior(), optimizer=Multigrid(0.05), backend="cpu")
+        return count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
 
     assert folds(48, 8, 4) == folds(70, 8, 4) == 0 < folds(48, 20, 4)
     assert folds(48, 20, 8) < folds(48, 20, 4)

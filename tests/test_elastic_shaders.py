@@ -25,7 +25,7 @@ from napari_hmrf.solver.optimizers.cycle import STRETCHING, Cycle, chebyshev
 #: Odd, even, prime, two sites wide, small enough to be the only level.
 SHAPES = [(31, 37), (64, 48), (2, 9), (101, 7), (4, 5)]
 SPACINGS = [(1.0, 1.0), (2.0, 0.5)]
-PRIORS = [ElasticPrior(0.3), ElasticPrior(0.499, "strain")]
+PRIORS = [ElasticPrior(0.3), ElasticPrior(0.499, plane="strain")]
 #: Each shape, and contrasts, pixels and priors so that any two of them meet.
 CASES = [
     ((31, 37), 4.0, SPACINGS[0], PRIORS[0]),
@@ -204,14 +204,14 @@ def test_a_whole_cycle_is_the_same_everywhere(stage, visited_alike):
         (ElasticPrior(0.0), 1e4, (1.0, 1.0)),
         (ElasticPrior(0.45), 1e4, (1.0, 1.0)),
         (ElasticPrior(0.45), 1e4, (2.0, 0.5)),
-        (ElasticPrior(0.45, "strain"), 10.0, (1.0, 1.5)),
-        (ElasticPrior(0.499, "strain"), 1.0, (1.0, 1.0)),
+        (ElasticPrior(0.45, plane="strain"), 10.0, (1.0, 1.5)),
+        (ElasticPrior(0.499, plane="strain"), 1.0, (1.0, 1.0)),
     ],
 )
 def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing, visited_alike):
     problem = torn(ratio=ratio, spacing=spacing)
-    loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
-    shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
+    loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
     off = np.abs(shaders.displacement - loops.displacement) / np.array(spacing)
     assert off.max() < 2e-3
     assert (shaders.displacement[~problem.tissue] == 0).all()
@@ -231,13 +231,13 @@ def test_a_phantom_moves_alike_everywhere(stage, name, visited_alike):
 
 def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stage):
     problem = torn(ratio=5.0)
-    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.c
-    problem = Problem(problem.y, graded, problem.m)
-    poisson = np.where(problem.m > 1, 0.2, 0.45)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
+    problem = Problem(problem.observed, graded, problem.stiffness)
+    poisson = np.where(problem.stiffness > 1, 0.2, 0.45)
     prior = ElasticPrior(poisson, penalty=0.03)
-    loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
-    shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
-    slipped = np.abs(loops.displacement - problem.y)[problem.c > 0] > 0.01
+    loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
+    slipped = np.abs(loops.displacement - problem.observed)[problem.confidence > 0] > 0.01
     assert 0.05 < slipped.mean() < 0.95
     assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
 
@@ -245,7 +245,7 @@ def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stag
 def test_an_earlier_solution_is_a_good_beginning(stage):
     backend = f"opengl:{stage}"
     first = solve(torn(4.0), ElasticPrior(), backend=backend)
-    again = solve(torn(4.0), ElasticPrior(), backend=backend, start=first)
+    again = solve(torn(4.0), ElasticPrior(), backend=backend, initial=first)
     assert again.iterations < first.iterations / 3
     assert np.abs(again.displacement - first.displacement).max() < 4e-3
 
@@ -258,7 +258,11 @@ def test_the_same_solve_gives_the_same_bits(stage):
 def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
     given = example((33, 41))
     other = example((33, 41))
-    other.problem = Problem(given.problem.y, np.roll(given.problem.c, 5, axis=0), given.problem.m)
+    other.problem = Problem(
+        given.problem.observed,
+        np.roll(given.problem.confidence, 5, axis=0),
+        given.problem.stiffness,
+    )
 
     def fields(*held):
         backend = OpenGLBackend(lambda: None, stage)
@@ -276,7 +280,7 @@ def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
         finally:
             backend.close()
 
-    masks = given.problem.c, other.problem.c
+    masks = given.problem.confidence, other.problem.confidence
     twice, once = (on_compute_thread(lambda h=h: fields(*h)) for h in (masks, masks[1:]))
     np.testing.assert_array_equal(twice, once)
     assert not twice[:, 2:-2, 2:-2][np.moveaxis(masks[1] > 0, -1, 0)].any()
@@ -340,13 +344,13 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
     stage, made, where, every_pass_a_batch
 ):
     backend = f"opengl:{stage}"
-    before = solve(torn(4.0), ElasticPrior(), COARSELY, backend)
+    before = solve(torn(4.0), ElasticPrior(), optimizer=COARSELY, backend=backend)
     looks = _batches(stage)
     assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
         _batches(stage, stop_at=int(where * looks))
     assert left(made) == 0
-    after = solve(torn(4.0), ElasticPrior(), COARSELY, backend)
+    after = solve(torn(4.0), ElasticPrior(), optimizer=COARSELY, backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 

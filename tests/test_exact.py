@@ -21,12 +21,12 @@ def patterned(shape, contrast, seed=0, spacing=(1.0, 1.0)):
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     c[0] = c[-1] = 1
     y[-1] = dice.normal(size=(shape[1], 2))
-    return Problem(y, c, m, spacing)
+    return Problem(y, c, m, spacing=spacing)
 
 
 PRIORS = [
     ElasticPrior(0.3),
-    ElasticPrior(0.499, "strain"),
+    ElasticPrior(0.499, plane="strain"),
     SeilerPrior(),
     SeilerPrior(conditional="blanket"),
 ]
@@ -50,7 +50,7 @@ def test_the_matrix_pulls_as_the_definitions_say(prior, spacing):
 def test_a_direct_solution_is_that_in_fractions(prior):
     problem = patterned((4, 4), 1e6)
     matrix = matrix_of(problem, prior)
-    unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.observed.ravel())
+    unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.known.ravel())
     right = np.random.default_rng(2).normal(size=matrix.size)
     found = Factors(matrix, unknowns).solution(right)
     entry = {
@@ -77,7 +77,7 @@ def test_a_direct_solution_is_that_in_fractions(prior):
 def test_elastic_tissue_moves_as_the_other_oracle_says(plane):
     nu = np.random.default_rng(3).uniform(0, 0.49, (9, 8)).astype(np.float32)
     problem = patterned((9, 8), 100.0, spacing=(2.0, 0.7))
-    prior = ElasticPrior(nu, plane)
+    prior = ElasticPrior(nu, plane=plane)
     expected = direct_solution(problem, prior) / problem.unit
     found = exact_field(problem, prior)
     np.testing.assert_allclose(found.displacement, expected, rtol=0, atol=1e-10)
@@ -106,13 +106,13 @@ def slippery(seed, shape=(6, 5)):
 @pytest.mark.parametrize("seed", range(4))
 def test_each_site_of_a_centred_field_is_where_its_own_energy_is_least(penalty, seed):
     problem = slippery(seed)
-    prior = SeilerPrior(penalty)
+    prior = SeilerPrior(penalty=penalty)
     found = exact_field(problem, prior)
     assert found.sure
     curvature, lowest = prior.site_parabola(problem, found.displacement)
-    reach = penalty * problem.c / (2 * np.where(curvature > 0, curvature, 1))
-    off = lowest - problem.y
-    best = problem.y + np.sign(off) * np.maximum(np.abs(off) - reach, 0)
+    reach = penalty * problem.confidence / (2 * np.where(curvature > 0, curvature, 1))
+    off = lowest - problem.observed
+    best = problem.observed + np.sign(off) * np.maximum(np.abs(off) - reach, 0)
     np.testing.assert_allclose(
         found.displacement[curvature > 0], best[curvature > 0], rtol=0, atol=1e-9
     )
@@ -125,9 +125,9 @@ def test_no_field_has_less_energy_than_the_exact_one(penalty, prior, seed):
     problem = slippery(seed)
     elastic = isinstance(prior, ElasticPrior)
     prior = (
-        ElasticPrior(prior.poisson, prior.plane, penalty)
+        ElasticPrior(prior.poisson, plane=prior.plane, penalty=penalty)
         if elastic
-        else SeilerPrior(penalty, "blanket")
+        else SeilerPrior(penalty=penalty, conditional="blanket")
     )
     found = exact_field(problem, prior)
     assert found.sure
@@ -135,13 +135,13 @@ def test_no_field_has_less_energy_than_the_exact_one(penalty, prior, seed):
     def energy(d):
         if not elastic:
             return oracle.total_energy(problem, d, penalty)
-        held = penalty * problem.c.astype(float) * np.abs(problem.y - d)
+        held = penalty * problem.confidence.astype(float) * np.abs(problem.observed - d)
         return prior.energy(problem, d) + held.sum()
 
     least = energy(found.displacement)
     dice = np.random.default_rng(seed)
     for size in (1e-5, 1e-3, 0.1):
-        for way in (*dice.normal(size=(5, 6, 5, 2)), problem.y - found.displacement):
+        for way in (*dice.normal(size=(5, 6, 5, 2)), problem.observed - found.displacement):
             assert energy(found.displacement + size * way) >= least - 1e-12 * abs(least)
 
 
@@ -219,7 +219,7 @@ def test_what_nothing_pulls_at_stays_or_is_where_it_was_seen():
 def test_the_least_eigenvalue_is_that_of_a_dense_matrix(prior):
     problem = patterned((7, 6), 300.0)
     matrix = matrix_of(problem, prior)
-    unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.observed.ravel())
+    unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.known.ravel())
     dense = np.zeros((matrix.size, matrix.size))
     dense[matrix.rows, matrix.columns] = matrix.high
     root = np.sqrt(matrix.diagonal[unknowns])
@@ -263,16 +263,19 @@ def test_the_exact_field_meets_its_own_conditions_at_any_contrast():
         dice = np.random.default_rng(seed)
         problem = slippery(seed)
         m = np.where(dice.random(problem.shape) < 0.5, 1.0, 9e5)
-        problem = Problem(problem.y, problem.c, m)
-        for prior in (ElasticPrior(0.45, penalty=0.01), SeilerPrior(1.0, "blanket")):
+        problem = Problem(problem.observed, problem.confidence, m)
+        for prior in (
+            ElasticPrior(0.45, penalty=0.01),
+            SeilerPrior(penalty=1.0, conditional="blanket"),
+        ):
             found = exact_field(problem, prior)
             assert found.sure
             force = -matrix_of(problem, prior).times(found.displacement.ravel())[0]
-            limit = prior.penalty * problem.c.ravel().astype(float)
+            limit = prior.penalty * problem.confidence.ravel().astype(float)
             # A displacement rounded to float64 pulls with as much as rounding is worth.
             rounding = 1e-15 * matrix_of(problem, prior).diagonal.max()
             assert (np.abs(force) <= limit * (1 + 1e-9) + rounding).all()
-            off = (found.displacement - problem.y).ravel()
+            off = (found.displacement - problem.observed).ravel()
             slips = (np.abs(off) > 1e-8) & (limit > 0)
             np.testing.assert_allclose(
                 force[slips], (np.sign(off) * limit)[slips], rtol=1e-9, atol=rounding

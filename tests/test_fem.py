@@ -22,7 +22,7 @@ def test_a_uniform_strain_on_the_edge_fills_the_inside(spacing):
     places = np.moveaxis(np.indices((9, 12)), 0, -1) * np.array(spacing)
     exact = places @ strain.T
     c = np.repeat(edge_of((9, 12))[..., None], 2, axis=-1).astype(float)
-    problem = Problem(exact, c, np.full((9, 12), 7.0), spacing)
+    problem = Problem(exact, c, np.full((9, 12), 7.0), spacing=spacing)
     np.testing.assert_allclose(plane_stress_displacement(problem, NU), exact, atol=1e-6)
 
 
@@ -73,7 +73,7 @@ def test_lames_annulus_is_approached_with_the_square_of_the_pixel():
 
 def test_the_scale_of_the_stiffness_does_not_matter():
     problem = phantom("mass-effect", 32).problem
-    stiffer = Problem(problem.y, problem.c, problem.m * 1000)
+    stiffer = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
     np.testing.assert_allclose(
         plane_stress_displacement(problem), plane_stress_displacement(stiffer), atol=1e-9
     )

@@ -178,14 +178,14 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     assert not widget.drawing.marks
 
 
-def test_the_image_deleted_in_mid_drag_ends_it(pulling, qtbot):
+def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
     person, widget = pulling
     person.press(30, 30)
     person.move(34, 34)
     person.viewer.layers.remove("MR")
     person.move(40, 40)
     person.release(40, 40)
-    qtbot.wait(100)
+    at_rest()
     assert widget.image is None
     assert not widget.drawing.marks
     assert "no image" in widget.status
@@ -243,7 +243,7 @@ def test_a_slice_that_was_only_visited_leaves_no_layers(open_window, settle):
     assert made == ["MR deformed, elastic (slice 0)"]
 
 
-def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):
+def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_window(stack, scale=(5, 1, 1))
     viewer = person.viewer
@@ -267,14 +267,14 @@ def test_each_slice_has_its_own_drawing(open_window, settle, qtbot):
     assert by_name(viewer, "MR deformed, elastic (slice 1)").data.shape == (1, 48, 64)
     assert "MR deformed, elastic (slice 2)" not in viewer.layers, "nothing has moved there"
     viewer.dims.ndisplay = 3
-    qtbot.wait(50)
+    at_rest()
     assert "two dimensions" in widget.status
 
 
-def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbot):
+def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbot, at_rest):
     person, widget = pulling
     person.viewer.dims.ndisplay = 3
-    qtbot.wait(100)
+    at_rest()
     assert "two dimensions" in widget.status
     person.viewer.dims.ndisplay = 2
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
@@ -314,12 +314,12 @@ def test_two_viewers_pull_their_own_tissue(open_window, settle):
     assert its.drawing.marks
 
 
-def test_a_window_closed_in_mid_drag_ends_everything(pulling, qtbot):
+def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
     person, _ = pulling
     person.press(30, 30)
     person.move(34, 34)
     person.viewer.close()
-    qtbot.wait(300)
+    at_rest()
 
 
 def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
@@ -442,12 +442,12 @@ def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     assert widget.drawing == drawn
 
 
-def test_an_image_that_is_removed_takes_its_steps_along(pulling, qtbot):
+def test_an_image_that_is_removed_takes_its_steps_along(pulling, at_rest):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
     assert widget.form.undo.enabled
     person.viewer.layers.remove("MR")
-    qtbot.wait(50)
+    at_rest()
     assert not widget.form.undo.enabled
     widget.undo()
     assert widget.status == "There is nothing to take back."
@@ -461,7 +461,7 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
     _, other = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
     assert widget.start()
     settle(widget)
-    before = widget._puller.ground.m.max()
+    before = widget._puller.ground.stiffness.max()
     rows = other.materials
     other.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
     settle_ground(widget, person, 2 * before)
@@ -473,7 +473,9 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
 
 
 def settle_ground(widget, person, stiffest):
-    person._qtbot.waitUntil(lambda: widget._puller.ground.m.max() == stiffest, timeout=LONG_MS)
+    person._qtbot.waitUntil(
+        lambda: widget._puller.ground.stiffness.max() == stiffest, timeout=LONG_MS
+    )
 
 
 def test_a_patch_over_the_held_edge_is_said_to_take_it_along(open_window, settle):
@@ -538,13 +540,13 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
     assert not solution.displacement[~disc].any()
 
 
-def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, qtbot):
+def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, at_rest):
     person, widget = open_window()
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
     assert "two dimensions" in widget.status
     person.viewer.dims.ndisplay = 2
-    qtbot.wait(100)
+    at_rest()
     assert widget.status == "Press 'Grab and pull', then drag tissue in the image."
 
 

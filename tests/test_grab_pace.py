@@ -7,8 +7,8 @@ import pytest
 from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
+from study_reader import read_ground
 
-from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -49,17 +49,18 @@ def solver_at_work():
     over.set()
 
 
-def rest(follower, qtbot):
-    qtbot.waitUntil(lambda: not follower.busy, timeout=LONG_MS)
-    qtbot.wait(50)
+@pytest.fixture
+def rest(at_rest):
+    """Wait until a follower has shown the last drawing."""
+    return lambda follower: at_rest.until(lambda: not follower.busy)
 
 
-def test_the_newest_drawing_is_shown_in_the_end(follower, qtbot):
+def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
     for by in range(40):
         follower.follow(pulled(by / 10))
         if by % 7 == 0:
             QApplication.processEvents()
-    rest(follower, qtbot)
+    rest(follower)
     seen = follower.shown[-1]
     assert seen.drawing == pulled(3.9)
     assert seen.solution.displacement[20, 20] == pytest.approx((0, 3.9), abs=0.02)
@@ -68,66 +69,66 @@ def test_the_newest_drawing_is_shown_in_the_end(follower, qtbot):
 
 
 def test_of_drawings_made_while_one_is_shown_only_the_last_is_solved(
-    follower, qtbot, monkeypatch, solver_at_work
+    follower, rest, monkeypatch, solver_at_work
 ):
     solved = []
     check = Problem.__init__
 
-    def noted(self, y, *rest):
+    def noted(self, y, *rest, **options):
         solved.append(round(float(y.max()), 1))
-        check(self, y, *rest)
+        check(self, y, *rest, **options)
 
     monkeypatch.setattr(Problem, "__init__", noted)
     for by in range(1, 10):
         follower.follow(pulled(by / 10))
     solver_at_work.set()
-    rest(follower, qtbot)
+    rest(follower)
     first, last = 0.1, 0.9
     assert [by for by in solved if by not in (0, 1)] == [first, last], (
         "compiling solves for 0 and 1"
     )
 
 
-def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, qtbot):
+def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, rest):
     shown = []
     follower = Follower(shown.append)
     follower.stand_on(read_ground(image, hold_edge=False))
     follower.follow(pulled(2))
     follower.follow(Drawing())
-    rest(follower, qtbot)
+    rest(follower)
     assert shown[-1].solution is None
     assert np.array_equal(shown[-1].picture, image.data)
     follower.follow(pulled(2))
-    rest(follower, qtbot)
+    rest(follower)
     assert shown[-1].solution is not None, "and the next drawing is followed again"
     follower.release()
 
 
-def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, qtbot, solver_at_work):
+def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, solver_at_work):
     beyond = Drawing((Arrow((20, 20), (0, 1e6), 4),))
     follower.follow(beyond)
     follower.follow(pulled(1))
     solver_at_work.set()
-    rest(follower, qtbot)
+    rest(follower)
     assert [seen.error for seen in follower.shown] == [None]
     follower.follow(beyond)
-    rest(follower, qtbot)
+    rest(follower)
     assert "the image is only" in str(follower.shown[-1].error)
     follower.follow(pulled(2))
-    rest(follower, qtbot)
+    rest(follower)
     assert follower.shown[-1].solution is not None
 
 
-def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, qtbot, monkeypatch):
+def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, rest, monkeypatch):
     from napari_hmrf.field.live_warp import Warper
 
     with monkeypatch.context() as broken:
         broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
         follower.follow(pulled(1))
-        rest(follower, qtbot)
+        rest(follower)
     assert isinstance(follower.shown[-1].error, ZeroDivisionError)
     follower.follow(pulled(2))
-    rest(follower, qtbot)
+    rest(follower)
     assert follower.shown[-1].drawing == pulled(2)
 
 
@@ -161,7 +162,9 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     settle(widget)
     assert np.array_equal(told[-1], seen[-1].picture)
     assert thumbnails
-    assert np.array_equal(by_name(person.viewer, "MR").data, widget._puller.ground.pictures.image)
+    assert np.array_equal(
+        by_name(person.viewer, "MR").data, widget._puller.ground.study.pictures.image
+    )
 
 
 def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
@@ -193,13 +196,13 @@ def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling, qtbot
         assert positions, "the status bar is told where the pointer is now"
 
 
-def test_nothing_is_computed_when_nothing_is_done(pulling, settle, qtbot):
+def test_nothing_is_computed_when_nothing_is_done(pulling, settle, at_rest):
     person, widget = pulling
     person.drag((30, 30), (32, 32), (34, 34))
     settle(widget)
     seen = []
     widget.seen.connect(seen.append)
-    qtbot.wait(1000)
+    at_rest()
     assert not seen
 
 
@@ -218,7 +221,7 @@ def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
 
 
 @pytest.mark.parametrize("confidence", [1.0, 0.5])
-def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
+def test_the_first_drag_finds_everything_compiled(rest, confidence):
     from napari.layers import Image
 
     from napari_hmrf.field.interpolation import look_up
@@ -231,11 +234,11 @@ def test_the_first_drag_finds_everything_compiled(qtbot, confidence):
     follower = Follower(lambda seen: None)
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
     follower.stand_on(read_ground(image, hold_edge=False))
-    rest(follower, qtbot)
+    rest(follower)
     compute_thread.submit(lambda: None).result(240)
     before = compiled()
     follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
-    rest(follower, qtbot)
+    rest(follower)
     assert compiled() == before
     follower.release()
 
@@ -255,15 +258,17 @@ def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
     assert widget.status.startswith("Drag tissue")
 
 
-def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(image, qtbot, solver_at_work):
+def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(
+    image, rest, solver_at_work, at_rest
+):
     shown = []
     follower = Follower(shown.append)
     follower.stand_on(read_ground(image, hold_edge=False))
     follower.follow(Drawing())
-    qtbot.wait(50)
+    at_rest(thread=False)
     assert follower.busy
     assert not shown
     solver_at_work.set()
-    rest(follower, qtbot)
+    rest(follower)
     assert [seen.solution for seen in shown] == [None]
     follower.release()

@@ -134,7 +134,7 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     settle(widget)
     stroke = widget.drawing.marks[1]
     assert (stroke.action, stroke.confidence, stroke.softness) == ("confidence", 0.0, 1.0)
-    sure = widget.drawing.render(widget._puller.ground.base).c[44, 40:46, 0]
+    sure = widget.drawing.render(widget._puller.ground.base).confidence[44, 40:46, 0]
     assert sure[0] == pytest.approx(0, abs=0.15)
     assert (np.diff(sure) > 0).all(), "it fades out"
     assert len(np.unique(seen_paint(person))) > 3, "and so does its paint"
@@ -373,7 +373,7 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle,
 
 
 @pytest.mark.parametrize(("gone", "words"), [("Arrows", "is gone"), ("MR", "no image")])
-def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, qtbot, gone, words):
+def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, at_rest, gone, words):
     person, widget = brushing
     person.key(PIN)
     person.press(20, 20)
@@ -381,7 +381,7 @@ def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, qtbot
     person.viewer.layers.remove(gone)
     person.move(20, 30)
     person.release(20, 30)
-    qtbot.wait(100)
+    at_rest()
     assert not widget.history.in_progress
     assert words in widget.status
     assert not person.viewer.canvas.overlays.text.visible

@@ -18,13 +18,13 @@ N = 17
 def test_a_case_is_a_problem_with_soft_stiff_and_moving_tissue(case, size):
     layout = tissues.TISSUES[case](size)
     images = layout.images(1e4)
-    problem = Problem(images.y, images.c, images.m)
+    problem = Problem(images.observed, images.confidence, images.stiffness)
     PRIOR.resolved(problem)  # which refuses tissue that could move freely
-    inside = images.m[images.tissue]
+    inside = images.stiffness[images.tissue]
     assert inside.min() == 1
     assert inside.max() == 1e4
     assert np.isin(np.unique(layout.pattern[~layout.void]), [0, 0.5, 1]).all()
-    assert np.ptp(images.y[images.observed[..., 0]], axis=0).max() > 0.5
+    assert np.ptp(images.observed[images.known[..., 0]], axis=0).max() > 0.5
     again = tissues.TISSUES[case](size).images(1e4)
     assert rivals.digest(again) == rivals.digest(images), "drawn the same each time"
 
@@ -32,22 +32,28 @@ def test_a_case_is_a_problem_with_soft_stiff_and_moving_tissue(case, size):
 @pytest.mark.parametrize("name", ["expansion", "mass-effect"])
 def test_a_phantom_s_own_contrast_leaves_it_as_it_is(name):
     images = tissues.TISSUES[name](48).images(tissues.PHANTOM_CONTRAST)
-    np.testing.assert_allclose(images.m, phantom(name, 48).problem.m / 10, rtol=1e-6)
+    np.testing.assert_allclose(
+        images.stiffness, phantom(name, 48).problem.stiffness / 10, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("case", tissues.TISSUES)
 def test_the_exact_field_is_that_of_other_finite_elements(case):
     images = tissues.TISSUES[case](N).images(1e2)
-    other = plane_stress_displacement(Problem(images.y, images.c, images.m), 0.3)
+    other = plane_stress_displacement(
+        Problem(images.observed, images.confidence, images.stiffness), 0.3
+    )
     assert distance(exact_field(images, PRIOR), other) < 1e-6
 
 
-@pytest.mark.parametrize("prior", [PRIOR, ElasticPrior(0.499, "strain")], ids=["stress", "strain"])
+@pytest.mark.parametrize(
+    "prior", [PRIOR, ElasticPrior(0.499, plane="strain")], ids=["stress", "strain"]
+)
 @pytest.mark.parametrize("case", ["noise-2", "fibres", "mass-effect"])
 def test_nothing_pulls_at_the_exact_field_not_even_at_a_contrast_of_1e7(case, prior):
     images = tissues.TISSUES[case](N).images(1e7)
     field = exact_field(images, prior)
-    free = ~images.observed & images.tissue[..., None]
+    free = ~images.known & images.tissue[..., None]
     # Rounding of the stiff part, beside what the soft part pulls with: 1e-7 px and more.
     assert np.abs(prior.forces(images, field)[free]).max() < 1e-12
 
@@ -61,7 +67,9 @@ def test_a_rigid_bone_is_the_limit_of_a_stiff_one(bone):
     assert hard.largest_strain(field, body) < 1e-12
     assert np.abs(field[body]).max() > 0.5
     # The bone's rim is a mean with the soft sites around it: stiff all the same.
-    stiff = tissues.Images(images.y, images.c, np.where(drawn, np.float32(1e6), images.m))
+    stiff = tissues.Images(
+        images.observed, images.confidence, np.where(drawn, np.float32(1e6), images.stiffness)
+    )
     assert distance(field, exact_field(stiff, PRIOR)) < 1e-3
 
 

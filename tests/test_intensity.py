@@ -35,7 +35,12 @@ def test_what_is_dark_or_no_number_is_no_tissue():
 @pytest.mark.parametrize("shape", [(), (0,), (7,), (3, 4), (2, 3, 4, 5)])
 def test_every_type_and_shape_of_image_gets_stiffnesses_of_its_shape(kind, shape):
     image = np.arange(np.prod(shape, dtype=int)).reshape(shape).astype(np.dtype(kind))
-    for curve in (RAMP, StiffnessCurve(((-3, 2), (1, 5), (300, 1)), 1, "smooth", False)):
+    for curve in (
+        RAMP,
+        StiffnessCurve(
+            ((-3, 2), (1, 5), (300, 1)), void_below=1, between="smooth", logarithmic=False
+        ),
+    ):
         stiffness = curve(image)
         assert stiffness.dtype == np.float32
         assert stiffness.shape == shape
@@ -65,7 +70,7 @@ def test_what_is_no_real_number_is_refused(image):
 
 curves = st.builds(
     lambda points, between, logarithmic: StiffnessCurve(
-        tuple(sorted(points.items())), None, between, logarithmic
+        tuple(sorted(points.items())), void_below=None, between=between, logarithmic=logarithmic
     ),
     st.dictionaries(st.integers(-1000, 1000), st.floats(1e-3, 1e4), min_size=2, max_size=8),
     st.sampled_from(["straight", "smooth"]),

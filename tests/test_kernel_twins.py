@@ -47,13 +47,13 @@ class Example:
 
     @property
     def stiffness(self) -> np.ndarray:
-        m = self.problem.m / self.problem.m.max()
+        m = self.problem.stiffness / self.problem.stiffness.max()
         return np.stack([m, np.divide(1, m, out=np.zeros_like(m), where=m > 0)], axis=-1)
 
     @property
     def observation(self) -> np.ndarray:
-        y = self.problem.y / np.float32(self.problem.unit)
-        both = np.concatenate([y, np.float32(PENALTY) * self.problem.c], axis=-1)
+        y = self.problem.observed / np.float32(self.problem.unit)
+        both = np.concatenate([y, np.float32(PENALTY) * self.problem.confidence], axis=-1)
         both[~self.problem.tissue] = 0
         return both
 
@@ -71,7 +71,7 @@ def example(shape, ratio=4.0, spacing=(1.0, 1.0), seed=0) -> Example:
     seen[0, 0] = True
     c = random.random((*shape, 2)) * seen
     y = random.normal(size=(*shape, 2)) * np.sqrt(np.prod(spacing))
-    problem = Problem(y, c, m, spacing)
+    problem = Problem(y, c, m, spacing=spacing)
     d = random.normal(size=(*shape, 2)).astype(np.float32)
     d[~problem.tissue] = 0
     return Example(problem, d)
@@ -268,10 +268,10 @@ def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
     rows, cols = np.mgrid[:70, :50]
     disc = np.hypot(rows - 35, cols - 25) < 20
     full = Problem(np.ones((70, 50, 2)), np.ones((70, 50, 2)) * disc[..., None], np.ones((70, 50)))
-    body = Problem(full.y, full.c, np.where(disc, 2.0, 0))
-    expected = solve(body, backend="cpu")
+    body = Problem(full.observed, full.confidence, np.where(disc, 2.0, 0))
+    expected = solve(body, SeilerPrior(), backend="cpu")
     for problem in (full, body, full, body):
-        found = solve(problem, backend=f"opengl:{stage}")
+        found = solve(problem, SeilerPrior(), backend=f"opengl:{stage}")
     assert (found.displacement[~disc] == 0).all()
     np.testing.assert_allclose(found.energy, expected.energy, rtol=0.02, atol=1e-3)
 

@@ -9,10 +9,11 @@ from napari.layers import Image, Labels, Points, Shapes
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from study_reader import read_layers
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
-from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.landmarks import LandmarkLayers
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.point_steps import PointSteps
@@ -45,7 +46,9 @@ def request(where, should, boundary=None, radius=None, confidence=1.0, points=No
 def moved(wanted):
     inputs = read_layers(wanted)
     prior = ElasticPrior(0.4)
-    return inputs, solve(inputs.problem, prior, Multigrid(1e-3), backend="cpu").displacement
+    return inputs, solve(
+        inputs.problem, prior, optimizer=Multigrid(1e-3), backend="cpu"
+    ).displacement
 
 
 def test_tissue_at_a_landmark_goes_where_the_landmark_should_be():
@@ -60,8 +63,8 @@ def test_points_of_another_scale_and_place_count_where_they_are_seen():
     seen = {"scale": (0.25, 0.25), "translate": (1.0, 2.0)}
     at = [((12 * 0.5) - 1) / 0.25, ((12 * 2.0) - 2) / 0.25]
     inputs = read_layers(request([at], [[at[0] + 6, at[1] - 8]], points=seen, scale=SIZE))
-    np.testing.assert_allclose(inputs.problem.y[12, 12], (1.5, -2.0), atol=1e-6)
-    assert (inputs.problem.c[12, 12] == 1).all()
+    np.testing.assert_allclose(inputs.problem.observed[12, 12], (1.5, -2.0), atol=1e-6)
+    assert (inputs.problem.confidence[12, 12] == 1).all()
 
 
 def test_landmarks_count_on_top_of_paint_and_paint_around_them():
@@ -69,24 +72,24 @@ def test_landmarks_count_on_top_of_paint_and_paint_around_them():
     painted[4:-4, 4:12] = 1
     boundary = Labels(painted, name="Boundary")
     problem = read_layers(request([[20, 8]], [[22, 8]], boundary, radius=2.0)).problem
-    np.testing.assert_array_equal(problem.y[20, 8], (2, 0))
-    np.testing.assert_array_equal(problem.y[10, 8], (0, 0))
-    assert (problem.c[10, 8] == 1).all()
-    assert not problem.c[20, 30].any()
+    np.testing.assert_array_equal(problem.observed[20, 8], (2, 0))
+    np.testing.assert_array_equal(problem.observed[10, 8], (0, 0))
+    assert (problem.confidence[10, 8] == 1).all()
+    assert not problem.confidence[20, 30].any()
 
 
 def test_paint_may_be_missing_where_there_are_landmarks():
     blank = Labels(np.zeros(SHAPE, np.uint8), name="Boundary")
     with_blank = read_layers(request([[20, 8]], [[22, 8]], blank)).problem
     without = read_layers(request([[20, 8]], [[22, 8]])).problem
-    np.testing.assert_array_equal(with_blank.y, without.y)
-    np.testing.assert_array_equal(with_blank.c, without.c)
-    assert without.c.any()
+    np.testing.assert_array_equal(with_blank.observed, without.observed)
+    np.testing.assert_array_equal(with_blank.confidence, without.confidence)
+    assert without.confidence.any()
 
 
 def test_a_doubted_landmark_has_that_confidence():
     problem = read_layers(request([[20, 8]], [[22, 8]], confidence=0.25)).problem
-    assert problem.c.max() == 0.25
+    assert problem.confidence.max() == 0.25
 
 
 @pytest.mark.parametrize(
@@ -106,7 +109,7 @@ def test_points_that_say_nothing_clear_are_refused_by_layer_and_number(where, sh
 
 def test_a_landmark_just_beside_the_tissue_takes_what_its_patch_reaches():
     problem = read_layers(request([[20, 3]], [[20, 1]], radius=3.0)).problem
-    np.testing.assert_array_equal(problem.y[20, 5], (0, -2))
+    np.testing.assert_array_equal(problem.observed[20, 5], (0, -2))
 
 
 def test_a_place_beyond_the_image_is_said_and_not_refused():
@@ -123,8 +126,8 @@ def test_a_landmark_that_is_given_twice_leaves_its_neighbours_their_tissue():
     where = [[12, 12], [12, 16], [12, 12]]
     should = [[14, 12], [12, 19], [14, 12]]
     marks = read_layers(request(where, should, radius=9.0)).problem
-    np.testing.assert_array_equal(marks.y[12, 16], (0, 3))
-    np.testing.assert_array_equal(marks.y[12, 12], (2, 0))
+    np.testing.assert_array_equal(marks.observed[12, 16], (0, 3))
+    np.testing.assert_array_equal(marks.observed[12, 12], (2, 0))
 
 
 # Before a window
@@ -363,7 +366,7 @@ def test_points_that_are_no_landmarks_are_nothing_to_be_undone(chosen):
 
 
 def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
-    make_napari_viewer, small_sample, run, wait_for, qtbot
+    make_napari_viewer, small_sample, run, wait_for, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -378,7 +381,7 @@ def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
     viewer.layers.selection.active = should
     should.mode = "select"
     person = Person(viewer, qtbot)
-    qtbot.wait(100)
+    at_rest()
     person.paint((10, 8), (10.5, 9), (11, 10), (11, 11))
     assert should.data[0] == pytest.approx((11, 11), abs=0.3), should.data
     to = should.data[0] - where.data[0]
@@ -410,8 +413,8 @@ def test_a_line_leads_tissue_from_its_start_to_its_end_and_a_path_to_its_last_pl
         ("line", [(12, 12), (15, 11)]), ("path", [(30, 36), (31, 30), (28, 36)]), scale=SIZE
     )
     problem = read_layers(of_lines(drawn, scale=SIZE)).problem
-    np.testing.assert_allclose(problem.y[12, 12], (1.5, -2), atol=1e-6)
-    np.testing.assert_allclose(problem.y[30, 36], (-1, 0), atol=1e-6)
+    np.testing.assert_allclose(problem.observed[12, 12], (1.5, -2), atol=1e-6)
+    np.testing.assert_allclose(problem.observed[30, 36], (-1, 0), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -453,7 +456,7 @@ def test_lines_are_chosen_alone_previewed_and_followed(docked, small_sample, run
 
 
 def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
-    make_napari_viewer, small_sample, wait_for, qtbot
+    make_napari_viewer, small_sample, wait_for, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -466,7 +469,7 @@ def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
     viewer.layers.selection.active = drawn
     drawn.mode = "add_line"
     person = Person(viewer, qtbot)
-    qtbot.wait(50)
+    at_rest()
     person.paint((14, 8), (14, 10), (14, 13))
     assert len(drawn.data) == 2
     wait_for(lambda: undo.enabled)

@@ -74,6 +74,6 @@ def test_points_with_an_axis_more_than_the_image_count_on_the_slice_that_is_show
         Points([[3, 2, 2], [4, 6, 6]], name="ought"),
     )
     view = View((1, 2), (4.0, 0.0, 0.0))
-    found = read_landmarks(LandmarkLayers(*pair, 3.0), Frame.of(image, view), (40, 50), view)
+    found, _ = read_landmarks(LandmarkLayers(*pair, 3.0), Frame.of(image, view), (40, 50), view)
     assert found.marks == (Landmark((5, 6), (6, 6), 3.0),)
     assert found.numbers == (1,)

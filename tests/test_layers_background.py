@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from napari_hmrf.layers.background import air_that_is_tissue, background_of, between_air_and_tissue
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.metadata import TISSUE, rows_of
 from napari_hmrf.samples.phantoms import sample
+from napari_hmrf.tissue.surroundings import (
+    air_that_is_tissue,
+    background_of,
+    between_air_and_tissue,
+)
 from napari_hmrf.ui.deform_dock import DeformTissue
 
 

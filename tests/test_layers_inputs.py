@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
+from study_reader import read_layers
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.inputs import Request, copy_layers, prepare, read_layers
+from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -67,11 +69,11 @@ def refusal(wanted: Request) -> ProblemError:
 def test_painted_layers_make_a_problem():
     inputs = read_layers(request())
     assert inputs.problem.shape == SHAPE
-    assert inputs.problem.m[5, 3] == 20
-    assert inputs.problem.m[5, 9] == 10
-    assert inputs.problem.m[0, 0] == 0
-    np.testing.assert_array_equal(inputs.problem.y[5, -3], [0, 3])
-    np.testing.assert_array_equal(inputs.problem.c[5, 2], [1, 1])
+    assert inputs.problem.stiffness[5, 3] == 20
+    assert inputs.problem.stiffness[5, 9] == 10
+    assert inputs.problem.stiffness[0, 0] == 0
+    np.testing.assert_array_equal(inputs.problem.observed[5, -3], [0, 3])
+    np.testing.assert_array_equal(inputs.problem.confidence[5, 2], [1, 1])
     assert inputs.ignored == 0
     assert inputs.notes == ()
 
@@ -87,20 +89,35 @@ def test_nothing_that_is_painted_later_changes_what_was_read():
 
 
 def test_reading_again_tells_whether_anything_that_matters_changed():
-    wanted = request()
-    first = copy_layers(wanted)
-    assert first.same_as(copy_layers(wanted))
+    wanted, copies = request(), LayerCopies()
+    first = read_study(wanted, copies=copies)
+    assert first.same_as(read_study(wanted, copies=copies))
     wanted.tissue.data[5, 5] = 2
-    assert not first.same_as(copy_layers(wanted))
+    wanted.tissue.refresh()
+    second = read_study(wanted, copies=copies)
+    assert not first.same_as(second)
+    assert second.motion.labels is first.motion.labels, "what did not change is not copied again"
+    wanted.boundary.data[6, 6] = 2
+    copies.forget()
+    assert not second.same_as(read_study(wanted, copies=copies)), "nobody told of this one"
+
+
+def test_arrows_that_did_not_change_are_the_same_observation():
+    arrows = Vectors(np.array([[[5.0, 5.0], [1.0, 0.0]]]), name="Arrows")
+    wanted, copies = request(boundary=arrows), LayerCopies()
+    first = read_study(wanted, copies=copies)
+    assert first.same_as(read_study(wanted, copies=copies))
+    arrows.data = arrows.data * 2
+    assert not first.same_as(read_study(wanted, copies=copies))
 
 
 def test_a_label_without_a_row_can_be_given_one_and_it_is_said():
     wanted = request()
     wanted.tissue.data[5, 5] = 9
     wanted.boundary.data[6, 6] = 7
-    inputs = prepare(copy_layers(wanted), complete=True)
-    assert inputs.problem.m[5, 5] == 20
-    np.testing.assert_array_equal(inputs.problem.c[6, 6], [1, 1])
+    inputs = read_layers(wanted)
+    assert inputs.problem.stiffness[5, 5] == 20
+    np.testing.assert_array_equal(inputs.problem.confidence[6, 6], [1, 1])
     assert inputs.notes == (
         "label 9 of 'Tissue' is not in the table and got stiffness 20",
         "label 7 of 'Boundary' is not in the table and was held fixed",
@@ -111,7 +128,7 @@ def test_anisotropic_pixels_give_the_spacing_and_lengths_keep_their_unit():
     inputs = read_layers(request(scale=(0.5, 2.0), units=("mm", "mm")))
     assert inputs.problem.spacing == pytest.approx((0.5, 2.0))
     assert inputs.frame.unit == "millimeter"
-    np.testing.assert_array_equal(inputs.problem.y[5, -3], [0, 3])  # 3 mm, not 3 pixels
+    np.testing.assert_array_equal(inputs.problem.observed[5, -3], [0, 3])  # 3 mm, not 3 pixels
 
 
 def test_a_negative_scale_is_a_positive_spacing():
@@ -207,7 +224,7 @@ def test_a_colour_image_is_no_stiffness():
 def test_an_image_can_be_the_stiffness():
     tissue = Image(tissue_labels().astype(float) * 3, name="stiffness")
     inputs = read_layers(request(tissue=tissue))
-    assert inputs.problem.m[5, 9] == 6
+    assert inputs.problem.stiffness[5, 9] == 6
     assert inputs.pictures.labels is None
 
 
@@ -242,7 +259,7 @@ def stiffness_with_bone():
 
 @pytest.mark.parametrize("made", [lambda: None, stiffness_with_bone], ids=["labels", "image"])
 def test_rigid_tissue_reaches_the_elastic_model(made):
-    m = read_layers(with_bone(made()), ElasticPrior()).problem.m
+    m = read_layers(with_bone(made()), ElasticPrior()).problem.stiffness
     assert np.isinf(m[5:8, 4:7]).all()
     assert np.isinf(m).sum() == 9
 
@@ -264,7 +281,7 @@ def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
 
 
 def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
-    assert read_layers(replace(request(), materials=BONE)).problem.m.max() == 20
+    assert read_layers(replace(request(), materials=BONE)).problem.stiffness.max() == 20
 
 
 def test_beside_rigid_tissue_nothing_may_slip():
@@ -284,14 +301,6 @@ def test_an_extreme_stiffness_ratio_is_refused():
     assert "million times" in str(refusal(request(tissue=Image(m, name="stiffness"))))
 
 
-def test_tissue_labels_without_a_stiffness_are_listed():
-    tissue = tissue_labels()
-    tissue[3, 3], tissue[4, 4] = 9, 12
-    error = refusal(request(tissue=Labels(tissue, name="Tissue")))
-    assert error.field == "Tissue"
-    assert "labels 9, 12 without a stiffness" in error.message
-
-
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
@@ -302,8 +311,6 @@ def test_no_boundary_at_all_is_refused_by_layer():
 
 def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
     void = request()
-    error = refusal(Request(void.tissue, void.boundary, void.image, (), ()))
-    assert "without a stiffness" in str(error)
     airy = tuple(Material(label, "air", 0.0) for label in range(3))
     error = refusal(Request(void.tissue, void.boundary, void.image, airy, RULES))
     assert str(error).startswith("There is no tissue in 'Tissue'")
@@ -375,12 +382,12 @@ def test_a_constant_picture_is_fine():
 def test_however_the_stiffness_is_stored_it_reads_the_same(make):
     m = tissue_labels().astype(np.float32)
     tissue = Image(make(m), name="stiffness", contrast_limits=(0, 2))
-    np.testing.assert_array_equal(read_layers(request(tissue=tissue)).problem.m, m)
+    np.testing.assert_array_equal(read_layers(request(tissue=tissue)).problem.stiffness, m)
 
 
 def test_a_mask_is_a_tissue():
     mask = tissue_labels() > 0
-    assert read_layers(request(tissue=Labels(mask))).problem.m.max() == 20
+    assert read_layers(request(tissue=Labels(mask))).problem.stiffness.max() == 20
 
 
 def test_a_multiscale_image_is_solved_on_its_finest_level_and_it_is_said():
@@ -426,7 +433,7 @@ def test_a_mask_that_hides_nothing_is_no_reason_to_refuse():
     m = np.ma.masked_array(np.ones(SHAPE), mask=np.zeros(SHAPE, bool))
     inputs = read_layers(request(image=Image(m), tissue=Image(m)))
     assert type(inputs.pictures.image) is np.ndarray
-    np.testing.assert_array_equal(inputs.problem.m, 1)
+    np.testing.assert_array_equal(inputs.problem.stiffness, 1)
 
 
 @pytest.mark.parametrize("which", ["image", "confidence"])
@@ -500,8 +507,8 @@ def test_arrows_are_observations_in_the_unit_of_the_image():
     place = {"scale": (1.0, 2.0)}
     boundary = arrow_layer([(5, 3), (1, 1.5)], [(6, 4), (0, 0)], **place)
     inputs = read_layers(request(boundary=boundary, **place))
-    np.testing.assert_array_equal(inputs.problem.y[5, 3], [1, 3])
-    assert (inputs.problem.c > 0).all(axis=-1).sum() == 2
+    np.testing.assert_array_equal(inputs.problem.observed[5, 3], [1, 3])
+    assert (inputs.problem.confidence > 0).all(axis=-1).sum() == 2
 
 
 def test_confidence_can_come_from_an_image():
@@ -509,7 +516,7 @@ def test_confidence_can_come_from_an_image():
     sure = np.full(SHAPE, 0.25)
     wanted = request(boundary=boundary)
     wanted = Request(wanted.tissue, boundary, wanted.image, MATERIALS, (), Image(sure, name="sure"))
-    c = read_layers(wanted).problem.c
+    c = read_layers(wanted).problem.confidence
     np.testing.assert_array_equal(c[5, 3], [0.25, 0.25])
     assert (c > 0).sum() == 4
     wanted.confidence.data = sure * 8
@@ -557,16 +564,16 @@ def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
         viewer.add_layer(layer)
     viewer.dims.set_current_step(0, 1)
     inputs = read_layers(seen(viewer, wanted))
-    assert not inputs.problem.c[5, 3].any()
-    assert inputs.problem.c[6, 3].all()
-    np.testing.assert_array_equal(inputs.problem.y[6, 3], (1, 0))
-    assert inputs.problem.c[7, 3].all()
+    assert not inputs.problem.confidence[5, 3].any()
+    assert inputs.problem.confidence[6, 3].all()
+    np.testing.assert_array_equal(inputs.problem.observed[6, 3], (1, 0))
+    assert inputs.problem.confidence[7, 3].all()
     assert inputs.notes == ("1 arrow points straight out of the slice and did not count",)
 
 
 def test_arrows_that_agree_merge():
     boundary = arrow_layer([(5, 3), (1, 1)], [(5, 3), (1, 1)])
-    assert read_layers(request(boundary=boundary)).problem.y[5, 3, 0] == 1
+    assert read_layers(request(boundary=boundary)).problem.observed[5, 3, 0] == 1
 
 
 # Stacks
@@ -617,7 +624,7 @@ def test_rolled_axes_give_the_other_plane_and_swapped_axes_the_transpose():
     viewer.dims.order = (0, 2, 1)
     turned = read_layers(seen(viewer, wanted))
     np.testing.assert_array_equal(turned.pictures.image, upright.pictures.image.T)
-    np.testing.assert_array_equal(turned.problem.m, upright.problem.m.T)
+    np.testing.assert_array_equal(turned.problem.stiffness, upright.problem.stiffness.T)
     viewer.dims.order = (1, 0, 2)
     viewer.dims.set_current_step(1, 4)
     other = read_layers(seen(viewer, wanted))

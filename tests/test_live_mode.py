@@ -3,19 +3,16 @@
 import numpy as np
 import pytest
 from patience import LONG_MS
-from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
-from qtpy.QtGui import QMouseEvent
+from person import CTRL, Person
+from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication
+from screen import Cell
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui import live_mode
-
-LEFT, PLAIN = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-CTRL = Qt.KeyboardModifier.ControlModifier
 
 
 def viewer_of(widget):
@@ -32,10 +29,9 @@ def by_name(widget, name):
 
 def cold(widget):
     """What a script finds for the same layers."""
-    prior, optimizer, _ = widget.solver
-    inputs = read_layers(widget.request(), prior, optimizer)
-    near = Multigrid(1e-4) if isinstance(optimizer, Multigrid) else optimizer
-    return solve(inputs.problem, inputs.prior, near, "cpu")
+    stated = statement_of(widget.read(widget.request()))
+    near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
+    return solve(stated.problem, stated.prior, optimizer=near, backend="cpu")
 
 
 def assert_newest(widget):
@@ -44,22 +40,16 @@ def assert_newest(widget):
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
         known = known_of(layer)
-        here = known.get("slice") == widget._latest.done.snapshot.frame.slice_name
+        here = known.get("slice") == widget._latest.done.study.grid.place.slice_name
         if known.get("kind") == "arrows" and here:
             assert known["solution"].displacement is found.displacement
             assert not known["inputs_changed"]
 
 
 @pytest.fixture
-def settle(qtbot):
+def settle(at_rest):
     """Wait until the last edit is shown."""
-
-    def wait(widget):
-        qtbot.wait(10)
-        qtbot.waitUntil(lambda: not widget.following, timeout=LONG_MS)
-        qtbot.wait(60)
-
-    return wait
+    return lambda widget: at_rest.until(lambda: not widget.following)
 
 
 @pytest.fixture
@@ -132,7 +122,7 @@ def test_a_stiffness_image_that_is_replaced_is_followed(living, settle):
     assert_newest(widget)
 
 
-def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, qtbot):
+def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, at_rest):
     widget, (_, _, boundary) = living
     seen = []
     widget.followed.connect(seen.append)
@@ -141,7 +131,7 @@ def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, qtbot):
         paint(boundary, [(row, col) for row in range(8, 12)], 3)
         widget.rules = (*widget.rules[:2], BoundaryRule(3, "move", vector=(1.0, col / 10)))
         if col % 3 == 0:
-            qtbot.wait(col)
+            at_rest()
     settle(widget)
     assert 1 <= len(seen) < 15
     assert_newest(widget)
@@ -214,7 +204,7 @@ def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, se
 
 
 def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
-    widget, small_sample, settle, qtbot
+    widget, small_sample, settle, at_rest
 ):
     _, _, boundary = small_sample(viewer_of(widget))
     widget._live._wanted = None
@@ -223,7 +213,7 @@ def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
     widget._live.choose()
     assert widget.live, "by itself, for a small image"
     paint(boundary, [(10, 10)], 1)
-    qtbot.wait(300)
+    at_rest()
     assert widget.solution is None, "but nothing is computed that nobody asked for"
     widget.live = True
     settle(widget)
@@ -231,12 +221,12 @@ def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
     assert "MR deformed" in names(widget)
 
 
-def test_that_the_image_is_gone_is_said(living, settle, qtbot):
+def test_that_the_image_is_gone_is_said(living, settle, at_rest):
     widget, (image, *_) = living
     viewer = viewer_of(widget)
     settle(widget)
     viewer.layers.remove(image)
-    qtbot.wait(400)
+    at_rest()
     assert widget.status == "'MR' is gone: choose or open another image."
     assert widget.solution is None
     viewer.add_image(image.data, name="T1")
@@ -245,11 +235,11 @@ def test_that_the_image_is_gone_is_said(living, settle, qtbot):
     viewer.layers.remove("T1")
     assert widget.status == "'T1' is gone: 'T2' is chosen now."
     viewer.layers.clear()
-    qtbot.wait(400)
+    at_rest()
     assert widget.status.startswith("Open an image first")
 
 
-def test_another_image_is_not_deformed_unasked(living, small_sample, run, settle, qtbot):
+def test_another_image_is_not_deformed_unasked(living, small_sample, run, settle, at_rest):
     widget, _ = living
     viewer = viewer_of(widget)
     before, said = widget.solution, []
@@ -259,7 +249,7 @@ def test_another_image_is_not_deformed_unasked(living, small_sample, run, settle
     known = names(widget)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
-    qtbot.wait(400)
+    at_rest()
     assert (widget.solution, names(widget), said) == (before, known, [])
     assert widget.live
     assert widget.status.lower().endswith("press deform.")
@@ -285,11 +275,13 @@ def test_for_a_large_image_it_is_off_and_the_reason_is_shown(widget, small_sampl
     assert widget.live
 
 
-def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(living, settle, busy_thread, qtbot):
+def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(
+    living, settle, busy_thread, at_rest
+):
     widget, (image, tissue, boundary) = living
     viewer = viewer_of(widget)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    qtbot.wait(60)
+    at_rest(thread=False)
     boundary.name, image.name = "Walls", "T1"
     viewer.layers.remove("MR arrows, elastic")
     busy_thread.set()
@@ -308,10 +300,10 @@ def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(living, settle, 
     assert tissue in viewer.layers
 
 
-def test_the_image_removed_in_mid_edit_is_not_shown_any_more(living, settle, busy_thread, qtbot):
+def test_the_image_removed_in_mid_edit_is_not_shown_any_more(living, settle, busy_thread, at_rest):
     widget, (image, _, boundary) = living
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    qtbot.wait(60)
+    at_rest(thread=False)
     viewer_of(widget).layers.remove(image)
     busy_thread.set()
     settle(widget)
@@ -345,12 +337,12 @@ def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
 
 
 def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
-    living, settle, busy_thread, qtbot
+    living, settle, busy_thread, qtbot, at_rest
 ):
     widget, (_, _, boundary) = living
     widget.deform()
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    qtbot.wait(50)
+    at_rest(thread=False)
     busy_thread.set()
     qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)
     settle(widget)
@@ -378,7 +370,7 @@ def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, 
     assert other.solution is untouched
 
 
-def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, qtbot):
+def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_rest):
     viewer = viewer_of(docked)
     _, _, boundary = small_sample(viewer)
     run(docked)
@@ -388,7 +380,7 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, qtbot)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     viewer.window.remove_dock_widget(docked.native)
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
-    qtbot.wait(200)
+    at_rest()
     assert docked.solution is before
 
 
@@ -396,7 +388,7 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, qtbot)
 
 
 @pytest.fixture
-def at_work(make_napari_viewer, small_sample, run, qtbot):
+def at_work(make_napari_viewer, small_sample, run, qtbot, at_rest):
     """A person with a brush before a real window, and a result that follows."""
     from conftest import quick
 
@@ -406,33 +398,15 @@ def at_work(make_napari_viewer, small_sample, run, qtbot):
     quick(dock).model.energy.value = "elastic"
     run(dock)
     dock.live = True
-    qtbot.wait(50)
-    return viewer, dock
+    at_rest()
+    return Person(viewer, qtbot), dock
 
 
-def where(viewer, row, col):
-    view = viewer.window._qt_viewer.canvas.view
-    x, y = (view.transform * view.scene.transform).map([col, row])[:2]
-    return QPoint(round(x), round(y))
-
-
-def stroke(viewer, places, between=lambda: None):
-    """Press, move and release the left button."""
-    native = viewer.window._qt_viewer.canvas.native
-    QTest.mousePress(native, LEFT, PLAIN, where(viewer, *places[0]))
-    for place in places[1:]:
-        at = QPointF(where(viewer, *place))
-        there = QPointF(native.mapToGlobal(at.toPoint()))
-        move = QMouseEvent(QEvent.Type.MouseMove, at, there, Qt.MouseButton.NoButton, LEFT, PLAIN)
-        QApplication.sendEvent(native, move)
-        between()
-    QTest.mouseRelease(native, LEFT, PLAIN, where(viewer, *places[-1]))
-
-
-def test_tissue_follows_while_the_brush_is_down(at_work, settle, qtbot):
-    viewer, dock = at_work
+def test_tissue_follows_while_the_brush_is_down(at_work, settle):
+    person, dock = at_work
+    viewer = person.viewer
     boundary = viewer.layers["Boundary"]
-    dock._face.boundary.table.cellClicked.emit(0, 1)
+    Cell(dock._face.boundary.seen, 0).click()
     assert viewer.layers.selection.active is boundary
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
@@ -440,18 +414,18 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle, qtbot):
     assert deformed.visible, "it is watched"
     pictures = []
     deformed.events.set_data.connect(lambda: pictures.append(np.array(deformed.data)))
-    stroke(viewer, [(row, 32) for row in range(14, 34, 2)], lambda: qtbot.wait(40))
-    during = len(pictures)
-    assert during > 1, "while the button is down"
+    places = [(row, 32) for row in range(14, 34, 2)]
+    during = []
+    person.paint(*places, between=lambda: (settle(dock), during.append(len(pictures))))
+    assert during[0] >= 1, "while the button is down"
+    assert during[-1] > during[0]
     settle(dock)
     assert (boundary.data == 1).sum() > 100
     assert_newest(dock)
     assert np.abs(dock.solution.displacement[24, 32]).max() < 1e-3
     assert viewer.layers.selection.active is boundary, "the brush stays in the hand"
     # Labels' own undo is followed as well.
-    native = viewer.window._qt_viewer.canvas.native
-    native.setFocus()
-    QTest.keyClick(native, Qt.Key.Key_Z, CTRL)
+    person.key(Qt.Key.Key_Z, CTRL)
     settle(dock)
     assert np.abs(dock.solution.displacement[24, 32]).max() > 0.5
     assert_newest(dock)
@@ -465,11 +439,11 @@ def test_tables_are_undone_and_followed(living, settle):
     footer = widget.footer
     assert not footer.steps.undo.enabled
     rules, materials = widget.rules, widget.materials
-    widget._face.boundary.table.item(1, 4).setText("5")
+    Cell(widget._face.boundary.seen, 1, 4).write("5")
     assert footer.steps.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
-    widget._face.tissue.table.item(1, 2).setText("33")
+    Cell(widget._face.tissue.seen, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.steps.undo.native.click()
@@ -502,9 +476,9 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
 
 def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
     widget, (_, _, boundary) = living
-    table = widget._face.boundary.table
+    table = widget._face.boundary.seen
     before = widget.rules
-    table.item(1, 4).setText("5")
+    Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
     assert widget.rules == before
     QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
@@ -516,7 +490,7 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
-    widget._face.tissue.table.item(1, 2).setText("33")
+    Cell(widget._face.tissue.seen, 1, 2).write("33")
     widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness
@@ -558,7 +532,9 @@ def test_a_curve_is_undone_with_its_layer(widget, small_sample):
     assert curve.curve != before
 
 
-def test_what_is_looked_at_is_the_result_that_has_followed(living, settle, qtbot, wait_for):
+def test_what_is_looked_at_is_the_result_that_has_followed(
+    living, settle, qtbot, wait_for, at_rest
+):
     from napari_hmrf.ui.look.look_dock import LookAtResult
 
     widget, (_, _, boundary) = living
@@ -568,7 +544,7 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle, qtbot
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
     wait_for(lambda: look.idle and look.result is not None)
-    qtbot.wait(200)
+    at_rest()
     wait_for(lambda: look.idle)
     shown = look._scene.shown.result
     assert shown.solution.displacement is widget.solution.displacement

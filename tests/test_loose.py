@@ -8,9 +8,9 @@ from conftest import quick
 from napari.components import ViewerModel
 from napari.layers import Image
 from person import by_name
+from study_reader import read_ground
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
-from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -105,10 +105,13 @@ def test_what_cannot_be_pulled_is_said_of_the_layer():
     picture, stiffness = stiffness_with_specks()
     ground = read_ground(Image(picture, name="MR"), stiffness, hold_edge=False)
     canvas = Drawing((Arrow((10, 10), (0, 2), 0.5),)).render(ground.base)
-    problem, prior = ground.problem(canvas)
-    with pytest.raises(ProblemError, match=r"^c: leaves") as refused:
+    stated = ground.statement(canvas)
+    problem, prior = stated.problem, stated.prior
+    with pytest.raises(ProblemError, match=r"^confidence: leaves") as refused:
         solve(problem, prior)
-    assert ground.in_words(refused.value).sentence.startswith("'Arrows' leaves a piece of tissue")
+    assert ground.study.in_words(refused.value).sentence.startswith(
+        "'Arrows' leaves a piece of tissue"
+    )
 
 
 def painted(qtbot, wall=True, moves=True):
@@ -122,7 +125,7 @@ def painted(qtbot, wall=True, moves=True):
         labels[4:18, 4:6] = 1
     if moves:
         labels[9:12, 12:15] = 2
-    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", (0.0, 1.0)))
+    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
     viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
     widget = quick(DeformTissue(viewer))
     qtbot.addWidget(widget.native)

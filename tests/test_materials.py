@@ -9,7 +9,6 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.layers.label_defaults import default_material
 from napari_hmrf.layers.metadata import (
     METADATA,
     TISSUE,
@@ -21,6 +20,7 @@ from napari_hmrf.layers.metadata import (
 )
 from napari_hmrf.solver.solution import Provenance
 from napari_hmrf.tissue.boundary_rules import RIGID, Material
+from napari_hmrf.tissue.label_defaults import default_material
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
 from napari_hmrf.tissue.material_tables import MaterialLibrary, load_materials, save_materials
 

@@ -15,14 +15,14 @@ from napari_hmrf.ui.grab.grab_messages import START
 
 
 @pytest.fixture
-def at_hand(make_napari_viewer, small_sample, qtbot):
+def at_hand(make_napari_viewer, small_sample, qtbot, at_rest):
     """A person before a small sample, and a way to open docks."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
 
     def opened(title):
         _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", title)
-        qtbot.wait(50)
+        at_rest()
         return quick(dock) if title == "Deform tissue" else dock
 
     return Person(viewer, qtbot), opened
@@ -288,7 +288,7 @@ def test_results_of_another_slice_stay_as_they_are(
 
 
 def test_a_result_that_only_follows_the_slice_covers_nothing_that_is_pulled(
-    make_napari_viewer, small_sample, run, settle, wait_for, qtbot
+    make_napari_viewer, small_sample, run, settle, wait_for, at_rest
 ):
     viewer = make_napari_viewer()
     small_sample(viewer, (3, 20, 24))
@@ -301,17 +301,16 @@ def test_a_result_that_only_follows_the_slice_covers_nothing_that_is_pulled(
     puller.drawing = Drawing().with_mark(Arrow((10, 12), (2, 2), 3))
     settle(puller)
 
-    def at_rest():
-        qtbot.wait(20)
-        wait_for(lambda: not deform.following)
+    def settle_both():
+        at_rest.until(lambda: not deform.following)
         settle(puller)
 
     viewer.dims.set_current_step(0, 2)
-    at_rest()
+    settle_both()
     assert viewer.layers["Arrows"].visible
     assert not any(", elastic" not in name for name in seen(viewer) if "slice 2" in name)
     deform.rules = (deform.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
-    at_rest()
+    settle_both()
     assert viewer.layers["MR deformed (slice 2)"].visible, "an edit is seen"
     assert not viewer.layers["Arrows"].visible
 
@@ -404,7 +403,7 @@ def test_a_closed_dock_that_looked_leaves_no_second_colours(at_hand, run, wait_f
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
 
-def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, qtbot):
+def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, qtbot, at_rest):
     person, opened = at_hand
     first = opened("Deform tissue")
     old = first.rules
@@ -414,7 +413,7 @@ def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, 
     person.viewer.layers["Boundary"].data[20:24, 30:34] = 5
     person.viewer.layers["Boundary"].refresh()
     qtbot.waitUntil(lambda: len(second.rules) > 1)
-    qtbot.wait(200)
+    at_rest()
     assert first.rules == old
     assert rows_of(person.viewer.layers["Boundary"], BOUNDARY) == second.rules
     person.viewer.window.remove_dock_widget(second.native)
@@ -510,13 +509,13 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     assert not widget.warning
 
 
-def test_a_dock_that_is_put_back_says_nothing_of_what_was(folded, settle, qtbot):
+def test_a_dock_that_is_put_back_says_nothing_of_what_was(folded, settle, at_rest):
     person, widget = folded
     widget.tool = "pin"
     window = person.viewer.window
     window.remove_dock_widget(widget.native)
     window.add_dock_widget(widget.native, name="Grab and pull")
-    qtbot.wait(50)
+    at_rest()
     assert (widget.warning, widget.status) == ("", START)
     assert not any(button.native.isChecked() for button in widget.form.tools.values())
     assert widget.start()
@@ -556,13 +555,13 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling, settle):
     assert widget.status.startswith("Drag tissue")
 
 
-def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, qtbot):
+def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, at_rest):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
     widget.form.grab.native.click()
     assert "image" in widget.status
     small_sample(viewer)
-    qtbot.wait(100)
+    at_rest()
     assert not widget.active
     assert not widget.busy
     assert not pictures(viewer)

@@ -79,8 +79,8 @@ def ledger(opengl, monkeypatch) -> Ledger:
 @pytest.mark.parametrize("size", [(45, 61), (2, 9), (1, 30), (64, 64)])
 def test_a_body_moves_alike_on_every_backend(stage, size, conditional):
     prior = SeilerPrior(conditional=conditional)
-    loops = solve(body(size), prior, CLOSED_FORM, backend="cpu")
-    shaders = solve(body(size), prior, CLOSED_FORM, backend=f"opengl:{stage}")
+    loops = solve(body(size), prior, optimizer=CLOSED_FORM, backend="cpu")
+    shaders = solve(body(size), prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     largest = np.abs(loops.displacement).max()
     assert largest > 1
     np.testing.assert_allclose(shaders.displacement, loops.displacement, atol=1e-4 * largest)
@@ -90,8 +90,8 @@ def test_a_body_moves_alike_on_every_backend(stage, size, conditional):
 
 
 def test_a_body_moves_alike_with_the_candidate_set(stage):
-    loops = solve(body(), backend="cpu")
-    shaders = solve(body(), backend=f"opengl:{stage}")
+    loops = solve(body(), SeilerPrior(), backend="cpu")
+    shaders = solve(body(), SeilerPrior(), backend=f"opengl:{stage}")
     off = shaders.displacement - loops.displacement
     # Rounding decides between candidates that are equally good: not the same, but as good.
     assert np.sqrt((off**2).mean()) < 0.01
@@ -99,13 +99,15 @@ def test_a_body_moves_alike_with_the_candidate_set(stage):
 
 
 def test_the_same_solve_gives_the_same_bits(stage):
-    first, second = (solve(body(), backend=f"opengl:{stage}") for _ in range(2))
+    first, second = (solve(body(), SeilerPrior(), backend=f"opengl:{stage}") for _ in range(2))
     np.testing.assert_array_equal(first.displacement, second.displacement)
     np.testing.assert_array_equal(first.energy, second.energy)
 
 
 def test_the_renderer_is_fit_for_a_bug_report(opengl):
-    words = solve(body(), optimizer=CLOSED_FORM, backend="opengl").provenance.renderer
+    words = solve(
+        body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl"
+    ).provenance.renderer
     told = on_compute_thread(describe)
     assert told["renderer"] in words
     assert told["version"] in words
@@ -115,7 +117,7 @@ def test_the_default_stage_is_compute_where_there_is_one(opengl):
     told = on_compute_thread(describe)
     expected = "compute" if "compute" in told["stages"] else "fragment"
     assert told["default_stage"] == expected
-    solution = solve(body((9, 9)), optimizer=CLOSED_FORM, backend="opengl")
+    solution = solve(body((9, 9)), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
     assert solution.provenance.backend == f"opengl:{expected}"
 
 
@@ -162,7 +164,7 @@ def test_the_description_says_that_everything_works(opengl):
 
 
 def test_a_solve_leaves_no_texture_behind(ledger):
-    solve(body(), optimizer=CLOSED_FORM, backend="opengl")
+    solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
     assert len(ledger.made) > 20
     assert ledger.left == 0
 
@@ -172,7 +174,7 @@ def test_an_error_leaves_no_texture_behind(ledger):
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        solve(body(), backend="opengl", progress=fail)
+        solve(body(), SeilerPrior(), backend="opengl", progress=fail)
     on_compute_thread(lambda: None)
     assert ledger.left == 0
 
@@ -202,19 +204,19 @@ def _batches(stage: str, stop_at: int | None = None) -> int:
 def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
     stage, ledger, where, every_pass_a_batch
 ):
-    before = solve(body(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    before = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     looks = _batches(stage)
     assert looks > len(levels((45, 61)))
     with pytest.raises(Cancelled):
         _batches(stage, stop_at=int(where * looks))
     assert ledger.left == 0
-    after = solve(body(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    after = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     np.testing.assert_array_equal(after.displacement, before.displacement)
 
 
 def test_one_context_serves_all_solves(opengl):
     device = on_compute_thread(the_device)
-    solve(body(), optimizer=CLOSED_FORM, backend="opengl")
+    solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
     assert on_compute_thread(the_device) is device
 
 
@@ -230,7 +232,7 @@ def test_a_compute_thread_that_ends_takes_the_context_with_it(opengl):
     assert compute_thread.stop(timeout=LONG)
     assert device.lost
     before = threading.active_count()
-    assert solve(body(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+    assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
     assert threading.active_count() <= before + 1
     assert on_compute_thread(the_device) is not device
 
@@ -325,7 +327,7 @@ def test_running_out_of_memory_is_an_error_not_zeros(opengl):
         assert device.lost
 
     on_compute_thread(job)
-    assert solve(body(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+    assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
 
 
 def test_an_opengl_error_drops_the_result_and_the_context(opengl):
@@ -350,7 +352,7 @@ def test_an_opengl_error_drops_the_result_and_the_context(opengl):
     assert "next solve" in str(raised.value)
     assert device.lost
     assert on_compute_thread(the_device) is not device
-    assert solve(body(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+    assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
 
 
 def test_a_device_that_computes_nonsense_is_refused(stage):
@@ -372,7 +374,7 @@ def test_a_device_that_computes_nonsense_is_refused(stage):
         assert device.lost
 
     on_compute_thread(job)
-    solution = solve(body(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    solution = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     assert np.isfinite(solution.displacement).all()
 
 
@@ -411,11 +413,11 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
     original = source._text
     assert right in original(file)
     problem = body((21, 26))
-    stiff = problem.m.copy()
+    stiff = problem.stiffness.copy()
     stiff[5:9, :] *= 3  # different on both sides of a site, and at the image's border
-    problem = Problem(problem.y, problem.c, np.where(stiff > 0, stiff, 5))
+    problem = Problem(problem.observed, problem.confidence, np.where(stiff > 0, stiff, 5))
     prior = SeilerPrior(penalty=5.0)  # so that what was seen and what is stiff compete
-    loops = solve(problem, prior, CLOSED_FORM, backend="cpu")
+    loops = solve(problem, prior, optimizer=CLOSED_FORM, backend="cpu")
     monkeypatch.setattr(
         source,
         "_text",
@@ -424,7 +426,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
     largest = np.abs(loops.displacement).max()
     try:
         on_compute_thread(lambda: the_device().release())
-        shaders = solve(problem, prior, CLOSED_FORM, backend=f"opengl:{stage}")
+        shaders = solve(problem, prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
         noticed = np.abs(shaders.displacement - loops.displacement).max() > 1e-3 * largest
     except BackendError as error:
         noticed = "not numbers" in str(error)  # so wrong that solve() itself sees it

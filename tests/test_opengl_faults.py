@@ -29,7 +29,7 @@ compute_thread.submit(job).result()
 
 _SOLVE = """
 import numpy as np
-from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, solve
+from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, SeilerPrior, solve
 from napari_hmrf.solver.backends.opengl import relaxing
 
 relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
@@ -39,8 +39,8 @@ held = np.zeros((14, 11, 2)); held[[0, -1]] = 1
 problem = Problem(random.normal(size=held.shape), held, m)
 for steps in (None, ICM().steps):
     plan = ICM(iterations=20, steps=steps)
-    loops = solve(problem, optimizer=plan, backend="cpu")
-    shaders = solve(problem, optimizer=plan, backend="opengl")
+    loops = solve(problem, SeilerPrior(), optimizer=plan, backend="cpu")
+    shaders = solve(problem, SeilerPrior(), optimizer=plan, backend="opengl")
     print(shaders.provenance.backend, shaders.provenance.renderer)
     print("off", np.abs(loops.displacement - shaders.displacement).max())
     print("energies", loops.mean_energy, shaders.mean_energy)
@@ -48,7 +48,7 @@ loops, shaders = (solve(problem, ElasticPrior(), backend=name) for name in ("cpu
 print(shaders.provenance.backend, shaders.provenance.renderer)
 print("elastic", np.abs(loops.displacement - shaders.displacement).max(), shaders.iterations)
 try:
-    solve(problem, backend="opengl:compute")
+    solve(problem, SeilerPrior(), backend="opengl:compute")
 except BackendError as error:
     print("compute:", error)
 """

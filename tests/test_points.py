@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import Problem, solve
+from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.layers.animation import Motion
 from napari_hmrf.layers.tissue_point import Points
@@ -19,14 +19,16 @@ def solution():
     y, c = np.zeros((30, 40, 2)), np.zeros((30, 40, 2))
     c[4:26, 5] = c[4:26, 32] = 1
     y[4:26, 32] = (1, 6)
-    return solve(Problem(y, c, m, (1.0, 2.0)), optimizer=ICM(60), backend="cpu")
+    return solve(
+        Problem(y, c, m, spacing=(1.0, 2.0)), SeilerPrior(), optimizer=ICM(60), backend="cpu"
+    )
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.4, 1.0])
 def test_every_pixel_of_the_moved_image_finds_its_tissue(solution, fraction):
     points = Points(solution)
     moved = solution.displacement * fraction
-    origin, covered = inverse_map(moved, solution.spacing, solution.tissue)
+    origin, covered = inverse_map(moved, spacing=solution.spacing, tissue=solution.tissue)
     asked = wrong = 0
     for row in range(30):
         for col in range(40):

@@ -79,19 +79,21 @@ def test_uniform_tissue_stretches_evenly_at_no_cost(spacing):
     i, j = np.mgrid[:6, :8]
     d = np.stack([0.1 * i - 0.3 * j + 1, 0.2 * i + 0.05 * j - 2], axis=-1)
     problem = Problem(d, np.ones_like(d), np.full((6, 8), 3.0), spacing=spacing)
-    assert SeilerPrior().site_energy(problem, problem.y).sum() == pytest.approx(0, abs=1e-6)
+    assert SeilerPrior().site_energy(problem, problem.observed).sum() == pytest.approx(0, abs=1e-6)
 
 
 def test_only_ratios_of_stiffness_matter():
     problem, d = random_problem()
-    scaled = Problem(problem.y, problem.c, problem.m * 1000)
+    scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
     prior = SeilerPrior()
     np.testing.assert_allclose(prior.site_energy(scaled, d), prior.site_energy(problem, d))
 
 
 def test_the_unit_of_length_does_not_matter():
     problem, d = random_problem()
-    metres = Problem(problem.y * 1e-3, problem.c, problem.m, spacing=(1e-3, 1e-3))
+    metres = Problem(
+        problem.observed * 1e-3, problem.confidence, problem.stiffness, spacing=(1e-3, 1e-3)
+    )
     prior = SeilerPrior()
     np.testing.assert_allclose(
         prior.site_energy(metres, d * 1e-3), prior.site_energy(problem, d), rtol=1e-4
@@ -102,11 +104,15 @@ def test_the_energy_has_no_preferred_direction():
     problem, d = random_problem((6, 6))
     prior = SeilerPrior()
     expected = prior.site_energy(problem, d)
-    flipped = Problem(problem.y[::-1] * (-1, 1), problem.c[::-1], problem.m[::-1])
+    flipped = Problem(
+        problem.observed[::-1] * (-1, 1), problem.confidence[::-1], problem.stiffness[::-1]
+    )
     np.testing.assert_allclose(prior.site_energy(flipped, d[::-1] * (-1, 1)), expected[::-1])
     turn = (1, 0, 2)
     turned = Problem(
-        problem.y.transpose(turn)[..., ::-1], problem.c.transpose(turn)[..., ::-1], problem.m.T
+        problem.observed.transpose(turn)[..., ::-1],
+        problem.confidence.transpose(turn)[..., ::-1],
+        problem.stiffness.T,
     )
     swapped = d.transpose(turn)[..., ::-1]
     np.testing.assert_allclose(prior.site_energy(turned, swapped), expected.T)
@@ -114,13 +120,13 @@ def test_the_energy_has_no_preferred_direction():
 
 def test_void_belongs_to_no_clique():
     problem, d = random_problem(void=False)
-    m = problem.m.copy()
+    m = problem.stiffness.copy()
     m[3, 3] = 0
-    energy = SeilerPrior().site_energy(Problem(problem.y, problem.c, m), d)
+    energy = SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), d)
     wild = d.copy()
     wild[3, 3] = 1e6  # whatever is there
     np.testing.assert_array_equal(
-        SeilerPrior().site_energy(Problem(problem.y, problem.c, m), wild), energy
+        SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), wild), energy
     )
     assert energy[3, 3] == 0
 
@@ -168,13 +174,13 @@ def test_the_penalty_grows_with_what_pulls_at_a_boundary(spacing):
     c = np.zeros((*shape, 2))
     c[8, 8] = 1
     y = np.zeros((*shape, 2))
-    uniform = SeilerPrior().resolved(Problem(y, c, np.ones(shape), spacing))
+    uniform = SeilerPrior().resolved(Problem(y, c, np.ones(shape), spacing=spacing))
     assert uniform.penalty == pytest.approx(1e4)
     m = np.ones(shape)
     m[8, 8] = 50
-    stiff = SeilerPrior().resolved(Problem(y, c, m, spacing))
+    stiff = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
     assert stiff.penalty > 100 * uniform.penalty
     m[8, 8], m[0, 0] = 1, 50  # elsewhere it pulls at nothing that was observed
-    far = SeilerPrior().resolved(Problem(y, c, m, spacing))
+    far = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
     assert far.penalty == pytest.approx(1e4)
-    assert SeilerPrior(penalty=7).resolved(Problem(y, c, m, spacing)).penalty == 7
+    assert SeilerPrior(penalty=7).resolved(Problem(y, c, m, spacing=spacing)).penalty == 7

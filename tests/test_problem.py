@@ -18,15 +18,17 @@ def test_inputs_are_copied_converted_and_frozen():
     y, c, m = good()
     problem = Problem(y, c, m, spacing=[0.5, 2])
     m[:] = 7
-    assert problem.m.max() == 1
+    assert problem.stiffness.max() == 1
     assert problem.shape == (5, 4)
     assert problem.spacing == (0.5, 2.0)
     assert problem.unit == pytest.approx(1.0)
-    for array in (problem.y, problem.c, problem.m, problem.tissue):
+    for array in (problem.observed, problem.confidence, problem.stiffness, problem.tissue):
         assert not array.flags.writeable
-    assert problem.y.dtype == problem.c.dtype == problem.m.dtype == np.float32
+    assert (
+        problem.observed.dtype == problem.confidence.dtype == problem.stiffness.dtype == np.float32
+    )
     with pytest.raises(AttributeError):
-        problem.m = m
+        problem.stiffness = m
 
 
 @pytest.mark.parametrize(
@@ -46,25 +48,25 @@ def test_any_memory_layout_gives_the_same_problem(change):
     m, y, c = (array.astype(np.float16).astype(float) for array in arrays)
     expected = Problem(y, c, m)
     changed = Problem(change(y), change(c), change(m))
-    for field in ("y", "c", "m"):
+    for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(changed, field), getattr(expected, field))
 
 
-def test_y_is_ignored_where_nobody_is_confident():
+def test_what_was_observed_is_ignored_where_nobody_is_confident():
     y, c, m = good()
     y[4] = np.nan
-    assert np.isfinite(Problem(y, c, m).y).all()
+    assert np.isfinite(Problem(y, c, m).observed).all()
 
 
 def test_integers_and_booleans_are_numbers():
     y, c, _ = good()
     problem = Problem(y.astype(int), c.astype(bool), np.ones((5, 4), dtype=np.uint16) * 40000)
-    assert problem.m[0, 0] == 40000
+    assert problem.stiffness[0, 0] == 40000
 
 
 def spoiled(field, where, value):
     y, c, m = good()
-    arrays = {"y": y, "c": c, "m": m}
+    arrays = {"observed": y, "confidence": c, "stiffness": m}
     arrays[field][where] = value
     return arrays
 
@@ -72,21 +74,37 @@ def spoiled(field, where, value):
 @pytest.mark.parametrize(
     ("arrays", "field", "says"),
     [
-        (spoiled("m", (1, 2), np.nan), "m", r"1 values that are NaN .* \(1, 2\)"),
-        (spoiled("m", (1, 2), -np.inf), "m", r"\(1, 2\)"),
-        (spoiled("m", (3, 0), -2), "m", r"1 negative values, the first at \(3, 0\)"),
-        (spoiled("m", ..., 0), "m", "no tissue"),
-        (spoiled("m", (0, 0), 1e9), "m", "ten million times"),
-        (spoiled("m", (0, 0), 1e300), "m", "beyond single precision"),
-        (spoiled("m", ..., 1e-44), "m", r"is 1e-44 at \(0, 0\).*choose a unit"),
-        (spoiled("m", (1, 2), 1e-60), "m", r"is 1e-60 at \(1, 2\).*0 where there is no tissue"),
-        (spoiled("m", ..., 3e38), "m", r"is 3e\+38 at \(0, 0\).*choose a unit"),
-        (spoiled("c", (2, 1, 1), np.nan), "c", r"\(2, 1, 1\)"),
-        (spoiled("c", (2, 1, 1), 1.5), "c", r"outside 0 to 1, the first at \(2, 1, 1\)"),
-        (spoiled("c", (2, 1, 0), -0.1), "c", "outside 0 to 1"),
-        (spoiled("c", ..., 0), "c", "Mark at least one place"),
-        (spoiled("m", 0, 0), "c", "only where there is no tissue"),
-        (spoiled("y", (0, 3, 0), np.inf), "y", r"where c > 0, the first at \(0, 3, 0\)"),
+        (spoiled("stiffness", (1, 2), np.nan), "stiffness", r"1 values that are NaN .* \(1, 2\)"),
+        (spoiled("stiffness", (1, 2), -np.inf), "stiffness", r"\(1, 2\)"),
+        (
+            spoiled("stiffness", (3, 0), -2),
+            "stiffness",
+            r"1 negative values, the first at \(3, 0\)",
+        ),
+        (spoiled("stiffness", ..., 0), "stiffness", "no tissue"),
+        (spoiled("stiffness", (0, 0), 1e9), "stiffness", "ten million times"),
+        (spoiled("stiffness", (0, 0), 1e300), "stiffness", "beyond single precision"),
+        (spoiled("stiffness", ..., 1e-44), "stiffness", r"is 1e-44 at \(0, 0\).*choose a unit"),
+        (
+            spoiled("stiffness", (1, 2), 1e-60),
+            "stiffness",
+            r"is 1e-60 at \(1, 2\).*0 where there is no tissue",
+        ),
+        (spoiled("stiffness", ..., 3e38), "stiffness", r"is 3e\+38 at \(0, 0\).*choose a unit"),
+        (spoiled("confidence", (2, 1, 1), np.nan), "confidence", r"\(2, 1, 1\)"),
+        (
+            spoiled("confidence", (2, 1, 1), 1.5),
+            "confidence",
+            r"outside 0 to 1, the first at \(2, 1, 1\)",
+        ),
+        (spoiled("confidence", (2, 1, 0), -0.1), "confidence", "outside 0 to 1"),
+        (spoiled("confidence", ..., 0), "confidence", "Mark at least one place"),
+        (spoiled("stiffness", 0, 0), "confidence", "only where there is no tissue"),
+        (
+            spoiled("observed", (0, 3, 0), np.inf),
+            "observed",
+            r"where confidence is above 0, the first at \(0, 3, 0\)",
+        ),
     ],
 )
 def test_a_bad_value_is_named_with_its_place(arrays, field, says):
@@ -97,11 +115,17 @@ def test_a_bad_value_is_named_with_its_place(arrays, field, says):
 
 
 @pytest.mark.parametrize(
-    ("field", "shape"), [("y", (5, 4)), ("c", (5, 4, 3)), ("y", (4, 5, 2)), ("c", (5, 4, 1))]
+    ("field", "shape"),
+    [
+        ("observed", (5, 4)),
+        ("confidence", (5, 4, 3)),
+        ("observed", (4, 5, 2)),
+        ("confidence", (5, 4, 1)),
+    ],
 )
 def test_images_on_different_grids_are_refused_with_both_shapes(field, shape):
     y, c, m = good()
-    arrays = {"y": y, "c": c, "m": m, field: np.zeros(shape)}
+    arrays = {"observed": y, "confidence": c, "stiffness": m, field: np.zeros(shape)}
     with pytest.raises(ProblemError, match=r"\(5, 4\)") as caught:
         Problem(**arrays)
     assert caught.value.field == field
@@ -113,12 +137,18 @@ def test_grids_that_cannot_deform_are_refused(shape):
     ndim = len(shape)
     with pytest.raises(ProblemError) as caught:
         Problem(np.zeros((*shape, ndim)), np.ones((*shape, ndim)), np.ones(shape))
-    assert caught.value.field == "m"
+    assert caught.value.field == "stiffness"
 
 
 def test_a_volume_is_told_to_come_slice_by_slice():
     with pytest.raises(ProblemError, match="slice by slice"):
         Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), np.ones((3, 4, 5)))
+
+
+def test_images_in_another_order_are_told_the_right_one():
+    y, c, m = good()
+    with pytest.raises(ProblemError, match="Give observed, confidence and stiffness in this order"):
+        Problem(m, c, y)
 
 
 @pytest.mark.parametrize(
@@ -175,12 +205,12 @@ def test_a_motion_far_beyond_the_image_is_a_wrong_unit(spacing):
     c[2, 3] = (0, 1)
     reach = 2 * np.hypot(*np.multiply(m.shape, spacing))
     y[2, 3] = (0, 0.999 * reach)
-    Problem(y, c, m, spacing)
+    Problem(y, c, m, spacing=spacing)
     y[2, 3] = (0, -1.001 * reach)
     with pytest.raises(
-        ProblemError, match=r"y: moves tissue by up to .* the image is only"
+        ProblemError, match=r"observed: moves tissue by up to .* the image is only"
     ) as caught:
-        Problem(y, c, m, spacing)
+        Problem(y, c, m, spacing=spacing)
     assert "(2, 3)" in str(caught.value)
     assert "Give lengths in the unit in which a pixel is" in str(caught.value)
 
@@ -188,4 +218,27 @@ def test_a_motion_far_beyond_the_image_is_a_wrong_unit(spacing):
 def test_how_far_a_motion_would_go_does_not_matter_where_nothing_is_known_of_it():
     y, c, m = good()
     y[2, 3], c[2, 3] = 1e30, 0
-    assert not Problem(y, c, m).y[2, 3].any()
+    assert not Problem(y, c, m).observed[2, 3].any()
+
+
+def test_a_problem_is_told_in_a_line_without_its_arrays():
+    c, m = np.zeros((300, 200, 2)), np.full((300, 200), 10.0)
+    c[:2], m[100:] = (0, 1), 0.12345
+    problem = Problem(np.zeros_like(c), c, m, spacing=(0.5, 1))
+    assert repr(problem) == (
+        "Problem(300 x 200 sites of 0.5 x 1, 400 observed, stiffness 0.123 to 10)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "says"),
+    [
+        ([2, 2, 2], "stiffness 2"),
+        ([2, 0, 5], "2 of tissue, 2 observed, stiffness 2 to 5"),
+        ([2, 5, np.inf], "stiffness 2 to 5 and rigid"),
+        ([np.inf, 0, 0], "1 of tissue, 1 observed, stiffness rigid"),
+    ],
+)
+def test_void_and_rigid_tissue_are_told_too(stiffness, says):
+    problem = Problem(np.zeros((1, 3, 2)), np.ones((1, 3, 2)), [stiffness])
+    assert repr(problem).endswith(f"{says})")

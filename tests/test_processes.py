@@ -6,11 +6,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import pytest
 from opengl_here import require_opengl
+from patience import LONG
 
-from napari_hmrf import Solution, phantom, solve
+from napari_hmrf import SeilerPrior, Solution, phantom, solve
 
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 
@@ -61,23 +63,23 @@ import os
 
 import numpy as np
 
-from napari_hmrf import BackendError, phantom, solve
+from napari_hmrf import BackendError, SeilerPrior, phantom, solve
 
 problem = phantom("expansion", size=40).problem
-expected = solve(problem, backend="opengl").displacement
+expected = solve(problem, SeilerPrior(), backend="opengl").displacement
 child = os.fork()
 if not child:
     try:
-        solve(problem, backend="opengl")
+        solve(problem, SeilerPrior(), backend="opengl")
     except BackendError as error:
         assert "spawn" in str(error)
-        found = solve(problem, backend="auto")
+        found = solve(problem, SeilerPrior(), backend="auto")
         assert found.provenance.backend == "cpu"
         assert "forked" in found.provenance.reason
         os._exit(0)
     os._exit(1)
 assert os.waitpid(child, 0)[1] == 0
-assert np.array_equal(solve(problem, backend="opengl").displacement, expected)
+assert np.array_equal(solve(problem, SeilerPrior(), backend="opengl").displacement, expected)
 """
 
 
@@ -91,7 +93,7 @@ IN_THE_MIDDLE = """
 import os
 import threading
 
-from napari_hmrf import BackendError, phantom, solve
+from napari_hmrf import BackendError, SeilerPrior, phantom, solve
 from napari_hmrf.solver.backends.thread import compute_thread
 
 problem = phantom("expansion", size=24).problem
@@ -101,7 +103,7 @@ begun.wait()
 child = os.fork()
 if not child:
     try:
-        solve(problem, backend="cpu")
+        solve(problem, SeilerPrior(), backend="cpu")
     except BackendError as error:
         assert "spawn" in str(error)
         os._exit(0)
@@ -111,13 +113,13 @@ assert os.waitpid(child, 0)[1] == 0
 def fork_and_solve():
     child = os.fork()
     if not child:
-        solve(problem, backend="cpu")
+        solve(problem, SeilerPrior(), backend="cpu")
         os._exit(0)
     return os.waitpid(child, 0)[1]
 
 go_on.set()
 job.result()
-solve(problem, backend="cpu")
+solve(problem, SeilerPrior(), backend="cpu")
 assert compute_thread.submit(fork_and_solve).result() == 0, "no job but its own was torn"
 """
 
@@ -144,17 +146,35 @@ while True:
 """
 
 
+def half_saved(folder, size):
+    """Whether a file is being written of which so much is there."""
+    for path in folder.glob("*.tmp"):
+        with suppress(FileNotFoundError):
+            if path.stat().st_size >= size:
+                return True
+    return False
+
+
+def wait_until(condition):
+    last = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < last
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kill -9 is of POSIX")
 def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
     sizes = (48, 40)
     paths = [tmp_path / f"{size}.npz" for size in sizes]
     for path, size in zip(paths, sizes, strict=True):
-        solve(phantom("expansion", size=size).problem, backend="cpu").save(path)
+        solve(phantom("expansion", size=size).problem, SeilerPrior(), backend="cpu").save(path)
     path = paths[0]
-    for moment in (0.005, 0.02, 0.05):
+    # When a file has been begun, when some is in it, and when it needs only its name.
+    for written in (0, 1, path.stat().st_size // 2):
         command = [sys.executable, "-c", SAVING, *paths]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             assert process.stdout.readline()
-            time.sleep(moment)
+            wait_until(lambda written=written: half_saved(tmp_path, written))
             process.kill()
+        for left in tmp_path.glob("*.tmp"):
+            left.unlink()
         assert Solution.load(path).displacement.shape[0] in sizes

@@ -31,9 +31,9 @@ LARGEST = 300_000
 def problem_arrays(problem, prior):
     """What a problem consists of."""
     return {
-        "y": problem.y,
-        "c": problem.c,
-        "m": problem.m,
+        "y": problem.observed,
+        "c": problem.confidence,
+        "m": problem.stiffness,
         "spacing": np.array(problem.spacing),
         "poisson": np.asarray(getattr(prior, "poisson", np.nan)),
     }
@@ -56,7 +56,7 @@ def pixels(solution):
 
 def record(make):
     asked = read(make())
-    solution = solve(*asked, backend="cpu")
+    solution = solve(asked.problem, asked.prior, optimizer=asked.optimizer, backend="cpu")
     RECORDED.mkdir(exist_ok=True)
     np.savez_compressed(
         RECORDED / f"{make.__name__}.npz",
@@ -75,7 +75,7 @@ def test_layers_are_the_problem_they_were_and_tissue_moves_as_it_did(make):
     assert model(asked.prior, asked.optimizer) == str(known["model"])
     for name, found in problem_arrays(asked.problem, asked.prior).items():
         np.testing.assert_allclose(found, known[name], rtol=1e-6, atol=1e-7, err_msg=name)
-    solution = solve(*asked, backend="cpu")
+    solution = solve(asked.problem, asked.prior, optimizer=asked.optimizer, backend="cpu")
     apart = np.abs(pixels(solution) - STEP * known["field"])
     if solution.convergence is None:
         assert np.sqrt((apart**2).mean()) < OF_A_SCHEDULE

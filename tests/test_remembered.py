@@ -43,7 +43,8 @@ def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
     first.settings.accuracy.value = 1e-4
     first.outputs = ("image", "magnitude")
     again = another(qtbot, first._viewer)
-    assert again.solver == first.solver
+    for each in ("prior", "optimizer", "backend"):
+        assert getattr(again.settings, each) == getattr(first.settings, each)
     assert again.settings.optimizer.tolerance == 1e-4
     assert again.outputs == first.outputs
     again.settings.back_to_the_paper()

@@ -20,18 +20,18 @@ def random_problem(spacing=(1.0, 1.0)):
     m[4, 5] = 0
     c = np.zeros((*shape, 2))
     c[0] = c[-1, :, 0] = 1
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing)
+    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
 @pytest.mark.parametrize("plane", ["stress", "strain"])
 def test_the_assembled_matrix_is_the_priors_energy(plane, spacing):
-    problem, prior = random_problem(spacing), ElasticPrior(0.4, plane)
+    problem, prior = random_problem(spacing), ElasticPrior(0.4, plane=plane)
     system = assemble(problem, prior)
     assert abs(system.matrix - system.matrix.T).max() < 1e-12
     found = solve_directly(problem, prior) * problem.unit
-    held = problem.c > 0
-    np.testing.assert_allclose(found[held], problem.y[held], atol=1e-12)
+    held = problem.confidence > 0
+    np.testing.assert_allclose(found[held], problem.observed[held], atol=1e-12)
     forces = prior.forces(problem, found)
     assert np.abs(forces[held]).max() > 0.1
     assert np.abs(forces[~held & problem.tissue[..., None]]).max() < 1e-10
@@ -91,7 +91,7 @@ def test_a_deck_is_well_formed(element):
     assert (areas == (0.5 if triangles else 1.0)).all(), "anticlockwise, and a pixel together"
     assert keywords.count("*ELEMENT") == keywords.count("*SOLID SECTION")
     held = deck[keywords.index("*BOUNDARY")][1]
-    assert len(held) == int((problem.c > 0).sum())
+    assert len(held) == int((problem.confidence > 0).sum())
 
 
 @pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
@@ -132,9 +132,9 @@ def test_pyamg_is_stopped_where_it_is_close_enough():
 
 def test_an_edit_moves_one_patch_of_the_boundary_by_a_pixel():
     problem = phantom("mass-effect", 64).problem
-    change = moved_patch(problem).y - problem.y
+    change = moved_patch(problem).observed - problem.observed
     moved = np.abs(change).max(axis=-1) > 0
-    assert 5 < moved.sum() < 0.3 * (np.abs(problem.y).max(axis=-1) > 0).sum()
+    assert 5 < moved.sum() < 0.3 * (np.abs(problem.observed).max(axis=-1) > 0).sum()
     assert np.abs(change).max() == pytest.approx(1)
 
 
@@ -145,7 +145,7 @@ def test_a_solver_in_a_process_of_its_own_is_measured(tmp_path):
     run = contenders.measure("cpu", 48, 2, file)
     assert run.seconds > 0
     assert run.error <= contenders.WITHIN
-    found = solve(problem, contenders.PRIOR, Multigrid(contenders.WITHIN), backend="cpu")
+    found = solve(problem, contenders.PRIOR, optimizer=Multigrid(contenders.WITHIN), backend="cpu")
     assert run.iterations == found.iterations
 
 

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import metadata
 from pathlib import Path
@@ -31,7 +32,7 @@ ROOMS = (
     {"study"},
     {"tissue", "field"},
     {"solver"},
-    LEAVES := {"array_file", "atomic_write", "errors", "resources"},
+    LEAVES := {"arguments", "array_file", "atomic_write", "errors", "resources"},
 )
 #: What people and other processes start.
 ENTRIES = {"__init__", "__main__", "cli", "compiling"}
@@ -77,6 +78,51 @@ def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
     return statements
 
 
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+@cache
+def named_here(module: Path) -> frozenset[str]:
+    """Private names that a module gives: of its functions, classes, attributes and constants."""
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found |= {node.attr} if ast.unparse(node.value) in ("self", "cls") else set()
+    return frozenset(filter(is_private, found))
+
+
+def private_names_of_others(module: Path) -> list[str]:
+    """What a module uses below the public face of somebody else's objects, as `line: name`.
+
+    A private name is our own if this module gives it, or, behind `self`, if any of ours does: an
+    inherited one. Named tuples have some that are meant for all.
+    """
+    ours = named_here(module) | {"_replace", "_asdict", "_fields", "_make"}
+    inherited = ours.union(*map(named_here, MODULES))
+    found = []
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute):
+            own = ast.unparse(node.value) in ("self", "cls", "super()")
+            used = [] if node.attr in (inherited if own else ours) else [node.attr]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("attr", "attrgetter")):
+            starts = [arg.values[0] if isinstance(arg, ast.JoinedStr) else arg for arg in node.args]
+            words = [str(each.value) for each in starts if isinstance(each, ast.Constant)]
+            used = [word for word in words if word not in ours]
+        elif isinstance(node, ast.ImportFrom) and not str(node.module).startswith("napari_hmrf"):
+            used = str(node.module).split(".") + [alias.name for alias in node.names]
+        elif isinstance(node, ast.Import):
+            used = [name for alias in node.names for name in alias.name.split(".")]
+        else:
+            used = []
+        found += [f"{node.lineno}: {name}" for name in used if is_private(name)]
+    return found
+
+
 def packages(names: set[str]) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
@@ -97,6 +143,12 @@ def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
     if not beside_napari:
         assert not known & {"napari", "magicgui"}
     assert not known & {"PyQt5", "PyQt6", "PySide2", "PySide6"}, "Qt is reached through qtpy only"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_private_names_of_napari_vispy_and_qt_are_used_in_one_module_only(module):
+    if part(module).startswith(("layers/", "ui/")) and part(module) != "layers/compat.py":
+        assert private_names_of_others(module) == []
 
 
 @pytest.mark.parametrize("module", MODULES, ids=part)
@@ -137,6 +189,14 @@ def test_importing_the_package_imports_nothing_heavy():
     code = f"import sys, napari_hmrf; print([n for n in {HEAVY!r} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("file", sorted(ROOT.glob("tests/*.py")), ids=lambda file: file.name)
+def test_tests_wait_for_events_and_never_for_a_time(file):
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    names = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
+    timed = [name for name in names if name.endswith(("sleep", "bot.wait", "qWait"))]
+    assert timed == [], "at_rest(), waitUntil and waitSignal wait for what is to come"
 
 
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported():

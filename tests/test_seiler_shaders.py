@@ -183,8 +183,8 @@ def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
 @pytest.mark.parametrize("spacing", SPACINGS)
 def test_torn_tissue_moves_alike_everywhere(stage, spacing, prior):
     problem = torn(20.0, spacing=spacing)
-    loops = solve(problem, prior, Multigrid(5e-4), backend="cpu")
-    shaders = solve(problem, prior, Multigrid(5e-4), backend=f"opengl:{stage}")
+    loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
     off = np.abs(shaders.displacement - loops.displacement) / np.array(spacing)
     assert off.max() < 2e-3
     assert (shaders.displacement[~problem.tissue] == 0).all()
@@ -197,8 +197,8 @@ def test_torn_tissue_moves_alike_everywhere(stage, spacing, prior):
 @pytest.mark.parametrize(("name", "size"), [("expansion", 64), ("mass-effect", 96)])
 def test_a_phantom_moves_alike_everywhere(stage, name, size, prior):
     problem = phantom(name, size).problem
-    loops = solve(problem, prior, Multigrid(), backend="cpu")
-    shaders = solve(problem, prior, Multigrid(), backend=f"opengl:{stage}")
+    loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
     assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
     assert abs(shaders.iterations - loops.iterations) <= 1
 
@@ -206,20 +206,20 @@ def test_a_phantom_moves_alike_everywhere(stage, name, size, prior):
 def test_a_tumour_that_swims_in_soft_tissue_moves_alike(stage):
     # Ten times stiffer, and rounding decides whether single precision finds it at all.
     problem = torn(ratio=1e3)
-    loops = solve(problem, CENTRED, Multigrid(1e-3), backend="cpu")
-    shaders = solve(problem, CENTRED, Multigrid(1e-3), backend=f"opengl:{stage}")
+    loops = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend="cpu")
+    shaders = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend=f"opengl:{stage}")
     assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
 
 
 @readings
 def test_observations_that_slip_are_the_same_everywhere(stage, prior):
     problem = torn(ratio=5.0)
-    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.c
-    problem = Problem(problem.y, graded, problem.m)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
+    problem = Problem(problem.observed, graded, problem.stiffness)
     prior = SeilerPrior(penalty=3.0, conditional=prior.conditional)
-    loops = solve(problem, prior, Multigrid(1e-3), backend="cpu")
-    shaders = solve(problem, prior, Multigrid(1e-3), backend=f"opengl:{stage}")
-    slipped = np.abs(loops.displacement - problem.y)[problem.c > 0] > 0.01
+    loops = solve(problem, prior, optimizer=Multigrid(1e-3), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(1e-3), backend=f"opengl:{stage}")
+    slipped = np.abs(loops.displacement - problem.observed)[problem.confidence > 0] > 0.01
     assert 0 < slipped.sum() < slipped.size
     assert np.abs(shaders.displacement - loops.displacement).max() < 4e-3
 
@@ -229,7 +229,7 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
 
     require_opengl()
     monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
-    provenance = solve(torn(20.0), CENTRED, Multigrid(), backend="auto").provenance
+    provenance = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend="auto").provenance
     assert provenance.backend.startswith("opengl:")
     assert provenance.reason == "a GPU is there"
 
@@ -237,7 +237,9 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
 @readings
 def test_the_same_solve_gives_the_same_bits(stage, prior):
     backend = f"opengl:{stage}"
-    first, second = (solve(torn(20.0), prior, Multigrid(), backend) for _ in range(2))
+    first, second = (
+        solve(torn(20.0), prior, optimizer=Multigrid(), backend=backend) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
@@ -302,13 +304,13 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
 ):
     monkeypatch.setattr(refinement, "_FEW", 0)  # so few sites would have factors, not batches
     backend = f"opengl:{stage}"
-    before = solve(torn(20.0), prior, Multigrid(), backend)
+    before = solve(torn(20.0), prior, optimizer=Multigrid(), backend=backend)
     looks = _batches(stage, prior)
     assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
         _batches(stage, prior, stop_at=int(where * looks))
     assert left(made) == 0
-    after = solve(torn(20.0), prior, Multigrid(), backend)
+    after = solve(torn(20.0), prior, optimizer=Multigrid(), backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
@@ -316,11 +318,13 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     from napari_hmrf.solver.backends.opengl import backend, regions
 
-    whole = solve(torn(20.0), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
+    whole = solve(
+        torn(20.0), CENTRED, optimizer=Multigrid(), backend=f"opengl:{stage}"
+    ).displacement
     monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
     monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
     monkeypatch.setattr(regions, "_ACROSS", 2)
-    cut = solve(torn(20.0), CENTRED, Multigrid(), backend=f"opengl:{stage}").displacement
+    cut = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend=f"opengl:{stage}").displacement
     np.testing.assert_array_equal(cut, whole)
 
 

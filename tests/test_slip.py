@@ -18,7 +18,7 @@ def torn(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
     c[[0, -1]] = 1
     y[0, :, 0], y[-1, :, 0] = 1, 3
     m = contrast ** rng.random(shape)
-    return Problem(y * np.sqrt(spacing[0] * spacing[1]), c, m, spacing)
+    return Problem(y * np.sqrt(spacing[0] * spacing[1]), c, m, spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.4, 1.0)])
@@ -28,8 +28,12 @@ def torn(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
 )
 def test_of_all_places_that_cost_the_same_a_piece_takes_the_nearest(reading, contrast, spacing):
     problem = torn(contrast, spacing)
-    prior = ElasticPrior(penalty=PENALTY) if reading == "elastic" else SeilerPrior(PENALTY, reading)
-    found = solve(problem, prior, Multigrid(1e-4))
+    prior = (
+        ElasticPrior(penalty=PENALTY)
+        if reading == "elastic"
+        else SeilerPrior(penalty=PENALTY, conditional=reading)
+    )
+    found = solve(problem, prior, optimizer=Multigrid(1e-4))
     np.testing.assert_allclose(found.displacement[..., 0] / problem.unit, 1, atol=1e-4)
     np.testing.assert_allclose(found.displacement[..., 1], 0, atol=1e-4)
     assert found.convergence.error <= 1e-4
@@ -40,8 +44,8 @@ def test_a_free_motion_costs_nothing_whatever_the_shape_of_pixels(spacing):
     shape = (7, 9)
     c = np.zeros((*shape, 2))
     c[2, 3] = 1
-    problem = Problem(0 * c, c, np.ones(shape), spacing)
-    (ways,) = free_motions(problem, problem.observed)
+    problem = Problem(0 * c, c, np.ones(shape), spacing=spacing)
+    (ways,) = free_motions(problem, problem.known)
     assert len(ways) == 1
     model = CpuElasticModel(ElasticPrior().material(problem))
     energy, _ = model.work(host.planes(ways[0]))
@@ -53,7 +57,9 @@ def test_a_free_motion_costs_nothing_whatever_the_shape_of_pixels(spacing):
 def test_what_no_clique_pulls_at_stays_where_it_was_seen(shape, penalty):
     y = np.random.default_rng(1).normal(size=(*shape, 2)) / 4
     problem = Problem(y, np.ones((*shape, 2)), np.ones(shape))
-    found = solve(problem, SeilerPrior(penalty, "blanket"), Multigrid()).displacement
+    found = solve(
+        problem, SeilerPrior(penalty=penalty, conditional="blanket"), optimizer=Multigrid()
+    ).displacement
     np.testing.assert_allclose(found, y, atol=1e-6)
 
 
@@ -67,7 +73,7 @@ def test_a_stiff_part_that_hangs_on_soft_tissue_is_where_its_weakest_side_allows
     y[1, -1, 1] = 2
     ends = []
     for penalty in (1e-8, 2e-8):
-        found = solve(Problem(y, c, m), ElasticPrior(penalty=penalty), Multigrid(1e-5))
+        found = solve(Problem(y, c, m), ElasticPrior(penalty=penalty), optimizer=Multigrid(1e-5))
         ends.append(found.displacement[1, -1, 1] / penalty)
     # It slips, so it moves in proportion to the force.
     assert ends[1] == pytest.approx(ends[0], rel=1e-2)

@@ -11,7 +11,7 @@ import pytest
 from patience import LONG
 from test_icm import frame_problem
 
-from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Multigrid, solve
+from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.solver.backends import BATCH_SECONDS
 from napari_hmrf.solver.backends.thread import ComputeThread, compute_thread
 from napari_hmrf.solver.solve import run_here
@@ -35,7 +35,7 @@ def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
         seen.append(monitor)
         threads.add(threading.current_thread())
 
-    solve(frame_problem((60, 50)), backend="cpu", progress=progress)
+    solve(frame_problem((60, 50)), SeilerPrior(), backend="cpu", progress=progress)
     fractions = [monitor.fraction for monitor in seen]
     assert fractions == sorted(fractions)
     assert fractions[0] == 0
@@ -47,17 +47,21 @@ def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
 @pytest.mark.parametrize("looks", [0, 1, 2, 4, 8, 12])
 def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(looks):
     problem = frame_problem((40, 40))
-    expected = solve(problem, backend="cpu").displacement
+    expected = solve(problem, SeilerPrior(), backend="cpu").displacement
     with pytest.raises(Cancelled):
-        solve(problem, backend="cpu", cancel=After(looks))
-    np.testing.assert_array_equal(solve(problem, backend="cpu").displacement, expected)
+        solve(problem, SeilerPrior(), backend="cpu", cancel=After(looks))
+    np.testing.assert_array_equal(
+        solve(problem, SeilerPrior(), backend="cpu").displacement, expected
+    )
 
 
 def test_cancel_is_looked_at_after_work_of_a_twentieth_of_a_second(monkeypatch):
     from napari_hmrf.solver.backends.cpu import kernels
 
     problem = frame_problem((400, 400))
-    solve(problem, optimizer=ICM(iterations=1), backend="cpu")  # rehearsed, and not counted
+    solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=1), backend="cpu"
+    )  # rehearsed, and not counted
     cancel, batches, sweep = threading.Event(), [], kernels.sweeps
 
     def counted(*arguments):
@@ -69,7 +73,7 @@ def test_cancel_is_looked_at_after_work_of_a_twentieth_of_a_second(monkeypatch):
 
     monkeypatch.setattr(kernels, "sweeps", counted)
     with pytest.raises(Cancelled):
-        solve(problem, optimizer=ICM(iterations=100), backend="cpu", cancel=cancel)
+        solve(problem, SeilerPrior(), optimizer=ICM(iterations=100), backend="cpu", cancel=cancel)
     shapes, updates = zip(*batches, strict=True)
     assert shapes.count(problem.shape) == 1, "none after it was set"
     assert max(updates) * 10e-9 <= BATCH_SECONDS, "a site takes a few nanoseconds"
@@ -77,7 +81,7 @@ def test_cancel_is_looked_at_after_work_of_a_twentieth_of_a_second(monkeypatch):
 
 def test_an_error_in_the_callers_progress_stops_the_work():
     solve(
-        frame_problem((10, 10)), backend="cpu"
+        frame_problem((10, 10)), SeilerPrior(), backend="cpu"
     )  # its kernels are compiled before the clock starts
 
     def progress(monitor):
@@ -87,32 +91,39 @@ def test_an_error_in_the_callers_progress_stops_the_work():
     with pytest.raises(RuntimeError, match="the caller's own"):
         solve(
             frame_problem((50, 50)),
+            SeilerPrior(),
             optimizer=ICM(iterations=10**6),
             backend="cpu",
             progress=progress,
         )
-    job = compute_thread.submit(lambda: solve(frame_problem((10, 10)), backend="cpu"))
+    job = compute_thread.submit(
+        lambda: solve(frame_problem((10, 10)), SeilerPrior(), backend="cpu")
+    )
     assert job.result(LONG)
 
 
 def test_solves_from_many_threads_take_turns_and_are_all_right():
     problems = [frame_problem((40, 30 + k), seed=k) for k in range(6)]
-    expected = [solve(problem, backend="cpu").displacement for problem in problems]
+    expected = [solve(problem, SeilerPrior(), backend="cpu").displacement for problem in problems]
     with ThreadPoolExecutor(6) as pool:
-        found = list(pool.map(lambda problem: solve(problem, backend="cpu"), problems))
+        found = list(
+            pool.map(lambda problem: solve(problem, SeilerPrior(), backend="cpu"), problems)
+        )
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one.displacement, other)
 
 
 def test_a_solution_says_what_was_run():
-    solution = solve(frame_problem((20, 20)), optimizer=ICM(iterations=7), backend="cpu")
+    solution = solve(
+        frame_problem((20, 20)), SeilerPrior(), optimizer=ICM(iterations=7), backend="cpu"
+    )
     run = solution.provenance
     assert run.backend == "cpu"
     assert "threads" in run.renderer
     assert run.seconds > 0
     assert run.parameters["optimizer"]["iterations"] == 7
     assert run.parameters["prior"]["conditional"] == "centred"
-    assert set(run.inputs) == {"y", "c", "m"}
+    assert set(run.inputs) == {"observed", "confidence", "stiffness"}
     assert all(len(digest) == 64 for digest in run.inputs.values())
     assert "numpy" in run.versions
     assert json.loads(json.dumps(run.parameters)) == run.parameters
@@ -120,7 +131,7 @@ def test_a_solution_says_what_was_run():
 
 def test_an_unknown_backend_is_refused_with_the_known_ones():
     with pytest.raises(BackendError, match="auto, opengl"):
-        solve(frame_problem((5, 5)), backend="cuda")
+        solve(frame_problem((5, 5)), SeilerPrior(), backend="cuda")
 
 
 @pytest.mark.parametrize(
@@ -134,9 +145,9 @@ def test_an_unknown_backend_is_refused_with_the_known_ones():
         ("optimizer", Multigrid, "Multigrid"),
         ("progress", 3, "Monitor"),
         ("cancel", 3, "threading.Event"),
-        ("start", "x", "Solution"),
-        ("start", [3], "Solution"),
-        ("start", np.zeros((5, 5, 2)), "Solution"),
+        ("initial", "x", "Solution"),
+        ("initial", [3], "Solution"),
+        ("initial", np.zeros((5, 5, 2)), "Solution"),
     ],
 )
 def test_an_argument_of_another_kind_is_named_before_anything_is_done(
@@ -159,16 +170,18 @@ def test_kernels_run_on_the_compute_thread_only():
 
 
 def test_a_job_on_the_compute_thread_may_solve():
-    job = compute_thread.submit(lambda: solve(frame_problem((12, 12)), backend="cpu"))
+    job = compute_thread.submit(
+        lambda: solve(frame_problem((12, 12)), SeilerPrior(), backend="cpu")
+    )
     assert job.result(timeout=60).displacement.shape == (12, 12, 2)
 
 
 def test_the_compute_thread_ends_and_starts_again():
-    solve(frame_problem((6, 6)), backend="cpu")
+    solve(frame_problem((6, 6)), SeilerPrior(), backend="cpu")
     assert compute_thread.stop()
     names = [thread.name for thread in threading.enumerate()]
     assert "napari-hmrf compute" not in names
-    solve(frame_problem((6, 6)), backend="cpu")
+    solve(frame_problem((6, 6)), SeilerPrior(), backend="cpu")
 
 
 def test_there_is_never_more_than_one_compute_thread():
@@ -221,17 +234,17 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
     y, c, m = np.zeros((200, 190, 2)), np.zeros((200, 190, 2)), np.ones((200, 190))
     c[0] = c[-1] = 1
     y[-1] = 3
-    problem = Problem(y, c, m, spacing)
+    problem = Problem(y, c, m, spacing=spacing)
     for prior in (SeilerPrior(), ElasticPrior(), ElasticPrior(penalty=0.02), ElasticPrior(0.4 * m)):
         optimizer = ICM(iterations=2) if isinstance(prior, SeilerPrior) else Multigrid()
         compute_thread.submit(
             lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing, lambda _: None)
         ).result()
         before = made()
-        found = solve(problem, prior, optimizer, backend="cpu")
+        found = solve(problem, prior, optimizer=optimizer, backend="cpu")
         if isinstance(optimizer, Multigrid):
             for many in (1, 2, 3):
-                solve(problem, prior, optimizer, backend="cpu", start=[found] * many)
+                solve(problem, prior, optimizer=optimizer, backend="cpu", initial=[found] * many)
         after = made()
         new = {name: after[name] for name in after if after[name] != before.get(name)}
         assert not new, (prior, spacing, new)
@@ -247,7 +260,17 @@ def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
     monkeypatch.setattr(sys.modules["napari_hmrf.solver.solve"], "_announced", set())
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.is_software_renderer", lambda _: True)
     for _ in range(2):
-        solve(frame_problem((6, 6)), backend="auto")
+        solve(frame_problem((6, 6)), SeilerPrior(), backend="auto")
     told = [record for record in caplog.records if "solving on" in record.message]
     assert len(told) == 1
     assert "compiled loops" in told[0].message
+
+
+def test_a_solution_is_told_in_a_line_without_its_arrays():
+    solution = solve(frame_problem((20, 30)), ElasticPrior(), optimizer=Multigrid(), backend="cpu")
+    said = repr(solution)
+    assert said.startswith("Solution(20 x 30 sites of 1 x 1, elastic, moved up to ")
+    assert " iterations in " in said
+    assert " on cpu, within " in said
+    assert len(said) < 150
+    assert "array" not in said

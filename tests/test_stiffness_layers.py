@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
+from study_reader import read_layers
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.inputs import Request, read_layers
 from napari_hmrf.layers.metadata import BOUNDARY, described
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.stiffness_layers import (
     StiffnessStack,
@@ -166,5 +167,5 @@ def test_the_solver_reads_from_a_stack_what_is_shown(coloured):
     view = View((1, 2), (2.0, 0.0, 0.0))
     request = Request(layer, boundary, image, rules=(BoundaryRule(1, "fixed"),), view=view)
     expected = CURVE(luminance(pixels[2]) if coloured else pixels[2])
-    np.testing.assert_array_equal(read_layers(request).problem.m, expected)
+    np.testing.assert_array_equal(read_layers(request).problem.stiffness, expected)
     np.testing.assert_array_equal(CURVE(intensities_of(image, view)), expected)

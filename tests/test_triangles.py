@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import phantom, solve
+from napari_hmrf import SeilerPrior, phantom, solve
 from napari_hmrf.field import triangle_arrays, triangle_raster
 
 
@@ -35,7 +35,7 @@ def test_tissue_that_moves_at_random_is_drawn_alike(far, holes):
 
 def test_a_phantom_is_drawn_alike():
     made = phantom("expansion", 80)
-    found = solve(made.problem, backend="cpu")
+    found = solve(made.problem, SeilerPrior(), backend="cpu")
     both(moved_by(found.displacement / made.problem.unit), made.problem.tissue)
 
 

@@ -21,9 +21,9 @@ def drawn(y=None, c=None, m=None, prior=None, **more):
         y[-1, :, 0] = 1
     return replace(
         random_problem(0, 1),
-        y=y,
-        c=c,
-        m=np.ones(shape) if m is None else m,
+        observed=y,
+        confidence=c,
+        stiffness=np.ones(shape) if m is None else m,
         spacing=(1.0, 1.0),
         prior=prior or ElasticPrior(0.3),
         tolerance=1e-3,
@@ -80,7 +80,7 @@ def test_an_answer_is_judged_by_its_true_error(answer, shift, reported, outcome)
     ("error", "outcome"),
     [
         (ConvergenceError("no"), "refused"),
-        (ProblemError("c", "no"), "refused"),
+        (ProblemError("confidence", "no"), "refused"),
         (ZeroDivisionError("no"), "crashed"),
     ],
 )
@@ -136,7 +136,7 @@ def test_a_field_that_is_not_sure_judges_nothing(answer, monkeypatch):
 
 def test_a_problem_can_be_made_alone():
     first, again, other = (random_problem(*which) for which in ((3, 7), (3, 7), (3, 8)))
-    for field in ("y", "c", "m"):
+    for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(first, field), getattr(again, field))
     assert first.words == again.words != other.words
     assert first.prior == again.prior
@@ -146,8 +146,8 @@ def test_every_kind_of_problem_comes_up():
     made = [random_problem(0, number) for number in range(400)]
     assert len({each.reading for each in made}) == 8
     assert max(each.contrast for each in made) > 3e6
-    assert max(max(each.m.shape) for each in made) > 60
-    assert min(min(each.m.shape) for each in made) == 1
+    assert max(max(each.stiffness.shape) for each in made) > 60
+    assert min(min(each.stiffness.shape) for each in made) == 1
     assert {each.void for each in made} == {"none", "holes", "around", "specks", "gaps"}
     assert {each.tolerance for each in made} == {1e-2, 1e-3, 1e-4}
 

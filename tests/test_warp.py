@@ -330,7 +330,13 @@ def test_several_images_share_one_inverse_map(picture):
 def test_the_brain_grows_outward_in_its_picture():
     drawn = phantom("expansion")
     tissue = drawn.problem.tissue
-    moved = warp(tissue.astype(np.uint8), reference_displacement("expansion"), (1, 1), 0, tissue)
+    moved = warp(
+        tissue.astype(np.uint8),
+        reference_displacement("expansion"),
+        spacing=(1, 1),
+        order=0,
+        tissue=tissue,
+    )
     extent = np.ptp(np.argwhere(moved), axis=0) - np.ptp(np.argwhere(tissue), axis=0)
     np.testing.assert_allclose(extent, 20, atol=1)
 
@@ -343,7 +349,7 @@ def test_the_brain_grows_outward_in_its_picture():
         ({"image": np.zeros((6, 6), complex)}, "image: has values of type complex128"),
         ({"image": [[1], [1, 2]]}, "image: is not an array of numbers"),
         ({"displacement": np.zeros((6, 6))}, "displacement: has shape"),
-        ({"displacement": None}, "displacement: has values of type object"),
+        ({"displacement": None}, "displacement: is None, of type NoneType"),
         ({"displacement": np.zeros((6, 6, 3))}, "displacement: has shape"),
         ({"displacement": np.full((6, 6, 2), np.nan)}, r"displacement: is NaN .* at \(0, 0\)"),
         ({"spacing": (1.0,)}, "spacing"),

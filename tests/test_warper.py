@@ -61,7 +61,7 @@ KINDS = ["uint8", "colour", "float32", "gaps", "bool", "uint16", "float16", "flo
 def test_every_kind_of_picture_is_moved_as_by_warp(kind, order):
     image, d, tissue = image_of(kind), rough_field(1, 2.5), some_tissue(1)
     fill = 1
-    (found,) = moved(Warper([Picture(image, order, fill)]), d, tissue)
+    (found,) = moved(Warper([Picture(image, order=order, fill=fill)]), d, tissue)
     expected = warp(image, d, order=order, tissue=tissue, fill=fill)
     assert found.dtype == expected.dtype
     np.testing.assert_array_equal(found, expected)
@@ -78,9 +78,9 @@ def test_whatever_the_motion_folds_included(seed, amplitude, spacing, fraction):
     d = rough_field(seed, amplitude) * np.float32(spacing)
     tissue = some_tissue(seed) if seed % 2 else None
     image = image_of("colour" if seed % 3 else "uint8")
-    (found,) = moved(Warper(image, spacing), d, tissue, fraction)
+    (found,) = moved(Warper(image, spacing=spacing), d, tissue, fraction)
     part = fraction * d.astype(float)
-    np.testing.assert_array_equal(found, warp(image, part, spacing, tissue=tissue))
+    np.testing.assert_array_equal(found, warp(image, part, spacing=spacing, tissue=tissue))
 
 
 @pytest.mark.parametrize("bands", [1, 2, 3, 5, 37])
@@ -142,7 +142,7 @@ def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
         image, still = np.ones((9, 9), kind), np.zeros((9, 9, 2), np.float32)
         image.setflags(write=not read_only)
         still.setflags(write=not read_only)
-        moved(Warper([Picture(image, order)]), still)
+        moved(Warper([Picture(image, order=order)]), still)
 
     for kind in ("uint8", "float32", "float64"):
         move(kind, 1, read_only=False)
@@ -175,10 +175,15 @@ def test_it_belongs_to_the_compute_thread():
     ("make", "displacement", "tissue", "complaint"),
     [
         (lambda: Warper(np.zeros(5)), None, None, "image: has shape"),
-        (lambda: Warper([Picture(np.zeros((5, 5)), 7)]), None, None, "order: is 7"),
-        (lambda: Warper([Picture(np.zeros((5, 5), np.uint8), 1, 300)]), None, None, "fill"),
+        (lambda: Warper([Picture(np.zeros((5, 5)), order=7)]), None, None, "order: is 7"),
+        (
+            lambda: Warper([Picture(np.zeros((5, 5), np.uint8), order=1, fill=300)]),
+            None,
+            None,
+            "fill",
+        ),
         (lambda: Warper([Picture(np.eye(5)), Picture(np.eye(6))]), None, None, "image: has shape"),
-        (lambda: Warper(np.eye(5), (1, 0)), None, None, "spacing"),
+        (lambda: Warper(np.eye(5), spacing=(1, 0)), None, None, "spacing"),
         (lambda: Warper(np.eye(5)), np.zeros((5, 6, 2)), None, "displacement: has shape"),
         (lambda: Warper(np.eye(5)), np.zeros((5, 5, 2)), np.ones(5), "tissue: has shape"),
         (lambda: Warper(np.eye(5)), np.full((5, 5, 2), np.nan), None, "displacement: is NaN"),

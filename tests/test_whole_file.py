@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_hmrf import atomic_write, phantom, solve
+from napari_hmrf import SeilerPrior, atomic_write, phantom, solve
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.io import figures
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -22,7 +22,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are
 
 
 def solution(path):
-    solve(phantom("expansion", size=16).problem, backend="cpu").save(path)
+    solve(phantom("expansion", size=16).problem, SeilerPrior(), backend="cpu").save(path)
 
 
 def materials(path):

@@ -1,7 +1,5 @@
 """What the user does with *Deform tissue*, and what then happens."""
 
-import time
-
 import numpy as np
 import pytest
 from conftest import quick
@@ -12,6 +10,7 @@ from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
+from screen import Cell, head
 
 from napari_hmrf import ICM, SeilerPrior
 from napari_hmrf.layers.metadata import METADATA, known_of
@@ -205,75 +204,74 @@ def test_tables_stay_with_their_layer(widget, small_sample):
 
 def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._face.tissue.table
-    table.item(1, 2).setText("12,5")
+    table = widget._face.tissue.seen
+    Cell(table, 1, 2).write("12,5")
     assert widget.materials[1].stiffness == 12.5
     for nonsense in ("stiff", "-3", "nan", "-inf", "1e400", "1e39", ""):
-        table.item(1, 2).setText(nonsense)
+        Cell(table, 1, 2).write(nonsense)
         assert widget.materials[1].stiffness == 12.5
-        assert table.item(1, 2).text() == "12.5"
+        assert Cell(table, 1, 2).text() == "12.5"
         said = "Stiffness must be a number, 0 or more, or 'rigid'; kept 12.5."
         assert widget.status == said
-    table.item(1, 1).setText("jelly")
+    Cell(table, 1, 1).write("jelly")
     assert widget.materials[1].name == "jelly"
 
 
 @pytest.mark.parametrize("typed", ["rigid", " Rigid", "inf"])
 def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_sample, typed):
     small_sample(viewer_of(widget))
-    table = widget._face.tissue.table
+    table = widget._face.tissue.seen
 
     def shown():
         """Stiffness and Poisson's ratio, and whether the latter can be typed."""
-        stiffness, poisson = table.item(1, 2), table.item(1, 3)
-        can_be_typed = bool(poisson.flags() & Qt.ItemFlag.ItemIsEditable)
-        return stiffness.text(), poisson.text(), can_be_typed
+        stiffness, poisson = Cell(table, 1, 2), Cell(table, 1, 3)
+        return stiffness.text(), poisson.text(), poisson.can_be_typed()
 
-    table.item(1, 2).setText(typed)
+    Cell(table, 1, 2).write(typed)
     assert widget.materials[1].is_rigid
     assert shown() == ("rigid", "", False)
     widget.undo()
     assert shown() == ("20", "0.45", True)
     widget.redo()
     assert shown() == ("rigid", "", False)
-    table.item(1, 2).setText("12")
+    Cell(table, 1, 2).write("12")
     assert shown() == ("12", "0.45", True)
 
 
 def test_boundary_cells_follow_the_action(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._face.boundary.table
-    assert [table.item(1, column).text() for column in (3, 4)] == ["0", "3"]
-    table.cellWidget(1, 2).setCurrentIndex(2)
+    table = widget._face.boundary.seen
+    assert [Cell(table, 1, column).text() for column in (3, 4)] == ["0", "3"]
+    action = Cell(table, 1, 2)
+    action.choose("expands")
+    widget.undo()
+    assert (action.text(), action.chosen(), widget.rules[1].action) == ("moves", "moves", "move")
+    widget.redo()
+    assert action.chosen() == "expands"
     assert widget.rules[1].action == "expand"
-    assert [table.item(1, column).text() for column in (3, 4, 5)] == ["", "", "0"]
-    table.item(1, 5).setText("-2")
+    assert [Cell(table, 1, column).text() for column in (3, 4, 5)] == ["", "", "0"]
+    Cell(table, 1, 5).write("-2")
     assert widget.rules[1].amount == -2.0
-    table.item(1, 6).setText("0.5 / 1")
-    table.item(1, 6).setText("2")  # out of range: put back
+    Cell(table, 1, 6).write("0.5 / 1")
+    Cell(table, 1, 6).write("2")  # out of range: put back
     assert widget.rules[1].confidence == (0.5, 1.0)
     assert widget.status == (
         "Confidence must be a number from 0 to 1, or two: 1 / 0.5; kept 0.5 / 1."
     )
-    table.item(1, 6).setText("0.25")
+    Cell(table, 1, 6).write("0.25")
     assert widget.rules[1].confidence == (0.25, 0.25)
-    table.item(1, 1).setText("rim")
+    Cell(table, 1, 1).write("rim")
     assert widget.rules[1].name == "rim"
-
-
-def click(qtbot, table, row, column=1):
-    place = table.visualItemRect(table.item(row, column)).center()
-    qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, pos=place)
 
 
 def highlighted(table):
     return sorted({index.row() for index in table.selectedIndexes()})
 
 
-def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample, qtbot):
+def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
-    tissues, boundaries = widget._face.tissue.table, widget._face.boundary.table
+    tissues, boundaries = widget._face.tissue.seen, widget._face.boundary.seen
     for table, layer, row, label in [
         (tissues, tissue, 1, 1),
         (boundaries, boundary, 1, 2),
@@ -281,13 +279,13 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample, qtbot)
         (tissues, tissue, 1, 1),  # the row that was the current one all the while
     ]:
         layer.visible = False
-        click(qtbot, table, row)
+        Cell(table, row).click()
         assert viewer.layers.selection.active is layer
         assert (layer.selected_label, layer.mode, layer.visible) == (label, "paint", True)
         assert highlighted(table) == [row]
         assert highlighted(boundaries if table is tissues else tissues) == []
         assert f"'{layer.name}'" in widget.status
-    assert boundaries.add() == 3
+    assert widget._face.boundary.table.add() == 3
     assert viewer.layers.selection.active is boundary
     assert boundary.selected_label == 3
 
@@ -295,7 +293,7 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample, qtbot)
 def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, small_sample):
     viewer = viewer_of(widget)
     image, tissue, _ = small_sample(viewer)
-    table = widget._face.tissue.table
+    table = widget._face.tissue.seen
     viewer.layers.selection.active = tissue
     tissue.selected_label = 0
     assert highlighted(table) == [0]
@@ -307,9 +305,10 @@ def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, smal
 
 def test_rows_wear_the_colour_of_their_label(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
-    image = widget._face.tissue.table.item(1, 0).icon().pixmap(14, 14).toImage()
-    shown = image.pixelColor(5, 5).getRgbF()[:3]
-    np.testing.assert_allclose(shown, tissue.get_color(1)[:3], atol=0.01)
+    label = Cell(widget._face.tissue.seen, 1, 0)
+    for selected in (False, True):
+        shown = label.colour(selected)
+        np.testing.assert_allclose(shown, tissue.get_color(1)[:3], atol=0.01)
 
 
 @pytest.mark.parametrize("preset", PRESETS, ids=lambda preset: preset.name.partition(":")[0])
@@ -321,7 +320,7 @@ def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sampl
     assert by_label[0].stiffness == 0  # void stays void
     assert by_label[1] == preset.materials[0]
     assert by_label[9].stiffness == preset.materials[0].stiffness  # units are never mixed
-    assert preset.unit in widget._face.tissue.table.horizontalHeaderItem(2).text()
+    assert preset.unit in head(widget._face.tissue.seen, 2)
 
 
 def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
@@ -342,7 +341,7 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, 
     boundary.data[10:20, 20:25] = 2
     boundary.refresh()
     assert run(widget) is not None
-    assert "mm" in widget._face.boundary.table.horizontalHeaderItem(3).text()
+    assert "mm" in head(widget._face.boundary.seen, 3)
 
 
 @pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
@@ -448,7 +447,7 @@ def test_settings_become_prior_and_optimizer(widget):
     assert settings.prior.conditional == "blanket"
     assert settings.prior.penalty == 500
     assert settings.optimizer.steps is None
-    assert settings.optimizer.tolerance == 1e-3
+    assert settings.optimizer.energy_change == 1e-3
     assert settings.optimizer.iterations == 12
     assert settings.backend == "cpu"
     assert "Stiff-soft borders lock" in settings.sentence.value
@@ -704,7 +703,7 @@ def test_one_sweep_is_told_as_one():
 
     y = np.zeros((8, 8, 2))
     problem = Problem(y, np.ones_like(y), np.ones((8, 8)))
-    solution = solve(problem, optimizer=ICM(1))
+    solution = solve(problem, SeilerPrior(), optimizer=ICM(1))
     coarse, *_ = solution.levels
     solution = replace(solution, levels=(coarse,), energy=solution.energy[:1])
     done = SimpleNamespace(outputs=SimpleNamespace(solution=solution, folds=0))
@@ -742,7 +741,7 @@ def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
 
 
 def test_cancel_is_immediate_even_when_the_thread_is_not(
-    widget, small_sample, busy_thread, wait_for
+    widget, small_sample, busy_thread, wait_for, at_rest
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
@@ -759,7 +758,7 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     assert not widget._face.footer.cancel.enabled
     assert "Cancelled" in widget.status
     busy_thread.set()
-    QApplication.processEvents()
+    at_rest()
     assert state(viewer) == before
 
 
@@ -799,7 +798,7 @@ def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_th
     assert len(said) == 1
 
 
-def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread):
+def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread, at_rest):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.deform()
@@ -807,7 +806,7 @@ def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_
     assert widget.idle
     assert "'Tissue' was removed" in widget.status
     busy_thread.set()
-    QApplication.processEvents()
+    at_rest()
     assert not any("arrows" in name for name in names(viewer))
 
 
@@ -830,7 +829,7 @@ def test_a_layer_removed_while_napari_draws_the_progress_ends_the_work(
 
 
 def test_closing_the_viewer_while_working_is_quick_and_quiet(
-    make_napari_viewer, small_sample, busy_thread
+    make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -840,14 +839,13 @@ def test_closing_the_viewer_while_working_is_quick_and_quiet(
     after_it = compute_thread.submit(lambda: None)
     viewer.close()
     assert not after_it.done(), "nobody waited for the solve"
-    QApplication.processEvents()
+    at_rest(thread=False)
     busy_thread.set()
-    after_it.result(LONG)
-    QApplication.processEvents()
+    at_rest()
 
 
 def test_closing_the_dock_while_working_leaves_the_viewer_alone(
-    make_napari_viewer, small_sample, busy_thread
+    make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
     dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
@@ -856,15 +854,11 @@ def test_closing_the_dock_while_working_leaves_the_viewer_alone(
     widget.deform()
     viewer.window.remove_dock_widget(dock)
     del dock, widget
-    for _ in range(10):
-        QApplication.processEvents()
-        time.sleep(0.01)
+    at_rest(thread=False)
     busy_thread.set()
     viewer.add_image(np.zeros((20, 24)))  # events that nothing dead may answer
     viewer.layers["Tissue"].paint((3, 3), 2)
-    for _ in range(20):
-        QApplication.processEvents()
-        time.sleep(0.02)
+    at_rest()
     assert not any("arrows" in name for name in names(viewer))
 
 
@@ -890,13 +884,13 @@ def test_the_kinds_of_result_layers(widget, small_sample, run):
     assert kinds == [Image, Image, Labels, Vectors, Vectors]
 
 
-def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, qtbot):
+def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_rest):
     viewer = viewer_of(widget)
     small_sample(viewer)
     points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
     points.selected_data = {0, 1}
-    table = widget._face.tissue.table
+    table = widget._face.tissue.seen
     table.selectRow(0)
     QTest.keyClick(table, Qt.Key.Key_Delete)
-    qtbot.wait(50)
+    at_rest()
     assert len(points.data) == 2

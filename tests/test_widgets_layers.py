@@ -4,8 +4,8 @@ import dask.array as da
 import numpy as np
 import pytest
 from napari.layers import Labels
+from study_reader import read_layers
 
-from napari_hmrf.layers.inputs import read_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.label_sync import labels_in
@@ -43,7 +43,7 @@ def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, smal
     widget.native.setVisible(shown)
     widget.boundary = viewer.add_vectors(np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float))
     widget.confidence = viewer.add_image(np.full((20, 24), 0.5), name="sure")
-    c = read_layers(widget.request()).problem.c
+    c = read_layers(widget.request()).problem.confidence
     assert set(np.unique(c)) == {0.0, 0.5}
     widget.boundary = viewer.layers["Boundary"]
     assert widget.request().confidence is None
@@ -120,7 +120,7 @@ def test_the_preview_is_as_long_as_the_motion_whatever_the_units(
     wait_for(lambda: bool((preview.data[:, 1, 0] != 0).all()))
     np.testing.assert_allclose(preview.data[:, 1], [(2, 1.5)] * len(preview.data))
     problem = read_layers(widget.request()).problem
-    np.testing.assert_allclose(problem.y[10, -3] / problem.spacing, (2, 1.5))
+    np.testing.assert_allclose(problem.observed[10, -3] / problem.spacing, (2, 1.5))
 
 
 # Layers that cannot be read
@@ -169,7 +169,8 @@ def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
     busy_thread.set()
     wait_for(lambda: bool(said))
     assert said[0] is not None
-    assert "Changed since the last result" in widget.status
+    widget.boundary.events.data()
+    wait_for(lambda: "Changed since the last result" in widget.status)
 
 
 def test_whatever_goes_wrong_in_looking_again_means_changed(

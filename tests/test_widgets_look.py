@@ -1,6 +1,5 @@
 """What the user sees of a result with *Look at the result*."""
 
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +12,7 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
 
-from napari_hmrf import Problem, solve
+from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.strain import green_lagrange_strain
 from napari_hmrf.field.warp import warp
@@ -432,7 +431,9 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
 
     set_to(look, colours="columns")
     solution = known_of(look.result)["solution"]
-    along = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
+    along = green_lagrange_strain(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue
+    )
     col = look.at((10, 12)).col
     assert f"strain along columns {100 * along[10, col, 1, 1]:.3g} %" in said()
     assert along[10, col, 1, 1] > 0.05, "it is pulled out"
@@ -470,7 +471,7 @@ def test_a_slice_of_a_stack_moves_in_its_place(make_stack, qtbot, set_to, wait_f
     expected = warp(
         viewer.layers["MR"].data[2],
         solution.displacement / 2,
-        solution.spacing,
+        spacing=solution.spacing,
         tissue=solution.tissue,
     )
     np.testing.assert_array_equal(moved.data[0], expected)
@@ -511,7 +512,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
     path = str(
-        solve(Problem(y, c, np.ones((8, 9))), optimizer=ICM(20), backend="cpu").save(
+        solve(Problem(y, c, np.ones((8, 9))), SeilerPrior(), optimizer=ICM(20), backend="cpu").save(
             tmp_path / "kept.npz"
         )
     )
@@ -648,7 +649,7 @@ def window(make_napari_viewer, small_sample, run, wait_for):
     return viewer, dock, look
 
 
-def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to):
+def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to, at_rest):
     viewer, dock, look = window
     moved = viewer.layers["MR deformed"]
     whole = moved.data.copy()
@@ -656,19 +657,17 @@ def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to):
     assert not np.array_equal(moved.data, whole)
     look.play()
     viewer.window.remove_dock_widget(dock)
-    for _ in range(10):
-        QApplication.processEvents()
-        time.sleep(0.01)
+    at_rest()
     np.testing.assert_array_equal(moved.data, whole)
     assert "percent" not in known_of(moved)
     viewer.layers.clear()
-    QApplication.processEvents()
+    at_rest()
 
 
-def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wait_for):
+def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wait_for, at_rest):
     viewer, dock, _ = window
     viewer.window.remove_dock_widget(dock)
-    QApplication.processEvents()
+    at_rest()
     assert "Shift+B" not in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
     viewer.mouse_over_canvas = True
@@ -725,19 +724,21 @@ def test_the_brush_is_put_away_for_a_picture_of_the_canvas(tmp_path):
     assert (str(labels.mode), bar.visible) == ("paint", False)
 
 
-def test_nothing_of_the_cursor_is_in_a_picture_of_the_canvas(make_napari_viewer, qtbot, tmp_path):
+def test_nothing_of_the_cursor_is_in_a_picture_of_the_canvas(
+    make_napari_viewer, qtbot, tmp_path, at_rest
+):
     from skimage.io import imread
 
     viewer = make_napari_viewer(show=True)
     viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
     viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
-    qtbot.wait(100)
+    at_rest()
     arrows = viewer.add_vectors(np.array([[[2.0, 2.0], [0.0, 1.0]]]))
     viewer.mouse_over_canvas = True
     arrows.cursor_size, arrows.cursor = 2, "circle"  # as something to be taken hold of
     person = Person(viewer, qtbot)
     person.move(20, 30, Qt.MouseButton.NoButton)
-    qtbot.wait(50)
+    at_rest()
 
     def white_at_the_cursor(picture):
         place = person.where(20, 30)
@@ -762,13 +763,11 @@ def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_fo
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
 
 
-def test_closing_the_window_while_playing_is_quiet(window):
+def test_closing_the_window_while_playing_is_quiet(window, at_rest):
     viewer, _, look = window
     look.play()
     viewer.close()
-    for _ in range(10):
-        QApplication.processEvents()
-        time.sleep(0.01)
+    at_rest()
 
 
 def test_what_is_added_says_what_it_is(look, set_to):

@@ -82,8 +82,10 @@ def exact_field(
     """
     matrix = matrix_of(problem, prior)
     moving = matrix.diagonal > 0
-    observed = ((problem.c > 0) & (problem.m > 0)[..., None]).ravel()
-    y = problem.y.astype(np.float64).ravel() / math.sqrt(problem.spacing[0] * problem.spacing[1])
+    observed = ((problem.confidence > 0) & (problem.stiffness > 0)[..., None]).ravel()
+    y = problem.observed.astype(np.float64).ravel() / math.sqrt(
+        problem.spacing[0] * problem.spacing[1]
+    )
     rest = np.where(observed, y, 0.0)
     loose = moving & ~observed
     slips = not (isinstance(prior, ElasticPrior) and prior.penalty == math.inf)
@@ -91,7 +93,7 @@ def exact_field(
     if slips:
         at = np.flatnonzero(moving & observed)
         penalty = prior.penalty if isinstance(prior, ElasticPrior) else prior.penalty_for(problem)
-        limit = (strength * (penalty * problem.c.astype(np.float64))).ravel()[at]
+        limit = (strength * (penalty * problem.confidence.astype(np.float64))).ravel()[at]
         found = balance(matrix, moving, Marks(at, y[at], limit), rest)
     if found is not None:
         d, motions, last = found.displacement, found.motions, found.last_step
@@ -102,8 +104,8 @@ def exact_field(
         d = shortest(matrix, d, factors.motions, nowhere, np.zeros(0), np.zeros(0))
         motions, last = len(factors.motions), factors.last_step
     return Exact(
-        d.reshape(problem.y.shape),
-        moving.reshape(problem.y.shape),
+        d.reshape(problem.observed.shape),
+        moving.reshape(problem.observed.shape),
         motions,
         not slips or found is not None,
         found is not None and found.edge,

@@ -78,7 +78,7 @@ class Matrix:
 
 def matrix_of(problem: Problem, prior: ElasticPrior | SeilerPrior) -> Matrix:
     """The matrix of a problem's tissue."""
-    m = problem.m.astype(np.float64)
+    m = problem.stiffness.astype(np.float64)
     if isinstance(prior, ElasticPrior):
         nu = np.broadcast_to(np.asarray(prior.poisson, dtype=np.float64), m.shape)
         strain = prior.plane == "strain"

@@ -136,7 +136,7 @@ def errors(case: Case, size: int, poisson: float = POISSON) -> Errors:
     """
     prior = ElasticPrior(poisson)
     direct = solve_directly(case.problem, prior)
-    found = solve(case.problem, prior, Multigrid(0.01), backend="cpu").displacement
+    found = solve(case.problem, prior, optimizer=Multigrid(0.01), backend="cpu").displacement
     scale = rmsd(case.exact, 0 * case.exact, case.inside)
     algebraic = rmsd(found, direct, case.inside) / scale
     paper = solve_exactly(case.problem, "centred")
@@ -211,7 +211,7 @@ def _patch(page: Section, settings: Settings) -> None:
     size = settings.choose(1200, 96)
     case = patch(size)
     prior = ElasticPrior(POISSON)
-    found = solve(case.problem, prior, Multigrid(PATCH / 10), backend="cpu")
+    found = solve(case.problem, prior, optimizer=Multigrid(PATCH / 10), backend="cpu")
     off = float(np.abs(found.displacement - case.exact)[case.inside].max())
     furthest = float(np.abs(case.exact).max())
     page.say(
@@ -229,7 +229,9 @@ def _bar(page: Section, settings: Settings) -> None:
     rows, last = [], 0.0
     for size in settings.choose((16, 64, 256, 1024), (16, 64)):
         case = bar(size, ratio)
-        found = solve(case.problem, prior, Multigrid(0.001), backend="cpu").displacement[0, :, 1]
+        found = solve(case.problem, prior, optimizer=Multigrid(0.001), backend="cpu").displacement[
+            0, :, 1
+        ]
         # One element in from the interface and from the ends.
         middle = size // 2
         soft = (found[-1] - found[middle]) / (size - 1 - middle)

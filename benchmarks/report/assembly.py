@@ -81,7 +81,7 @@ def element_stiffness(prior: ElasticPrior, spacing: tuple[float, ...]) -> Float6
 
 def element_modulus(problem: Problem) -> Float64Array:
     """Young's modulus of each 2 x 2 block of sites, (H - 1, W - 1); 0 where one is void."""
-    m = problem.m.astype(np.float64) / float(problem.m.max())
+    m = problem.stiffness.astype(np.float64) / float(problem.stiffness.max())
     corners = (m[:-1, :-1], m[:-1, 1:], m[1:, :-1], m[1:, 1:])
     whole = np.logical_and.reduce([corner > 0 for corner in corners])
     mean: Float64Array = np.where(whole, sum(corners) / 4, 0.0)
@@ -108,9 +108,11 @@ def assemble(problem: Problem, prior: ElasticPrior) -> System:
             blocks[sites, 3 * (a - i + 1) + (b - j + 1)] += modulus * k[here, there]
     at_row, at_col = np.nonzero(exists)
     near = np.stack([number[at_row + a, at_col + b] for a in range(3) for b in range(3)], axis=1)
-    held = ((problem.c > 0) & problem.tissue[..., None])[exists]
+    held = ((problem.confidence > 0) & problem.tissue[..., None])[exists]
     start = np.where(
-        (problem.c > 0) & problem.tissue[..., None], problem.y / np.float64(problem.unit), 0.0
+        (problem.confidence > 0) & problem.tissue[..., None],
+        problem.observed / np.float64(problem.unit),
+        0.0,
     )
     matrix, load = _free_part(blocks, near, held, start[exists])
     exists[exists] = ~held.all(axis=1)

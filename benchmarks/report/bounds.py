@@ -67,7 +67,7 @@ def add_bounds(page: Section, runs: dict[int, Measured]) -> None:
 
 def bound(problem: Problem) -> Bound:
     """Time a smoothing sweep on the finest level, and a triad over as much memory."""
-    system_sites = int((((problem.c == 0).any(axis=-1)) & problem.tissue).sum())
+    system_sites = int((((problem.confidence == 0).any(axis=-1)) & problem.tissue).sum())
 
     def job() -> float:
         backend, _ = open_backend("cpu", lambda: None)

@@ -40,7 +40,7 @@ def textbook_plane_stress(problem: Problem, poisson: float) -> Float64Array:
 
 
 def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Array:
-    """Run CalculiX on a problem; `y` is prescribed by component wherever c > 0 on an element.
+    """Run CalculiX on a problem; components with confidence on an element are prescribed.
 
     Returns
     -------
@@ -67,7 +67,9 @@ def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Arra
         results = Path(folder) / "job.dat"
         if done.returncode or not results.exists() or "*ERROR" in done.stdout:
             raise RuntimeError(f"CalculiX failed:\n{done.stdout[-800:]}")
-        displacement = np.where((problem.c > 0) & problem.tissue[..., None], problem.y, 0.0)
+        displacement = np.where(
+            (problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0
+        )
         displacement = displacement.astype(np.float64)
         numbers, values = read_displacements(results)
     displacement.reshape(-1, 2)[numbers - 1] = values[:, :2]
@@ -78,7 +80,7 @@ def deck(problem: Problem, element: ElementType, poisson: float) -> str:
     """The input file: a node per site, numbered by row; one material per modulus."""
     modulus = element_modulus(problem)
     row, col = np.nonzero(modulus)
-    number = 1 + np.arange(problem.m.size).reshape(problem.shape)
+    number = 1 + np.arange(problem.stiffness.size).reshape(problem.shape)
     corners = np.stack([number[row + i, col + j] for i, j in _AROUND], axis=1)
     values, kind = np.unique(modulus[row, col], return_inverse=True)
     if element == "CPS3":
@@ -96,7 +98,7 @@ def deck(problem: Problem, element: ElementType, poisson: float) -> str:
         lines += [f"*MATERIAL, NAME=M{index}", "*ELASTIC", f"{young:.12g}, {poisson:.12g}"]
         lines += [f"*SOLID SECTION, ELSET=E{index}, MATERIAL=M{index}", "1."]
     lines += ["*STEP", "*STATIC", "*BOUNDARY"]
-    c, y = (field.reshape(-1, 2)[nodes - 1] for field in (problem.c, problem.y))
+    c, y = (field.reshape(-1, 2)[nodes - 1] for field in (problem.confidence, problem.observed))
     for component in (0, 1):
         held = np.flatnonzero(c[:, component] > 0)
         freedom = component + 1

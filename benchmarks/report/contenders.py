@@ -60,7 +60,7 @@ class Measured:
 
 def run_multigrid(problem: Problem, iterations: int, backend: str) -> tuple[Field, int]:
     """napari-hmrf, to `WITHIN` by its own estimate."""
-    found = solve(problem, PRIOR, Multigrid(tolerance=WITHIN), backend=backend)
+    found = solve(problem, PRIOR, optimizer=Multigrid(tolerance=WITHIN), backend=backend)
     return found.displacement, found.iterations
 
 
@@ -197,7 +197,9 @@ def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
     seconds = []
     for turn in range(turns):
         unit = 1 if name.endswith("again") else 1 + turn
-        again = Problem(problem.y, problem.c, problem.m * unit, problem.spacing)
+        again = Problem(
+            problem.observed, problem.confidence, problem.stiffness * unit, spacing=problem.spacing
+        )
         started = time.perf_counter()
         field, taken = run(again, iterations)
         seconds.append(time.perf_counter() - started)

@@ -70,8 +70,8 @@ def section(settings: Settings) -> Section:
 def _compare(page: Section, settings: Settings, name: str, problem: Problem) -> list[list[object]]:
     prior = ElasticPrior(poisson=POISSON)
     truth = plane_stress_displacement(problem, POISSON)
-    elastic = solve(problem, prior, Multigrid(0.01), backend="cpu").displacement
-    paper = solve(problem, SeilerPrior(), Multigrid(0.01), backend="cpu").displacement
+    elastic = solve(problem, prior, optimizer=Multigrid(0.01), backend="cpu").displacement
+    paper = solve(problem, SeilerPrior(), optimizer=Multigrid(0.01), backend="cpu").displacement
     direct = solve_directly(problem, prior)
     off = rmsd(paper, solve_exactly(problem, "centred"), problem.tissue)
     page.targets.append(Target(f"{name}, centred to direct: RMSD in px", off, OTHER_PROGRAM))
@@ -128,13 +128,13 @@ def _many_materials(page: Section, settings: Settings) -> None:
     base = phantom("mass-effect", size).problem
     rows, worst = [], 0.0
     for ratio in (1.0, 1e2, 1e4, 1e6):
-        stiffness = np.where(base.m == 40, ratio, np.where(base.m > 0, 1.0, 0.0))
-        problem = Problem(base.y, base.c, stiffness)
+        stiffness = np.where(base.stiffness == 40, ratio, np.where(base.stiffness > 0, 1.0, 0.0))
+        problem = Problem(base.observed, base.confidence, stiffness)
         row: list[object] = [f"{ratio:.0e}"]
         for poisson, plane in TISSUES:
-            prior = ElasticPrior(poisson, plane)
+            prior = ElasticPrior(poisson, plane=plane)
             try:
-                found = solve(problem, prior, Multigrid(0.005), backend="cpu")
+                found = solve(problem, prior, optimizer=Multigrid(0.005), backend="cpu")
             except ConvergenceError:
                 row.append("refused")
                 continue

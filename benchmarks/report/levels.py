@@ -68,7 +68,7 @@ def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, i
         try:
             deepest = len(backend.elastic_model(prior.material(problem)).levels)
             some: Any = _Shallow(backend, count or deepest)
-            found = Multigrid(WITHIN, 5000).run(problem, prior, some, lambda _: None)
+            found = Multigrid(WITHIN, max_iterations=5000).run(problem, prior, some, lambda _: None)
         finally:
             backend.close()
         return sum(level.iterations for level in found.levels)
@@ -127,8 +127,8 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
     tissue = problem.tissue
     for level in reversed(levels(problem.shape)[:count]):
         at = np.ix_(*nearest_pixels(level, problem.shape))
-        m, y = (np.ascontiguousarray(field[at]) for field in (problem.m, problem.y))
-        held = np.ascontiguousarray(problem.c[at]) > 0
+        m, y = (np.ascontiguousarray(field[at]) for field in (problem.stiffness, problem.observed))
+        held = np.ascontiguousarray(problem.confidence[at]) > 0
         d = np.zeros((*level.shape, 2), dtype=np.float32)
         if coarse is not None:
             _prolong(coarse, coarse_m, m, d)
@@ -144,7 +144,7 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
             sweeps += 1
             if not finest and furthest <= _STILL:
                 break
-        spent.append(sweeps * level.sites / problem.m.size)
+        spent.append(sweeps * level.sites / problem.stiffness.size)
         coarse, coarse_m = d.astype(np.float32), m
     return spent[::-1]
 

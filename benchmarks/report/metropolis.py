@@ -107,22 +107,22 @@ def paper_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     truth = solve_exactly(problem, "blanket")
     matrix, load, free = _quadratic(problem)
     minimum = float(prior.site_energy(problem, truth).sum())
-    held = (problem.c > 0) & problem.tissue[..., None]
+    held = (problem.confidence > 0) & problem.tissue[..., None]
 
     def excess(solution: Solution) -> float:
-        d = np.where(held, problem.y, solution.displacement)
+        d = np.where(held, problem.observed, solution.displacement)
         return float(prior.site_energy(problem, d).sum()) / minimum - 1
 
     def icm(count: int) -> Callable[[], Solution]:
         optimizer = ICM(iterations=count, steps=None)
-        return lambda: solve(problem, prior, optimizer, backend="cpu")
+        return lambda: solve(problem, prior, optimizer=optimizer, backend="cpu")
 
     curves = [best_annealed(lengths, matrix, load, truth[free], minimum)]
     counts = [1, 3, 10, 30, 100, 300, 1000, 3000, 10_000]
     curves.append(timed("ICM through the levels", excess, [icm(count) for count in counts]))
 
     def cycles(tolerance: float) -> Callable[[], Solution]:
-        return lambda: solve(problem, prior, Multigrid(tolerance), backend="cpu")
+        return lambda: solve(problem, prior, optimizer=Multigrid(tolerance), backend="cpu")
 
     runs = [cycles(10.0**-k) for k in (0, 1, 2, 3, 4)]
     curves.append(timed("Multigrid", excess, runs))
@@ -133,8 +133,8 @@ def _quadratic(problem: Problem):
     """Eq. 7 over the free components, by impulses: its gradient is linear."""
     import scipy.sparse as sp
 
-    free = (problem.c == 0) & problem.tissue[..., None]
-    fixed = np.where((problem.c > 0) & problem.tissue[..., None], problem.y, 0.0)
+    free = (problem.confidence == 0) & problem.tissue[..., None]
+    fixed = np.where((problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0)
     residuals = _residual_matrix(problem)
     matrix = 2 * (residuals.T @ residuals).tocsr()
     at = free.ravel()
@@ -149,7 +149,7 @@ def _residual_matrix(problem: Problem):
     from napari_hmrf.solver.priors import LINES
 
     height, width = problem.shape
-    m = problem.m.astype(np.float64)
+    m = problem.stiffness.astype(np.float64)
     rows, columns, values, number = [], [], [], 0
     for i, j in np.argwhere(m > 0):
         for line, (di, dj) in enumerate(LINES):
@@ -175,7 +175,7 @@ def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     minimum = prior.energy(problem, least)
 
     def run(tolerance: float) -> Callable[[], Solution]:
-        return lambda: solve(problem, prior, Multigrid(tolerance), backend="cpu")
+        return lambda: solve(problem, prior, optimizer=Multigrid(tolerance), backend="cpu")
 
     def excess(solution: Solution) -> float:
         return prior.energy(problem, solution.displacement) / minimum - 1

@@ -39,7 +39,7 @@ def draw_grid(axes: Any, field: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
     from matplotlib.collections import LineCollection
 
     every = max(1, max(tissue.shape) // 50)
-    segments = deformation_grid(field, (1.0, 1.0), every=every, tissue=tissue)
+    segments = deformation_grid(field, spacing=(1.0, 1.0), every=every, tissue=tissue)
     ends = np.stack([segments[:, 0], segments.sum(axis=1)], axis=1)
     axes.add_collection(LineCollection(ends[..., ::-1], colors=COLOURS[0], linewidths=0.5))
     (top, left), (bottom, right) = (at(ends.reshape(-1, 2), axis=0) for at in (np.min, np.max))

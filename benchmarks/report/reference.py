@@ -71,7 +71,7 @@ def refined(
         If the corrections do not come below `KNOWN`.
     """
     field = system.field(solution).astype(np.longdouble)
-    held = images.observed[system.free].ravel()
+    held = images.known[system.free].ravel()
     sizes: list[float] = []
     for _ in range(_MOST_CORRECTIONS):
         rest = -pull(images, prior, field)[system.free].ravel()
@@ -114,8 +114,10 @@ def rigid_field(images: Images, prior: ElasticPrior) -> Float64Array:
 
     The soft elements alone are assembled; the sites of a body move by its three degrees of freedom.
     """
-    bone = np.isinf(images.m)
-    system = assemble(Images(images.y, images.c, np.where(bone, 0, images.m)), prior)
+    bone = np.isinf(images.stiffness)
+    system = assemble(
+        Images(images.observed, images.confidence, np.where(bone, 0, images.stiffness)), prior
+    )
     body = bodies(bone)
     place = np.argwhere(system.free)
     of = body[system.free]

@@ -82,11 +82,11 @@ def section(settings: Settings) -> Section:
             field = register(example.image, moved, spline)
             title = f"registration, control points {spline} px apart"
             found[title] = field
-            off, inner = _distances(field, truth, problem.tissue, problem.c)
+            off, inner = _distances(field, truth, problem.tissue, problem.confidence)
             rows.append([name, title, off, inner, f"{time.perf_counter() - started:.1f} s"])
-        run = solve(problem, ElasticPrior(0.3), Multigrid(0.01), backend="cpu")
+        run = solve(problem, ElasticPrior(0.3), optimizer=Multigrid(0.01), backend="cpu")
         elastic = run.displacement.astype(np.float64)
-        off, inner = _distances(elastic, truth, problem.tissue, problem.c)
+        off, inner = _distances(elastic, truth, problem.tissue, problem.confidence)
         rows.append([name, "elastic prior", off, inner, f"{run.provenance.seconds:.3f} s"])
         best = min(found, key=lambda key: rmsd(found[key], truth, problem.tissue))
         figure = new_figure(17, 4.4)

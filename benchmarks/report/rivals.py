@@ -122,10 +122,12 @@ def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
     def run(turn: int) -> Run:
         _forget(prior)
         unit = np.float32(2**turn)
-        problem = Problem(images.y, images.c, images.m * unit, images.spacing)
+        problem = Problem(
+            images.observed, images.confidence, images.stiffness * unit, spacing=images.spacing
+        )
         started = time.perf_counter()
         try:
-            found = solve(problem, prior, Multigrid(), backend="cpu")
+            found = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
         except ConvergenceError:
             took = time.perf_counter() - started
             return Run(None, fault="not converged", seconds=took)
@@ -142,7 +144,7 @@ def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
 
 def _forget(prior: ElasticPrior) -> None:
     """Solve another tissue: with that and another unit of stiffness nothing kept is of any use."""
-    solve(phantom("bar", 24).problem, prior, Multigrid(), backend="cpu")
+    solve(phantom("bar", 24).problem, prior, optimizer=Multigrid(), backend="cpu")
 
 
 def _how(found: Solution) -> str:
@@ -236,7 +238,7 @@ def warm_up() -> None:
     for contrast in (4.0, 1e6):
         images = TISSUES["noise-2"](33).images(contrast)
         run_ours(images)
-        run_ours(images, ElasticPrior(0.499, "strain"))
+        run_ours(images, ElasticPrior(0.499, plane="strain"))
         _, exact = run_superlu(images)
         if has_pyamg():
             run_pyamg(images, exact)
@@ -264,5 +266,5 @@ def _file(images: Images, prior: ElasticPrior, folder: Path) -> Path:
 
 def digest(images: Images) -> str:
     """The same for the same images."""
-    parts = (images.y, images.c, images.m)
+    parts = (images.observed, images.confidence, images.stiffness)
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()

@@ -97,10 +97,12 @@ def converged_field(problem: Problem) -> npt.NDArray[np.float64]:
     if not contenders.is_there("pyamg"):
         if max(problem.shape) <= LARGEST["superlu-tuned"]:
             return solve_directly(problem, PRIOR)
-        found = solve(problem, PRIOR, Multigrid(WITHIN / 1000), backend="cpu").displacement
+        found = solve(
+            problem, PRIOR, optimizer=Multigrid(WITHIN / 1000), backend="cpu"
+        ).displacement
         return found.astype(np.float64)
     system = assemble(problem, PRIOR)
-    near = solve(problem, PRIOR, Multigrid(WITHIN / 10), backend="cpu").displacement
+    near = solve(problem, PRIOR, optimizer=Multigrid(WITHIN / 10), backend="cpu").displacement
     start = near[system.free].astype(np.float64).ravel()
     return system.field(contenders.solve_by_pyamg(system, 60, True, start, tolerance=1e-10))
 

@@ -27,35 +27,35 @@ class Images:
 
     Attributes
     ----------
-    y, c : ndarray, shape (H, W, 2), float32
-    m : ndarray, shape (H, W), float32
+    observed, confidence : ndarray, shape (H, W, 2), float32
+    stiffness : ndarray, shape (H, W), float32
     """
 
-    y: Array
-    c: Array
-    m: Array
+    observed: Array
+    confidence: Array
+    stiffness: Array
     spacing: tuple[float, ...] = (1.0, 1.0)
     unit: float = 1.0
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The grid: (H, W)."""
-        return self.m.shape
+        return self.stiffness.shape
 
     @cached_property
     def rigid(self) -> Array:
-        """Where m is infinite."""
-        return np.isinf(self.m)
+        """Where stiffness is infinite."""
+        return np.isinf(self.stiffness)
 
     @cached_property
     def tissue(self) -> Array:
-        """Where m > 0."""
-        return self.m > 0
+        """Where stiffness is above 0."""
+        return self.stiffness > 0
 
     @property
-    def observed(self) -> Array:
+    def known(self) -> Array:
         """Which components are held, (H, W, 2)."""
-        return (self.c > 0) & self.tissue[..., None]
+        return (self.confidence > 0) & self.tissue[..., None]
 
 
 class Layout(NamedTuple):
@@ -67,18 +67,18 @@ class Layout(NamedTuple):
         0 where tissue is soft, 1 where it is stiff: the logarithm of its stiffness to the base of
         the contrast.
     void : ndarray of bool, shape (H, W)
-    y, c : ndarray, shape (H, W, 2)
+    observed, confidence : ndarray, shape (H, W, 2)
     """
 
     pattern: Array
     void: Array
-    y: Array
-    c: Array
+    observed: Array
+    confidence: Array
 
     def images(self, contrast: float, unit: float = 1.0) -> Images:
         """Return the images with stiffness from `unit` to `contrast * unit`."""
         m = np.where(self.void, 0, unit * contrast**self.pattern).astype(np.float32)
-        return Images(self.y.astype(np.float32), self.c.astype(np.float32), m)
+        return Images(self.observed.astype(np.float32), self.confidence.astype(np.float32), m)
 
 
 def _pushed(stiff: Array, void: Array | None = None) -> Layout:
@@ -145,8 +145,12 @@ def brain(n: int, name: str) -> Layout:
     """A phantom, the logarithms of its stiffnesses stretched to the contrast."""
     problem = phantom(name, n).problem
     void = ~problem.tissue
-    m = np.where(void, 1, problem.m.astype(np.float64) / problem.m[problem.tissue].min())
-    return Layout(np.log(m) / math.log(PHANTOM_CONTRAST), void, problem.y, problem.c)
+    m = np.where(
+        void, 1, problem.stiffness.astype(np.float64) / problem.stiffness[problem.tissue].min()
+    )
+    return Layout(
+        np.log(m) / math.log(PHANTOM_CONTRAST), void, problem.observed, problem.confidence
+    )
 
 
 #: The cases, by name: from a size to a layout. With the seeds of the smoothest noise an iteration
@@ -193,4 +197,6 @@ BONES: dict[str, Callable[[int], Array]] = {"disc": disc, "bar": bar, "disc and 
 def bone_images(bone: Array) -> Images:
     """Soft tissue around a bone that has no end of stiffness; the last row is pushed."""
     soft = _pushed(bone).images(1.0)
-    return Images(soft.y, soft.c, np.where(bone, np.inf, soft.m).astype(np.float32))
+    return Images(
+        soft.observed, soft.confidence, np.where(bone, np.inf, soft.stiffness).astype(np.float32)
+    )

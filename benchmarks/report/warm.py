@@ -92,7 +92,14 @@ def main(size: int, repeats: int) -> Warmth:
     for number in range(_DISCARDED + repeats):
         # Stiffness in another unit: what was set up for the last problem is of no use to this.
         after = moved_patch(before)
-        cold = _timed(Problem(after.y, after.c, after.m * (2 + number), after.spacing))
+        cold = _timed(
+            Problem(
+                after.observed,
+                after.confidence,
+                after.stiffness * (2 + number),
+                spacing=after.spacing,
+            )
+        )
         earlier = _solved(before)
         warm = _timed(moved_patch(before), earlier)
         known = [earlier, _solved(moved_patch(before, 0.5), earlier)]
@@ -100,7 +107,7 @@ def main(size: int, repeats: int) -> Warmth:
         times.append((cold[0], warm[0], again[0]))
     found = [cold[1], warm[1], again[1]]
     apart = np.abs(found[0].displacement - found[1].displacement)[before.tissue].max()
-    push = float(np.hypot(*before.y[(before.c > 0).all(axis=-1)].T).max())
+    push = float(np.hypot(*before.observed[(before.confidence > 0).all(axis=-1)].T).max())
     medians = [statistics.median(each) for each in zip(*times[_DISCARDED:], strict=True)]
     return Warmth(
         *medians, cycles=[each.iterations for each in found], apart=float(apart), push=push
@@ -108,7 +115,7 @@ def main(size: int, repeats: int) -> Warmth:
 
 
 def _solved(problem: Problem, start: Solution | list[Solution] | None = None) -> Solution:
-    return solve(problem, PRIOR, Multigrid(WITHIN), backend="cpu", start=start)
+    return solve(problem, PRIOR, optimizer=Multigrid(WITHIN), backend="cpu", initial=start)
 
 
 def _timed(problem: Problem, start: Solution | list[Solution] | None = None) -> _Timed:
@@ -119,13 +126,13 @@ def _timed(problem: Problem, start: Solution | list[Solution] | None = None) -> 
 
 def moved_patch(problem: Problem, pixels: float = 1.0) -> Problem:
     """The problem with an eighth of its moving boundary moved further down."""
-    y = problem.y.copy()
-    moving = (problem.c > 0).all(axis=-1) & (np.abs(y).max(axis=-1) > 0)
+    y = problem.observed.copy()
+    moving = (problem.confidence > 0).all(axis=-1) & (np.abs(y).max(axis=-1) > 0)
     place = np.argwhere(moving)
     angle = np.arctan2(*(place - place.mean(axis=0)).T)
     patch = place[np.abs(angle) < np.pi / 8]
     y[patch[:, 0], patch[:, 1], 0] += pixels
-    return Problem(y, problem.c, problem.m, problem.spacing)
+    return Problem(y, problem.confidence, problem.stiffness, spacing=problem.spacing)
 
 
 if __name__ == "__main__":

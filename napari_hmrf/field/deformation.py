@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from numbers import Real
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import is_whole, real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
 from napari_hmrf.solver.problem import as_numbers
@@ -55,6 +54,7 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
 
 def jacobian_determinant(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -90,6 +90,7 @@ def jacobian_determinant(
 
 def count_folds(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> int:
@@ -139,6 +140,7 @@ def smallest_determinant(
 
 def deformation_grid(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     every: int = 10,
     tissue: npt.ArrayLike | None = None,
@@ -167,8 +169,8 @@ def deformation_grid(
     ProblemError
         Naming the input at fault.
     """
-    _check_count("every", every, "pixels")
-    _check_count("pieces", pieces, "pieces")
+    every = _checked_count("every", every, "pixels")
+    pieces = _checked_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
     rows, cols = (min(max(1, round(every * min(spacing) / size)), _FAR) for size in spacing)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
@@ -176,13 +178,10 @@ def deformation_grid(
     return np.concatenate([along_cols, along_rows]).astype(np.float32)
 
 
-def _check_count(name: str, count: int, of: str) -> None:
-    try:
-        right = count == int(count) and count >= 1
-    except (TypeError, ValueError, OverflowError):
-        right = False
-    if not right:
-        raise ProblemError(name, f"is {count!r}. Give a whole number of {of}, at least 1.")
+def _checked_count(name: str, count: int, of: str) -> int:
+    if not (is_whole(count) and count >= 1):
+        raise ProblemError(name, f"is {shown(count)}. Give a whole number of {of}, at least 1.")
+    return int(count)
 
 
 def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
@@ -193,6 +192,7 @@ def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -
 
 def arrows(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
@@ -217,9 +217,8 @@ def arrows(
     ProblemError
         Naming the input at fault.
     """
-    wanted: Any = about
-    if not (isinstance(wanted, Real) and float(wanted) >= 1):
-        raise ProblemError("about", f"is {about!r}. Ask for at least one arrow.")
+    if not real(about) >= 1:
+        raise ProblemError("about", f"is {shown(about)}. Ask for at least one arrow.")
     moved, mask = moved_sites(displacement, spacing, tissue)
     steps = _lattice(mask.sum() / about, spacing)
     chosen = np.zeros_like(mask)

@@ -12,12 +12,13 @@ import numpy.typing as npt
 _APART = 3.0
 
 
-def origin(
+def inverse_point(
     point: tuple[float, float],
     displacement: npt.NDArray[np.float32],
     spacing: Sequence[float],
     tissue: npt.NDArray[np.bool_],
     farthest: npt.NDArray[np.float32] | None = None,
+    fraction: float = 1.0,
 ) -> tuple[float, float] | None:
     """Invert the motion at one point: faster than everywhere, and good to a fraction of a pixel.
 
@@ -33,14 +34,17 @@ def origin(
         What moves.
     farthest : ndarray, shape (2,), optional
         `farthest_of` the displacement, where it is known: to find it takes longer than the rest.
+    fraction : float
+        How much of the displacement the tissue has moved by.
 
     Returns
     -------
     (float, float) or None
-        The X, in pixels, with X + d(X) at the point; None where there is no tissue.
+        The X, in pixels, with X + fraction d(X) at the point; None where there is no tissue.
     """
     size = np.asarray(spacing, dtype=np.float64)
-    reach = (farthest_of(displacement) if farthest is None else farthest) / size + _APART
+    most = farthest_of(displacement) if farthest is None else farthest
+    reach = fraction * most / size + _APART
     low = [max(0, math.floor(at - far)) for at, far in zip(point, reach, strict=True)]
     high = [
         min(extent, math.ceil(at + far) + 1)
@@ -50,22 +54,23 @@ def origin(
         return None
     window = (slice(low[0], high[0]), slice(low[1], high[1]))
     there = tissue[window]
-    moved = displacement[window] / size + np.moveaxis(np.indices(there.shape), 0, -1) + low
+    steps = fraction * displacement[window] / size
+    moved = steps + np.moveaxis(np.indices(there.shape), 0, -1) + low
     away = moved - point
     squared = np.where(there, (away**2).sum(axis=-1), np.inf)
     row, col = np.unravel_index(int(squared.argmin()), squared.shape)
     if not squared[row, col] <= _APART**2:
         return None
-    # From the nearest site on, the motion is as linear as its neighbours say.
-    rows = [max(row - 1, 0), min(row + 1, there.shape[0] - 1)]
-    cols = [max(col - 1, 0), min(col + 1, there.shape[1] - 1)]
-    step = np.zeros(2)
-    if there[rows[0], col] and there[rows[1], col] and there[row, cols[0]] and there[row, cols[1]]:
-        along = (moved[rows[1], col] - moved[rows[0], col]) / max(rows[1] - rows[0], 1)
-        across = (moved[row, cols[1]] - moved[row, cols[0]]) / max(cols[1] - cols[0], 1)
-        gradient = np.stack([along, across], axis=1)
-        if abs(np.linalg.det(gradient)) > 1e-3:
-            step = np.clip(np.linalg.solve(gradient, -away[row, col]), -1, 1)
+    # From the nearest site on, the motion is as linear as its neighbours in tissue say.
+    gradient, step = np.eye(2), np.zeros(2)
+    lines = [(row, there[:, col], moved[:, col]), (col, there[row], moved[row])]
+    for axis, (at, inside, along) in enumerate(lines):
+        before = at - 1 if at > 0 and inside[at - 1] else at
+        after = at + 1 if at + 1 < len(inside) and inside[at + 1] else at
+        if before < after:
+            gradient[:, axis] = (along[after] - along[before]) / (after - before)
+    if abs(np.linalg.det(gradient)) > 1e-3:
+        step = np.clip(np.linalg.solve(gradient, -away[row, col]), -1, 1)
     return float(row + low[0] + step[0]), float(col + low[1] + step[1])
 
 

@@ -7,7 +7,7 @@ read once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
-from napari_hmrf.field.resample import as_image, check_order, checked_fill, filled_in, resample
+from napari_hmrf.field.resample import as_image, checked_fill, checked_order, filled_in, resample
 from napari_hmrf.field.warp import checked_sizes, moved_sites, only_read
 from napari_hmrf.solver.backends import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -47,6 +47,7 @@ class Picture:
     """
 
     image: npt.ArrayLike
+    _: KW_ONLY
     order: int = 1
     fill: float = 0
 
@@ -80,6 +81,7 @@ class Warper:
     def __init__(
         self,
         pictures: Picture | Sequence[Picture] | npt.ArrayLike,
+        *,
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
         given = _as_pictures(pictures)
@@ -174,8 +176,8 @@ class _Look:
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
         self._image = image = np.ascontiguousarray(as_image(picture.image, grid))
-        check_order(picture.order)
-        self._order = 0 if image.dtype.kind == "b" else picture.order
+        order = checked_order(picture.order)
+        self._order = 0 if image.dtype.kind == "b" else order
         self._fill = checked_fill(picture.fill, image.dtype)
         loops = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
         self._kind = loops.get(image.dtype.name, "")
@@ -233,7 +235,9 @@ class _Look:
         still = ~tissue & (state == 0)
         source = source.copy()
         source[still] = np.argwhere(still)
-        return resample(self._image, source, (state > 0) | still, self._order, self._fill.item())
+        return resample(
+            self._image, source, (state > 0) | still, order=self._order, fill=self._fill.item()
+        )
 
 
 def _as_pictures(given: Picture | Sequence[Picture] | npt.ArrayLike) -> list[Picture]:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 
@@ -20,6 +21,7 @@ def resample(
     image: npt.ArrayLike,
     coordinates: npt.ArrayLike,
     covered: npt.ArrayLike,
+    *,
     order: int = 1,
     fill: float = 0,
 ) -> npt.NDArray[Any]:
@@ -52,8 +54,17 @@ def resample(
             "coordinates",
             f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
         )
+    known = np.asarray(np.isfinite(source).all(axis=-1))
+    if not known.all():
+        if (there & ~known).any():
+            raise ProblemError(
+                "coordinates",
+                f"are NaN or infinite at {int((there & ~known).sum())} pixels that are covered. "
+                "Give both of an inverse_map.",
+            )
+        source = np.where(known[..., None], source, 0.0)
     picture = as_image(image, there.shape)
-    check_order(order)
+    order = checked_order(order)
     background = checked_fill(fill, picture.dtype)
     rows, cols = np.moveaxis(source, -1, 0)
     nearest = tuple(
@@ -94,10 +105,11 @@ def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
     return picture
 
 
-def check_order(order: int) -> None:
-    """Say what is wrong with the order of a spline."""
-    if order not in (0, 1, 2, 3, 4, 5):
-        raise ProblemError("order", f"is {order!r}. Take 0 (nearest), 1 (linear) or up to 5.")
+def checked_order(order: int) -> int:
+    """The order of a spline, or say what is wrong with it."""
+    if real(order) not in (0, 1, 2, 3, 4, 5):
+        raise ProblemError("order", f"is {shown(order)}. Take 0 (nearest), 1 (linear) or up to 5.")
+    return int(order)
 
 
 def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
@@ -113,7 +125,7 @@ def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
     except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
-        raise ProblemError("fill", f"is {fill!r}, which an image of type {dtype} cannot hold.")
+        raise ProblemError("fill", f"is {shown(fill)}, which an image of type {dtype} cannot hold.")
     return np.asarray(fill).astype(dtype)
 
 

@@ -50,6 +50,7 @@ __all__ = [
 
 def deformation_gradient(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -81,6 +82,7 @@ def deformation_gradient(
 
 def folds(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
@@ -108,6 +110,7 @@ def folds(
 
 def small_strain(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -138,6 +141,7 @@ def small_strain(
 
 def green_lagrange_strain(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
@@ -218,13 +222,14 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     """
     tensor = _as_strain(strain)
     across = as_numbers("through", through).astype(np.float64)
-    third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
-    squares = (
-        (tensor[..., 0, 0] - third) ** 2
-        + (tensor[..., 1, 1] - third) ** 2
-        + (across - third) ** 2
-        + 2 * tensor[..., 0, 1] ** 2
-    )
+    with np.errstate(invalid="ignore"):  # infinite strains have no distance
+        third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
+        squares = (
+            (tensor[..., 0, 0] - third) ** 2
+            + (tensor[..., 1, 1] - third) ** 2
+            + (across - third) ** 2
+            + 2 * tensor[..., 0, 1] ** 2
+        )
     equivalent: FloatArray = np.sqrt(2 / 3 * squares).astype(np.float32)
     return equivalent
 

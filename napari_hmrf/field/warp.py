@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, resample
@@ -27,6 +28,7 @@ BoolArray = npt.NDArray[np.bool_]
 def warp(
     image: npt.ArrayLike,
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     order: int = 1,
     tissue: npt.ArrayLike | None = None,
@@ -65,12 +67,13 @@ def warp(
     inverse_map, resample : the two halves of this, to move several images by one displacement.
     """
     picture = as_image(image, as_numbers("displacement", displacement).shape[:2])
-    coordinates, covered = inverse_map(displacement, spacing, tissue)
-    return resample(picture, coordinates, covered, order, fill)
+    coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue)
+    return resample(picture, coordinates, covered, order=order, fill=fill)
 
 
 def inverse_map(
     displacement: npt.ArrayLike,
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
@@ -226,10 +229,7 @@ def checked_field(
 
 def checked_sizes(spacing: Sequence[float]) -> Float64Array:
     """Check a pixel spacing: shape (2,)."""
-    try:
-        sizes = np.asarray(spacing, dtype=np.float64)
-    except (TypeError, ValueError):
-        sizes = np.zeros(0)
-    if sizes.shape != (2,) or not (np.isfinite(sizes) & (sizes > 0)).all():
-        raise ProblemError("spacing", f"is {spacing!r}. Give 2 positive, finite pixel sizes.")
+    sizes = np.array(reals(spacing, 2))
+    if not (np.isfinite(sizes) & (sizes > 0)).all():
+        raise ProblemError("spacing", f"is {shown(spacing)}. Give 2 positive, finite pixel sizes.")
     return sizes

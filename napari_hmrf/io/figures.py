@@ -133,10 +133,10 @@ def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
     """Draw the image and the observed displacement where it counts; dots are fixed."""
     figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
     _show(axes, image)
-    known = problem.observed.any(axis=-1)
+    known = problem.known.any(axis=-1)
     # Every few pixels of it: a boundary is thin, and a regular pattern would miss most.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
-    vectors = problem.y[tuple(starts.T)] / np.array(problem.spacing)
+    vectors = problem.observed[tuple(starts.T)] / np.array(problem.spacing)
     rows, cols = starts[~vectors.any(axis=-1)].T
     axes.plot(cols, rows, ".", color=_FIXED_COLOUR, markersize=3)
     _draw_arrows(axes, np.stack([starts, vectors], axis=1))
@@ -147,15 +147,17 @@ def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
     """Draw where the tissue goes, as arrows of true length on the image before it moves."""
     figure, (axes,) = _figure(solution.spacing, "where the tissue goes")
     _show(axes, image)
-    field = (solution.displacement, solution.spacing, solution.tissue)
-    _draw_arrows(axes, arrows(*field, about=ARROWS))
+    shown = arrows(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=ARROWS
+    )
+    _draw_arrows(axes, shown)
     return figure
 
 
 def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
     """Draw the image before and after it moves with the tissue, side by side."""
     figure, (before, after) = _figure(solution.spacing, "before", "after")
-    moved = warp(image, solution.displacement, solution.spacing, tissue=solution.tissue)
+    moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     _show(before, image)
     _show(after, moved, greys_of=image)
     return figure
@@ -169,7 +171,7 @@ def grid_picture(solution: Solution) -> Figure:
     height, width = solution.tissue.shape
     every = pixels_between(GRID_LINES, solution.tissue.shape, solution.spacing)
     segments = deformation_grid(
-        solution.displacement, solution.spacing, every=every, tissue=solution.tissue
+        solution.displacement, spacing=solution.spacing, every=every, tissue=solution.tissue
     )
     starts, ends = segments[:, 0], segments.sum(axis=1)
     lines = np.stack([starts, ends], axis=1)[..., ::-1]
@@ -188,9 +190,9 @@ def magnitude_picture(
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw by which factor the area of the tissue changes; folds (0 or below) are yellow."""
-    field = (solution.displacement, solution.spacing, solution.tissue)
-    change = jacobian_determinant(*field)
-    folded = folds(*field)
+    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
+    change = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+    folded = folds(d, spacing=spacing, tissue=tissue)
     limits = area_limits(change, bool(folded.any()))
     figure = _map(solution, change, "area ratio (Jacobian)", image, limits, signed=True)
     if folded.any():
@@ -204,7 +206,9 @@ def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> 
 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
-    strain = green_lagrange_strain(solution.displacement, solution.spacing, solution.tissue)
+    strain = green_lagrange_strain(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue
+    )
     percent = 100 * equivalent_strain(strain)
     limits = 0.0, reach_of(percent, least=100 * SMALLEST)
     return _map(solution, percent, "equivalent strain (%)", image, limits)

@@ -87,8 +87,13 @@ class Motion:
             every = pixels_between(LINES, solution.tissue.shape, solution.spacing)
             # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
             pieces = 5 if fraction == 1 else 2
-            field = (displacement, solution.spacing, every, solution.tissue)
-            grid = deformation_grid(*field, pieces)
+            grid = deformation_grid(
+                displacement,
+                spacing=solution.spacing,
+                every=every,
+                tissue=solution.tissue,
+                pieces=pieces,
+            )
         return Moment(**parts, grid=grid)
 
     @cached_property
@@ -104,4 +109,4 @@ class Motion:
 
     @cached_property
     def _warper(self) -> Warper:
-        return Warper(list(self._pictures.values()), self.solution.spacing)
+        return Warper(list(self._pictures.values()), spacing=self.solution.spacing)

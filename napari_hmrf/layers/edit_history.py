@@ -10,6 +10,7 @@ import numpy as np
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.compat import unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View, unit_factor
@@ -217,7 +218,7 @@ class ViewerSteps:
 
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
-    return shared(getattr(viewer, "__wrapped__", viewer), ViewerSteps)
+    return shared(unwrapped(viewer), ViewerSteps)
 
 
 def _is_paint(slot: Any) -> bool:

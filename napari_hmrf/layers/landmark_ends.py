@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Shapes
 
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View, unit_factor
+from napari_hmrf.study.layer_names import LayerError
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Ends:
 
     layer: Any
     places: FloatArray
-    what: str = "point"
+    what: Literal["point", "line"] = "point"
 
     def in_pixels(self, frame: Frame) -> FloatArray:
         """Where they lie in the pixels of the layer a frame is of, shape (N, D).

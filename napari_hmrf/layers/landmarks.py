@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,11 +10,12 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from napari_hmrf.layers.landmark_ends import Ends, ends_of
-from napari_hmrf.layers.layer_names import LayerError, Named, naming
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import LayerError, naming
+from napari_hmrf.study.study import Landmarks
 from napari_hmrf.tissue.drawing import Landmark
-from napari_hmrf.tissue.drawing.canvas import common, distance_to
+from napari_hmrf.tissue.usual_lengths import usual_radius
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,86 +43,6 @@ class LandmarkLayers:
     confidence: float = 1.0
 
 
-@dataclass(frozen=True)
-class Landmarks:
-    """The pairs of one slice; no layer is kept.
-
-    Attributes
-    ----------
-    marks : tuple of Landmark
-        In pixels of the image.
-    numbers : tuple of int
-        Which points of their layer they are.
-    layer : Named
-        Of where things are.
-    what : {"point", "line"}
-        What they were made from.
-    notes : tuple of str
-        What the user should know about them.
-    """
-
-    marks: tuple[Landmark, ...]
-    numbers: tuple[int, ...]
-    layer: Named
-    what: str = "point"
-    notes: tuple[str, ...] = ()
-
-    def refuse_void(
-        self, tissue: npt.NDArray[np.bool_], spacing: tuple[float, float], named: Named
-    ) -> None:
-        """Refuse a landmark with no tissue to go with it.
-
-        Parameters
-        ----------
-        tissue : ndarray of bool, shape (H, W)
-        spacing : (float, float)
-        named : Named
-            Of the tissue.
-
-        Raises
-        ------
-        ProblemError
-            Naming the layer and the point.
-        """
-        rows, cols = tissue.shape
-        for mark, number in zip(self.marks, self.numbers, strict=True):
-            reach = [max(1, math.ceil(mark.radius / size)) for size in spacing]
-            (row, col), (down, along) = (round(at) for at in mark.source), reach
-            around = (row - down, row + down + 1, col - along, col + along + 1)
-            box = common(around, (0, rows, 0, cols))
-            near = distance_to(((mark.source,),), mark.radius, spacing, box)
-            # However small the patch, the nearest pixel counts.
-            patch = near <= max(mark.radius, float(near.min()))
-            if not (patch & tissue[box[0] : box[1], box[2] : box[3]]).any():
-                begins, partner = (
-                    (", which begins", "") if self.what == "line" else ("", " and its partner")
-                )
-                raise LayerError(
-                    self.layer,
-                    f"has {self.what} {number}{begins} where there is no tissue (stiffness 0 in "
-                    f"'{named.name}'). Move it onto tissue, or remove it{partner}.",
-                )
-
-
-def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """A radius to take hold of tissue with, in the unit of the spacing.
-
-    Parameters
-    ----------
-    shape : sequence of int, shape (2,)
-        Of the image.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel.
-    """
-    shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
-    return float(f"{shorter / 16:.2g}")
-
-
-def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """How far tissue is pushed to begin with: enough to be seen. As `usual_radius`."""
-    return float(f"{0.02 * max(shape) * min(spacing):.1g}")
-
-
 def landmarks_of(
     where: Any,
     should: Any,
@@ -133,12 +52,12 @@ def landmarks_of(
     confidence: float = 1.0,
 ) -> tuple[Landmark, ...]:
     """Pair the points of two layers by their order; as the marks of `read_landmarks`."""
-    return read_landmarks(LandmarkLayers(where, should, radius, confidence), frame, shape).marks
+    return read_landmarks(LandmarkLayers(where, should, radius, confidence), frame, shape)[0].marks
 
 
 def read_landmarks(
     layers: LandmarkLayers, frame: Frame, shape: tuple[int, int], view: View | None = None
-) -> Landmarks:
+) -> tuple[Landmarks, tuple[str, ...]]:
     """Pair the points of two layers by their order, or the ends of lines, as they lie in the world.
 
     Parameters
@@ -157,6 +76,9 @@ def read_landmarks(
     Returns
     -------
     Landmarks
+        In pixels of the image, by the numbers of their points.
+    tuple of str
+        What people should know about them, as clauses.
 
     Raises
     ------
@@ -200,18 +122,12 @@ def read_landmarks(
         for number in numbers[_outside(to, shape)]
     ]
     radii = _radii(at, layers.radius, frame, shape)
-    with naming(y=where.layer, c=where.layer):
+    with naming(observed=where.layer, confidence=where.layer):
         marks = tuple(
             Landmark((a[0], a[1]), (b[0], b[1]), size, layers.confidence)
             for a, b, size in zip(at.tolist(), to.tolist(), radii, strict=True)
         )
-    return Landmarks(
-        marks=marks,
-        numbers=tuple(numbers.tolist()),
-        layer=Named.of(where.layer),
-        what=what,
-        notes=tuple(beyond[:1]),
-    )
+    return Landmarks(marks, tuple(numbers.tolist()), what), tuple(beyond[:1])
 
 
 def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:

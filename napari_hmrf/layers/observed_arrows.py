@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.arrow_thinning import apart, one_per_cell
-from napari_hmrf.layers.layer_names import naming
 from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import naming
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 
 FloatArray = npt.NDArray[np.float32]
@@ -58,7 +58,7 @@ def arrow_observations(
     """
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
-        raise ProblemError("y", f"has NaN or infinity in vector {bad[0]}. Remove it.")
+        raise ProblemError("observed", f"has NaN or infinity in vector {bad[0]}. Remove it.")
     others = [axis for axis in range(own.ndim) if axis not in own.plane]
     here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
     inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
@@ -71,7 +71,7 @@ def arrow_observations(
     if len(outside):
         first = outside[0]
         raise ProblemError(
-            "y",
+            "observed",
             f"has {len(outside)} vectors that start outside the image of {shape[0]} x {shape[1]} "
             f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
             "Remove them.",
@@ -85,7 +85,7 @@ def arrow_observations(
     if len(conflict):
         first = conflict[0]
         raise ProblemError(
-            "y",
+            "observed",
             f"has vectors that start in the same pixel and differ, as vector {rows[first]} at "
             f"{tuple(at[first].tolist())}. Keep one for each pixel.",
         )
@@ -124,9 +124,9 @@ def preview_arrows(
     labels = copy_slice(layer, frame)
     spacing = (reference or frame).spacing
     known = {rule.label for rule in rules}
-    with naming(y=layer, c=layer):
+    with naming(observed=layer, confidence=layer):
         painted = np.where(np.isin(labels, list(known)), labels, 0)
-        y, c = boundary_images(painted, rules, spacing)
+        y, c = boundary_images(painted, rules, spacing=spacing)
     # An arrow shows what is believed: components without confidence are not drawn.
     steps = np.where(c > 0, y, 0) / np.array(spacing, dtype=np.float32)
     starts = np.argwhere(steps.any(axis=-1))

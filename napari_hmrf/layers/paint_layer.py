@@ -16,12 +16,12 @@ import numpy.typing as npt
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.palette import Palette
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
+from napari_hmrf.tissue.palette import Palette
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -75,7 +75,7 @@ def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray
     top, bottom, left, right = window
     at = (slice(top, bottom), slice(left, right))
     kinds = canvas.kinds[at]
-    level = np.rint(canvas.c[at].max(axis=-1) * (_LEVELS - 1)).astype(np.uint8)
+    level = np.rint(canvas.confidence[at].max(axis=-1) * (_LEVELS - 1)).astype(np.uint8)
     level[kinds == KINDS["free"]] = _LEVELS - 1
     shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
     width = max(1, min(canvas.shape) // 90)
@@ -160,13 +160,15 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
     assert kinds is not None
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
-    counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.c > 0).any(axis=-1)
+    counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(
+        axis=-1
+    )
     places = _spread(counts, apart / size)
     lines: list[npt.NDArray[np.float64]] = []
     colours: list[npt.NDArray[np.float64]] = []
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
-        by = np.where(canvas.c[tuple(at.T)] > 0, canvas.y[tuple(at.T)], 0)
+        by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
         drawn = [_arrows(at * size, by), _crosses(at * size, by, 0.2 * apart)]
         for part in drawn:
             lines.append(part / size)

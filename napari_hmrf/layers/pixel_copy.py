@@ -10,9 +10,9 @@ import numpy.typing as npt
 from napari.layers import Vectors
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.layer_names import LayerError, full_resolution
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import LayerError, full_resolution
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
@@ -30,7 +30,17 @@ def take_slice(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
 ) -> npt.NDArray[Any]:
     """Copy the slice of a layer that covers the same pixels as the reference's."""
+    check_size(layer, own, reference, frame, shape)
+    return copy_slice(layer, own)
+
+
+def check_size(
+    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
+) -> None:
+    """Refuse a layer that does not cover the same pixels as the reference."""
     check_place(layer, own, reference, frame, shape)
+    if isinstance(layer, Vectors):
+        return
     own_shape = plane_shape(layer, own)
     if own_shape != shape:
         raise LayerError(
@@ -38,7 +48,6 @@ def take_slice(
             f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but '{reference.name}' "
             f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
         )
-    return copy_slice(layer, own)
 
 
 def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:

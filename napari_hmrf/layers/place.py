@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.slice_view import View, slice_shown, sliders_of, unit_factor
 from napari_hmrf.layers.stored_place import stored_place
 from napari_hmrf.layers.transform import Matrix, flat, floats, floats_or_rows, rows
+from napari_hmrf.study.layer_names import LayerError
 
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
 _TOLERANCE = 1e-3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -28,6 +28,7 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.models import in_words, short_name
+from napari_hmrf.study.study import Pictures
 
 Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
 #: The layers there can be, in the order they are stacked, lowest first.
@@ -50,31 +51,6 @@ class LayerData(NamedTuple):
     data: Any
     attributes: dict[str, Any]
     kind: str
-
-
-@dataclass(frozen=True, eq=False)
-class Pictures:
-    """What may be deformed along with the field.
-
-    Attributes
-    ----------
-    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
-    labels : ndarray of int, shape (H, W), optional
-    name, labels_name : str
-        Of the layers they came from; results are named after them.
-    level : int, optional
-        Of a multiscale layer, where there was one: 0, the finest.
-    look, labels_look : dict
-        How they are drawn: colormap and the like, as a new layer takes it.
-    """
-
-    image: npt.NDArray[Any] | None = None
-    labels: npt.NDArray[Any] | None = None
-    name: str = ""
-    labels_name: str = ""
-    level: int | None = None
-    look: dict[str, Any] = field(default_factory=dict)
-    labels_look: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +145,9 @@ def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[n
     width : float
         In pixels.
     """
-    found = arrows(solution.displacement, solution.spacing, solution.tissue, about=about)
+    found = arrows(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=about
+    )
     pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
     chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
     return found[chosen], pixels / 8
@@ -288,9 +266,10 @@ class _Maker:
 
     def grid(self) -> LayerData:
         """A grid that has moved with the tissue."""
+        displacement, spacing = self._field
         tissue = self._solution.tissue
-        every = pixels_between(LINES, tissue.shape, self._solution.spacing)
-        segments = deformation_grid(*self._field, every=every, tissue=tissue)
+        every = pixels_between(LINES, tissue.shape, spacing)
+        segments = deformation_grid(displacement, spacing=spacing, every=every, tissue=tissue)
         width = max(tissue.shape) / 500
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": width}
         return self._vectors("grid", segments, "grid", look)

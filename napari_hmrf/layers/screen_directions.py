@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.place import Frame
 
 #: Beyond this tilt, in degrees, an axis runs neither up or down nor to a side.
@@ -92,8 +93,7 @@ class Directions(NamedTuple):
 
 def _ways(viewer: Any) -> tuple[str, str]:
     """Where the world's rows and columns run on the canvas."""
-    camera = getattr(getattr(viewer, "scene", viewer), "camera", None)
-    down, right = getattr(camera, "orientation2d", ("down", "right"))
+    down, right = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
     return str(down), str(right)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.layers.layer_names import LayerError, full_resolution
+from napari_hmrf.study.layer_names import LayerError, full_resolution
 
 #: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")

@@ -9,16 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.background import background_of, surrounds
 from napari_hmrf.layers.label_colours import stiffness_colours
-from napari_hmrf.layers.layer_names import LayerError, full_resolution
 from napari_hmrf.layers.metadata import METADATA, TISSUE, known_of
 from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.transform import place_of
+from napari_hmrf.study.layer_names import LayerError, full_resolution
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
+from napari_hmrf.tissue.surroundings import background_of, surrounds
 
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
 _ABOVE = 0.01

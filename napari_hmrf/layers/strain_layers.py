@@ -65,13 +65,14 @@ def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
         that it is 0 or below at all folds.
     """
     solution = result.solution
-    field = (solution.displacement, solution.spacing, solution.tissue)
+    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     if quantity == "magnitude":
-        return np.where(solution.tissue, magnitude(field[0]), np.float32(np.nan))
+        return np.where(tissue, magnitude(d), np.float32(np.nan))
     if quantity == "jacobian":
-        smallest = smallest_determinant(*field)
-        return np.where(smallest <= 0, smallest, jacobian_determinant(*field))
-    strain = green_lagrange_strain(*field)
+        smallest = smallest_determinant(d, spacing, tissue)
+        at_sites = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+        return np.where(smallest <= 0, smallest, at_sites)
+    strain = green_lagrange_strain(d, spacing=spacing, tissue=tissue)
     shown: FloatArray
     if quantity == "equivalent":
         shown = equivalent_strain(strain)

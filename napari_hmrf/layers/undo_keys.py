@@ -8,6 +8,7 @@ from typing import Any
 
 from napari.layers import Labels
 
+from napari_hmrf.layers.compat import paint_steps
 from napari_hmrf.tissue.drawing.edits import Edits
 
 #: Keys, and what they do.
@@ -76,7 +77,7 @@ class UndoKeys:
         active = None if viewer is None else viewer.layers.selection.active
         self._leave()
         # Without its history napari keeps the keys, and all is as it is without us.
-        if not isinstance(active, Labels) or not hasattr(active, "_undo_history"):
+        if not isinstance(active, Labels) or paint_steps(active, "undo") is None:
             return
         self._layer = weakref.ref(active)
         active.events.paint.connect(self._on_paint)
@@ -96,10 +97,9 @@ class UndoKeys:
 
     def _choose(self, owner: Any, name: str) -> None:
         """Take back, or do again, what is ours, or a layer's paint."""
-        painted = getattr(owner, f"_{name}_history", ())
         step = self._edits.next_undo
         later = name == "undo" and self._ours and step is not None and not self._is_paint(step.slot)
-        if painted and not later:
+        if paint_steps(owner, name) and not later:
             getattr(owner, name)()
         else:
             self._go[name]()

@@ -45,12 +45,12 @@ class Demonstration:
     rmsd: float | None
     folds: int
 
-    def table(self) -> str:
-        """What was measured, one line each."""
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """What was measured, by name."""
         solution = self.solution
         run = solution.provenance
         size = " x ".join(str(pixels) for pixels in solution.tissue.shape)
-        rows = (
+        return (
             ("sample", f"{self.phantom.title}, {size}"),
             ("model", in_words(run.parameters)),
             ("renderer", f"{run.renderer} ({run.backend})"),
@@ -61,8 +61,6 @@ class Demonstration:
             ("RMSD to FEM", "-" if self.rmsd is None else self._distance(self.rmsd)),
             ("folds", f"{self.folds}"),
         )
-        width = max(len(name) for name, _ in rows)
-        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
     def _distance(self, rmsd: float) -> str:
         """To the finite elements there are, which may be another material's."""
@@ -74,9 +72,22 @@ class Demonstration:
         return f"{px} (of Poisson's ratio {FEM.poisson}, plane {FEM.plane})"
 
 
+def table(*shown: Demonstration) -> str:
+    """What was measured, one line each; of several, one beside the other."""
+    rows = [demonstration.rows() for demonstration in shown]
+    columns = [[name for name, _ in rows[0]], *([value for _, value in each] for each in rows)]
+    widths = [max(map(len, column)) for column in columns]
+    lines = zip(*columns, strict=True)
+    return "\n".join(
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )
+
+
 def demonstrate(
     name: str,
     size: int,
+    *,
     backend: str,
     progress: Callable[[Monitor], None],
     prior: Prior | None = None,
@@ -95,11 +106,11 @@ def demonstrate(
     progress : callable
         Is given a `Monitor` now and then.
     prior, optimizer : optional
-        As for `solve`: by default the paper's.
+        As for `solve`.
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If there is no such phantom, or not of that size.
     BackendError
         If the backend asked for cannot run.
@@ -108,12 +119,14 @@ def demonstrate(
     if backend == "auto":
         # Napari will find them, for whatever is done there.
         provide_loops(EVERYTHING, progress)
-    solution = solve(subject.problem, prior, optimizer, backend=backend, progress=progress)
+    solution = solve(
+        subject.problem, prior, optimizer=optimizer, backend=backend, progress=progress
+    )
     return Demonstration(
         phantom=subject,
         solution=solution,
         rmsd=_rmsd(solution, reference_displacement(name)) if size == SAMPLE_SIZE else None,
-        folds=count_folds(solution.displacement, solution.spacing, solution.tissue),
+        folds=count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue),
     )
 
 

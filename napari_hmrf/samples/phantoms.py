@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.arguments import is_one_of, refuse_unless, shown
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.resources import resource_folder
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.boundary_rules import (
@@ -102,7 +104,7 @@ def phantom(name: str, size: int = 300) -> Phantom:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If there is no phantom of that name, or `size` is not a whole number of at least 16.
     """
     size = _checked(name, size)
@@ -123,7 +125,7 @@ def sample(name: str) -> Phantom:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If there is no phantom of that name.
     FileNotFoundError
         If the installation is incomplete.
@@ -144,7 +146,7 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If there is no phantom of that name.
     FileNotFoundError
         If the installation is incomplete.
@@ -154,14 +156,15 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
 
 
 def _checked(name: str, size: object) -> int:
-    if name not in PHANTOM_NAMES:
-        raise ValueError(f"there is no phantom {name!r}; choose from {', '.join(PHANTOM_NAMES)}")
+    if not is_one_of(name, PHANTOM_NAMES):
+        names = ", ".join(PHANTOM_NAMES)
+        raise ArgumentError(f"there is no phantom {shown(name)}; choose from {names}")
     try:
         pixels = operator.index(size)  # type: ignore[arg-type]
     except TypeError:
         pixels = 0
-    if pixels < SMALLEST:
-        raise ValueError(f"size must be a whole number of at least {SMALLEST}, not {size!r}")
+    what = f"a whole number of at least {SMALLEST}"
+    refuse_unless(pixels >= SMALLEST, "size", size, what)
     return pixels
 
 

@@ -148,7 +148,7 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     passed = True
     try:
         for title, prior, schedule, bound in checks:
-            solution = solve(problem, prior, schedule, backend=name)
+            solution = solve(problem, prior, optimizer=schedule, backend=name)
             off = float(np.abs(solution.displacement - field).max())
             right = off <= bound
             passed = passed and right
@@ -168,7 +168,7 @@ def _timings(name: str) -> Iterator[str]:
     """How long solves of the paper's size of image take."""
     problem = phantom("expansion").problem
     started = time.perf_counter()
-    solution = solve(problem, backend=name)
+    solution = solve(problem, SeilerPrior(), backend=name)
     seconds = time.perf_counter() - started
     visits = sum(level.iterations * math.prod(level.shape) for level in solution.levels)
     yield (

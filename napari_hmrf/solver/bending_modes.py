@@ -31,7 +31,7 @@ def check_bent(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
-    free = free_bend(problem, problem.observed)
+    free = free_bend(problem, problem.known)
     if free is not None:
         raise refusal(free)
 
@@ -63,7 +63,7 @@ def _free_pieces(
         for number, box in enumerate(scipy.ndimage.find_objects(pieces), start=1):
             inside = pieces[box] == number
             stopped = held[box][inside, component]
-            m = problem.m[box][inside]
+            m = problem.stiffness[box][inside]
             possible = ways[box][inside][:, : 3 if m.min() == m.max() else 1]
             modes = _free_modes(possible, stopped)
             if not modes.shape[1]:

@@ -45,4 +45,7 @@ class Earlier:
 
 
 def _same_observations(one: Problem, other: Problem) -> bool:
-    return one is other or (np.array_equal(one.y, other.y) and np.array_equal(one.c, other.c))
+    return one is other or (
+        np.array_equal(one.observed, other.observed)
+        and np.array_equal(one.confidence, other.confidence)
+    )

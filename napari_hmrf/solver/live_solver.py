@@ -21,7 +21,7 @@ from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
+from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
 
 #: How close to the converged field a live solution is, in pixels: less than can be seen.
 TOLERANCE = 0.01
@@ -110,11 +110,20 @@ class LiveSolver:
         self,
         deliver: Callable[[Update], object],
         prior: Prior | None = None,
+        *,
         optimizer: Optimizer | None = None,
         backend: str = "auto",
         progress: Progress | None = None,
         doing: str = "tissue that a script has follow its edits, which its close() stops",
     ) -> None:
+        check_arguments(
+            deliver=deliver,
+            prior=prior,
+            optimizer=optimizer,
+            backend=backend,
+            progress=progress,
+            doing=doing,
+        )
         self.prior: Prior = prior or ElasticPrior()
         self._optimizer = optimizer or Multigrid(TOLERANCE)
         self._backend = backend
@@ -238,7 +247,9 @@ class LiveSolver:
         problem: Problem | None = None
         try:
             made = request.problem() if callable(request.problem) else request.problem
-            problem, prior = made if isinstance(made, tuple) else (made, request.prior)
+            found, prior = made if isinstance(made, tuple) else (made, request.prior)
+            check_arguments(problem=found, prior=prior)
+            problem = found
             self._earlier.look_at(problem, request.dropped)
             optimizer = self._optimizer
             stop: CancelFlag = request.dropped
@@ -260,14 +271,14 @@ class LiveSolver:
         With something to begin with, a glance costs nearly as much as the solution, and what comes
         after it has less to begin with.
         """
-        return not self._earlier.solutions and problem.m.size * _SITE_SECONDS > PATIENCE
+        return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
         self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag
     ) -> Solution:
         """Solve from what is known, and know it."""
-        start = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
-        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, start)
+        initial = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
+        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 

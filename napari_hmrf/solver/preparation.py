@@ -74,7 +74,7 @@ def prepare(
     y, c, m = np.zeros((size, size, 2)), np.zeros((size, size, 2)), np.ones((size, size))
     c[0] = c[-1] = 1
     y[-1] = 1
-    small = Problem(y, c, m, (1.0, 1.0) if square else (1.0, 2.0))
+    small = Problem(y, c, m, spacing=(1.0, 1.0) if square else (1.0, 2.0))
     tissue = prior.rehearsal(small.shape)
 
     def go_on(_: Monitor) -> None:

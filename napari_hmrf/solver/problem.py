@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 
 FloatArray = npt.NDArray[np.float32]
@@ -33,16 +34,17 @@ class Problem:
 
     Parameters
     ----------
-    y : array_like, shape (H, W, 2)
-        Observed (boundary) displacement, components in (row, col) order, in the unit of
-        `spacing`. Material displacement: the tissue at X was seen to move to X + y(X). Ignored,
-        and stored as zero, where `c` is zero.
-    c : array_like, shape (H, W, 2)
-        Confidence in each component of `y`, from 0 (none) to 1 (complete).
-    m : array_like, shape (H, W)
-        Stiffness (Young's modulus) in any unit: only ratios matter. ``0`` means no tissue (void):
-        no clique touches such a site and it has no displacement. ``inf`` means rigid tissue, for
-        `ElasticPrior`: what touches of it moves as one body.
+    observed : array_like, shape (H, W, 2)
+        Observed (boundary) displacement, y in the equations: components in (row, col) order, in
+        the unit of `spacing`. Material displacement: the tissue at X was seen to move to X + y(X).
+        Ignored, and stored as zero, where `confidence` is zero.
+    confidence : array_like, shape (H, W, 2)
+        Confidence in each component of `observed`, c in the equations: from 0 (none) to 1
+        (complete).
+    stiffness : array_like, shape (H, W)
+        Young's modulus, m in the equations, in any unit: only ratios matter. ``0`` means no tissue
+        (void): no clique touches such a site and it has no displacement. ``inf`` means rigid
+        tissue, for `ElasticPrior`: what touches of it moves as one body.
     spacing : sequence of float, shape (2,)
         Size of a pixel in (row, col) direction, in any unit of length.
 
@@ -52,78 +54,85 @@ class Problem:
         Naming the input at fault and what to do about it.
     """
 
-    y: FloatArray
-    c: FloatArray
-    m: FloatArray
+    observed: FloatArray
+    confidence: FloatArray
+    stiffness: FloatArray
     spacing: tuple[float, ...]
 
     def __init__(
         self,
-        y: npt.ArrayLike,
-        c: npt.ArrayLike,
-        m: npt.ArrayLike,
+        observed: npt.ArrayLike,
+        confidence: npt.ArrayLike,
+        stiffness: npt.ArrayLike,
+        *,
         spacing: Sequence[float] = (1.0, 1.0),
     ) -> None:
-        given, m = m, _as_float32("m", m)
-        if m.ndim != 2:
-            hint = "3-D grids are not supported yet: solve slice by slice" if m.ndim == 3 else ""
-            raise ProblemError(
-                "m", f"has shape {m.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip()
-            )
+        m = _as_image(stiffness)
         pixel = _checked_spacing(spacing, m.ndim)
         _check_grid(m)
-        c = _as_float32("c", c)
-        y = _as_float32("y", y)
-        for field, array in (("c", c), ("y", y)):
+        c = _as_float32("confidence", confidence)
+        y = _as_float32("observed", observed)
+        for field, array in (("confidence", c), ("observed", y)):
             expected = (*m.shape, m.ndim)
             if array.shape != expected:
                 raise ProblemError(
                     field,
-                    f"has shape {array.shape}, but m has shape {m.shape}, so {expected} is needed "
-                    "(one value per axis at each pixel). Give both on the same pixel grid.",
+                    f"has shape {array.shape}, but stiffness has shape {m.shape}, so {expected} is "
+                    "needed (one value per axis at each pixel). Give both on the same pixel grid.",
                 )
-        _check_stiffness_unit(given, m)
+        _check_stiffness_unit(stiffness, m)
         _check_stiffness(m)
         _check_confidence(c)
         np.copyto(y, np.float32(0), where=c <= 0)  # a copy already
-        _check_finite("y", y, "where c > 0")
+        _check_finite("observed", y, "where confidence is above 0")
         _check_reach(y, pixel)
-        for field, array in (("y", y), ("c", c), ("m", m)):
+        for field, array in (("observed", y), ("confidence", c), ("stiffness", m)):
             array.setflags(write=False)
             object.__setattr__(self, field, array)
         object.__setattr__(self, "spacing", pixel)
-        _check_observed(self.observed)
+        _check_known(self.known)
+
+    def __repr__(self) -> str:
+        size, pixel = grid_in_words(self.shape), grid_in_words(self.spacing)
+        tissue = int(np.count_nonzero(self.tissue))
+        void = "" if tissue == self.tissue.size else f", {tissue:,} of tissue"
+        seen = int(np.count_nonzero(self.known.any(axis=-1)))
+        return (
+            f"Problem({size} sites of {pixel}{void}, {seen:,} observed, "
+            f"stiffness {_range_in_words(self.stiffness)})"
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The grid: (H, W)."""
-        return tuple(self.m.shape)
+        return tuple(self.stiffness.shape)
 
     @cached_property
     def tissue(self) -> npt.NDArray[np.bool_]:
-        """Where there is tissue: ``m > 0``, shape (H, W)."""
-        mask: npt.NDArray[np.bool_] = self.m > 0
+        """Where there is tissue: stiffness above 0, shape (H, W)."""
+        mask: npt.NDArray[np.bool_] = self.stiffness > 0
         mask.setflags(write=False)
         return mask
 
     @cached_property
     def rigid(self) -> npt.NDArray[np.bool_]:
-        """Where tissue is rigid: ``m = inf``, shape (H, W)."""
-        mask = np.isinf(self.m)
+        """Where tissue is rigid: infinite stiffness, shape (H, W)."""
+        mask = np.isinf(self.stiffness)
         mask.setflags(write=False)
         return mask
 
     @cached_property
-    def observed(self) -> npt.NDArray[np.bool_]:
-        """Which components of tissue are observed: ``c > 0`` where ``m > 0``, shape (H, W, 2)."""
-        mask: npt.NDArray[np.bool_] = (self.c > 0) & self.tissue[..., None]
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Which components of tissue are observed: with confidence above 0, shape (H, W, 2)."""
+        mask: npt.NDArray[np.bool_] = (self.confidence > 0) & self.tissue[..., None]
         mask.setflags(write=False)
         return mask
 
     @cached_property
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of the bytes of y, c and m: equal for equal inputs. Made when first looked at."""
-        return _Digests({"y": self.y, "c": self.c, "m": self.m})
+        """SHA-256 of each image's bytes: equal for equal inputs. Made when first looked at."""
+        names = ("observed", "confidence", "stiffness")
+        return _Digests({name: getattr(self, name) for name in names})
 
     @property
     def unit(self) -> float:
@@ -156,12 +165,20 @@ class _Digests(Mapping[str, str]):
         return repr(dict(self))
 
 
+def grid_in_words(sizes: Iterable[float]) -> str:
+    """Sizes along the axes, for people: "300 x 200"."""
+    return " x ".join(f"{size:g}" for size in sizes)
+
+
 def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
     """Take an array of real numbers as it is, or raise `ProblemError` naming it."""
     try:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length
         raise ProblemError(field, f"is not an array of numbers ({error}).") from None
+    if array.dtype.kind not in "biuf" and not array.ndim:
+        kind = type(value).__name__
+        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Give real numbers.")
     if array.dtype.kind not in "biuf":
         raise ProblemError(
             field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
@@ -169,12 +186,41 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
     return array
 
 
+def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
+    """Copy a stiffness image to float32, as a `Problem` has it.
+
+    Raises
+    ------
+    ProblemError
+        As of a `Problem`, but for an image in which there is no tissue.
+    """
+    m = _as_image(stiffness)
+    _check_grid(m)
+    _check_stiffness_unit(stiffness, m)
+    if m.any():
+        _check_stiffness(m)
+    return m
+
+
+def _as_image(stiffness: npt.ArrayLike) -> FloatArray:
+    image = _as_float32("stiffness", stiffness)
+    if image.ndim != 2:
+        hint = ""
+        if image.ndim == 3:
+            swapped = image.shape[-1] == 2  # one value for each component
+            order = "Give observed, confidence and stiffness in this order."
+            hint = order if swapped else "3-D grids are not supported yet: solve slice by slice"
+        raise ProblemError(
+            "stiffness",
+            f"has shape {image.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip(),
+        )
+    return image
+
+
 def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
     """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
     if isinstance(value, np.ma.MaskedArray):
-        raise ProblemError(
-            field, "is a masked array, whose mask would be lost. Fill it first (m = 0 is void)."
-        )
+        raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     array = as_numbers(field, value)
     if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
         with np.errstate(invalid="ignore"):
@@ -188,14 +234,11 @@ def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    try:
-        if isinstance(spacing, str):
-            raise TypeError
-        values = tuple(float(size) for size in spacing)  # type: ignore[attr-defined]
-    except (TypeError, ValueError):
-        raise ProblemError("spacing", f"is {spacing!r}. Give {ndim} positive numbers.") from None
-    if len(values) != ndim or not all(math.isfinite(size) and size > 0 for size in values):
-        raise ProblemError("spacing", f"is {values}. Give {ndim} positive, finite pixel sizes.")
+    values = reals(spacing, ndim)
+    if not all(0 < size < math.inf for size in values):
+        raise ProblemError(
+            "spacing", f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes."
+        )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(
             "spacing", f"is {values}. Choose a unit of length in which pixels are not so extreme."
@@ -205,9 +248,13 @@ def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
 
 def _check_grid(m: FloatArray) -> None:
     if m.size == 0:
-        raise ProblemError("m", f"is empty: its shape is {m.shape}. Give an image with pixels.")
+        raise ProblemError(
+            "stiffness", f"is empty: its shape is {m.shape}. Give an image with pixels."
+        )
     if m.size == 1:
-        raise ProblemError("m", "is a single pixel, which cannot deform. Give a larger image.")
+        raise ProblemError(
+            "stiffness", "is a single pixel, which cannot deform. Give a larger image."
+        )
 
 
 def _first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
@@ -240,7 +287,7 @@ def _check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
         size = " x ".join(_shown(size * step) for size, step in zip(grid, spacing, strict=True))
         pixel = " x ".join(f"{step:.3g}" for step in spacing)
         raise ProblemError(
-            "y",
+            "observed",
             f"moves tissue by up to {_shown(float(length.max()))} (first at {_first_index(far)}), "
             f"but the image is only {size}. Give lengths in the unit in which a pixel is {pixel}.",
         )
@@ -252,23 +299,25 @@ def _shown(length: float) -> str:
 
 
 def _check_stiffness(m: FloatArray) -> None:
-    _check_finite("m", m, but=m == np.inf)
+    _check_finite("stiffness", m, but=m == np.inf)
     negative = m < 0
     if negative.any():
         raise ProblemError(
-            "m",
+            "stiffness",
             f"has {int(negative.sum())} negative values, the first at {_first_index(negative)}. "
             "Give stiffnesses above 0, or 0 where there is no tissue.",
         )
     tissue = m > 0
     if not tissue.any():
-        raise ProblemError("m", "is 0 everywhere: there is no tissue. Give some a stiffness.")
+        raise ProblemError(
+            "stiffness", "is 0 everywhere: there is no tissue. Give some a stiffness."
+        )
     soft = tissue & np.isfinite(m)
     low = float(m.min(where=soft, initial=np.inf))
     high = float(m.max(where=soft, initial=0.0))
     if high > low * MAX_STIFFNESS_RATIO:
         raise ProblemError(
-            "m",
+            "stiffness",
             f"is from {low:.3g} to {high:.3g}: the stiffest part may be at most ten million times "
             "as stiff as the softest. Give the softest part 0 (no tissue), or hold the stiffest "
             "part fixed instead.",
@@ -281,10 +330,10 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
     extreme &= array != np.inf
     if extreme.any():
-        _check_finite("m", m, but=array == np.inf)
+        _check_finite("stiffness", m, but=array == np.inf)
         first = _first_index(extreme)
         raise ProblemError(
-            "m",
+            "stiffness",
             f"is {array[first]:.3g} at {first}. Only ratios matter: choose a unit in which "
             f"stiffness is from {_SMALLEST_STIFFNESS:g} to {1 / _SMALLEST_STIFFNESS:g}, and give 0 "
             "where there is no tissue.",
@@ -292,26 +341,35 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
 
 
 def _check_confidence(c: FloatArray) -> None:
-    _check_finite("c", c)
+    _check_finite("confidence", c)
     if c.min() < 0 or c.max() > 1:
         outside = (c < 0) | (c > 1)
         raise ProblemError(
-            "c",
+            "confidence",
             f"has {int(outside.sum())} values outside 0 to 1, the first at "
             f"{_first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
         )
     if not c.any():
         raise ProblemError(
-            "c",
+            "confidence",
             "is 0 everywhere: nothing says how any tissue moves. Mark at least one place as fixed "
             "or moving.",
         )
 
 
-def _check_observed(observed: npt.NDArray[np.bool_]) -> None:
-    if not observed.any():
+def _range_in_words(m: FloatArray) -> str:
+    soft = m[(m > 0) & (m < np.inf)]
+    rigid = "rigid" if (m == np.inf).any() else ""
+    if not soft.size:
+        return rigid
+    low, high = f"{soft.min():.3g}", f"{soft.max():.3g}"
+    return (low if low == high else f"{low} to {high}") + (rigid and f" and {rigid}")
+
+
+def _check_known(known: npt.NDArray[np.bool_]) -> None:
+    if not known.any():
         raise ProblemError(
-            "c",
-            "is above 0 only where there is no tissue (m = 0). Mark a boundary on tissue, or give "
-            "those pixels a stiffness.",
+            "confidence",
+            "is above 0 only where there is no tissue (stiffness 0). Mark a boundary on tissue, or "
+            "give those pixels a stiffness.",
         )

@@ -76,7 +76,7 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
-    held = problem.observed
+    held = problem.known
     if any(known.covers(problem.tissue, held) for known in _firm):
         return
     free = free_motion(problem, held)
@@ -89,7 +89,7 @@ def refusal(free: FreeMotion) -> ProblemError:
     """Return an error that names the piece that could move, and how."""
     centre = tuple(int(np.mean(at)) for at in np.nonzero(free.piece))
     return ProblemError(
-        "c",
+        "confidence",
         f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
         f"{centre} {free.how}. Fix some of it in place, or give it no stiffness.",
     )
@@ -109,10 +109,10 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
     ProblemError
         If no tissue is two pixels wide.
     """
-    pieces, count = _pieces(problem.m)
+    pieces, count = _pieces(problem.stiffness)
     if count == 0:
         raise ProblemError(
-            "m", "has tissue nowhere two pixels wide: nothing there could be stretched."
+            "stiffness", "has tissue nowhere two pixels wide: nothing there could be stretched."
         )
     for cluster, strength, modes in _free_modes(pieces, count, held):
         mode = modes[0]
@@ -146,7 +146,7 @@ def free_motions(
         Independent motions of pieces that hang together, at no cost; those of different items have
         no site in common.
     """
-    pieces, count = _pieces(problem.m)
+    pieces, count = _pieces(problem.stiffness)
     for cluster, _, modes in _free_modes(pieces, count, held):
         piece_modes = np.zeros((count + 1, 3))
         ways = []

@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
+from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun
+from napari_hmrf.solver.problem import grid_in_words
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,10 @@ class Provenance:
         Prior, optimizer and their parameters; JSON types only.
     versions : mapping
         Of this package and of what the result depends on.
+    model : str
+        Its name: "elastic", "paper" or "paper, converged"; of these parameters, if not given.
     inputs : mapping
-        SHA-256 of the bytes of y, c and m.
+        SHA-256 of the bytes of observed, confidence and stiffness.
     """
 
     backend: str
@@ -48,6 +52,10 @@ class Provenance:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
+    model: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.model or model_name(self.parameters))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +94,16 @@ class Solution:
     provenance: Provenance
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
+        run = self.provenance
+        near = "" if self.convergence is None else f", within {self.convergence.error:.1g} px"
+        return (
+            f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}, "
+            f"{run.model or 'no model told'}, moved up to {farthest:.3g}, {self.iterations} "
+            f"iterations in {run.seconds:.2g} s on {run.backend}{near})"
+        )
 
     @property
     def iterations(self) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import platform
 import queue
-import reprlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -17,15 +16,16 @@ from typing import Protocol
 
 import numpy as np
 
-from napari_hmrf.errors import BackendError, Cancelled
-from napari_hmrf.solver.backends import COMPILING, host, open_backend
+from napari_hmrf.arguments import shown
+from napari_hmrf.errors import ArgumentError, BackendError, Cancelled
+from napari_hmrf.solver.backends import BACKEND_NAMES, COMPILING, host, open_backend
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
-from napari_hmrf.solver.priors import Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
-from napari_hmrf.solver.warm_start import Start, beginning
+from napari_hmrf.solver.warm_start import Initial, beginning
 
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
@@ -48,11 +48,12 @@ class CancelFlag(Protocol):
 def solve(
     problem: Problem,
     prior: Prior | None = None,
+    *,
     optimizer: Optimizer | None = None,
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
-    start: Start | None = None,
+    initial: Initial | None = None,
 ) -> Solution:
     """Find how the tissue moves.
 
@@ -62,10 +63,10 @@ def solve(
     ----------
     problem : Problem
     prior : SeilerPrior or ElasticPrior, optional
-        The energy; by default the paper's, centred.
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``.
     optimizer : ICM or Multigrid, optional
-        The schedule; by default the paper's (70 sweeps on each level) for the paper's prior, and
-        multigrid for elastic tissue.
+        The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
+        level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
         and logs once which.
@@ -73,7 +74,7 @@ def solve(
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
         Set it to stop; answered within half a second, whatever is being compiled.
-    start : Solution or sequence of Solution, optional
+    initial : Solution or sequence of Solution, optional
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
         the problem multigrid then has less to do. Of several, with the combination that comes
         closest to what is observed: how far tissue moves is proportional to how far it is pushed,
@@ -87,8 +88,8 @@ def solve(
 
     Raises
     ------
-    TypeError
-        If an argument is of another kind.
+    ArgumentError
+        If an argument is of another kind, or the optimizer is none for the prior.
     BackendError
         If the backend is missing or cannot be trusted.
     ProblemError
@@ -105,17 +106,25 @@ def solve(
     >>> solution.displacement.shape
     (64, 64, 2)
     """
-    _check_arguments(problem, prior, optimizer, progress, cancel, start)
+    check_arguments(
+        problem=problem,
+        prior=prior,
+        optimizer=optimizer,
+        backend=backend,
+        progress=progress,
+        cancel=cancel,
+        initial=initial,
+    )
     stop = cancel or threading.Event()
     if compute_thread.is_current():
-        return run_here(problem, prior, optimizer, backend, progress, stop, start)
+        return run_here(problem, prior, optimizer, backend, progress, stop, initial)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
     # To be told wakes the caller, who then competes with the work.
     tell = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
     job: Future[Solution] = compute_thread.submit(
-        lambda: run_here(problem, prior, optimizer, backend, tell, either, start),
+        lambda: run_here(problem, prior, optimizer, backend, tell, either, initial),
         lambda: STOPPED if either.is_set() else _DOING,
     )
     job.add_done_callback(lambda _: reports.put(None))
@@ -147,36 +156,56 @@ def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None)
         raise Cancelled from None
 
 
-def _check_arguments(
-    problem: object,
-    prior: object,
-    optimizer: object,
-    progress: object,
-    cancel: object,
-    start: object,
-) -> None:
-    """Say which argument is none of its kind before anything is done."""
-    _need(isinstance(problem, Problem), "problem", problem, "a Problem: Problem(y, c, m)")
-    _need(isinstance(prior, Prior | None), "prior", prior, "a prior, such as ElasticPrior()")
-    schedule = optimizer is None or _has("run", optimizer)
-    _need(schedule, "optimizer", optimizer, "an optimizer, such as Multigrid()")
-    told = progress is None or callable(progress)
-    _need(told, "progress", progress, "something to call with a Monitor, such as print")
-    flag = cancel is None or _has("is_set", cancel)
-    _need(flag, "cancel", cancel, "something that has is_set(), such as a threading.Event")
-    starts = start if isinstance(start, Sequence) else (start,)
-    found = start is None or all(isinstance(each, Solution) for each in starts)
-    _need(found, "start", start, "a Solution, or a list of them")
-
-
 def _has(method: str, value: object) -> bool:
     return not isinstance(value, type) and callable(getattr(value, method, None))
 
 
-def _need(right: bool, name: str, value: object, what: str) -> None:
-    if not right:
-        kind = type(value).__name__
-        raise TypeError(f"{name} is {reprlib.repr(value)}, of type {kind}. Give {what}.")
+def _may_begin(value: object) -> bool:
+    each = value if isinstance(value, Sequence) else (value,)
+    return all(isinstance(one, Solution) for one in each)
+
+
+_ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
+    "problem": (
+        lambda value: isinstance(value, Problem),
+        "a Problem: Problem(observed, confidence, stiffness)",
+    ),
+    "prior": (
+        lambda value: isinstance(value, Prior | None),
+        "a prior: ElasticPrior() or SeilerPrior()",
+    ),
+    "optimizer": (
+        lambda value: value is None or _has("run", value),
+        "an optimizer: Multigrid() or ICM()",
+    ),
+    "backend": (lambda value: isinstance(value, str), f"one of {', '.join(BACKEND_NAMES)}"),
+    "progress": (
+        lambda value: value is None or callable(value),
+        "something to call with a Monitor, such as print",
+    ),
+    "cancel": (
+        lambda value: value is None or _has("is_set", value),
+        "something that has is_set(), such as a threading.Event",
+    ),
+    "initial": (lambda value: value is None or _may_begin(value), "a Solution, or a list of them"),
+    "deliver": (callable, "something to call with an Update"),
+    "doing": (lambda value: isinstance(value, str), "what others who wait are told"),
+}
+
+
+def check_arguments(**given: object) -> None:
+    """Say which argument is none of its kind, before anything is done.
+
+    Raises
+    ------
+    ArgumentError
+        Naming it, and what to give.
+    """
+    for name, value in given.items():
+        right, what = _ARGUMENTS[name]
+        if not right(value):
+            kind = type(value).__name__
+            raise ArgumentError(f"{name} is {shown(value)}, of type {kind}. Give {what}.")
 
 
 def run_here(
@@ -186,15 +215,15 @@ def run_here(
     backend: str,
     progress: Progress | None,
     cancel: CancelFlag,
-    start: Start | None = None,
+    initial: Initial | None = None,
 ) -> Solution:
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     begun = time.perf_counter()
-    prior = (prior or SeilerPrior()).resolved(problem)
+    prior = (prior or ElasticPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
-    begin = beginning(start, problem) if start else None
+    begin = beginning(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
 
     def checkpoint() -> None:
@@ -225,7 +254,7 @@ def run_here(
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
-            'prior damped enough, and y of a reasonable size? If so, try backend="cpu".'
+            'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
         )
     return Solution(
         displacement=displacement,

@@ -7,19 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
 #: What a solve may begin with.
-Start = Solution | Sequence[Solution]
+Initial = Solution | Sequence[Solution]
 Float64Array = npt.NDArray[np.float64]
 # Changes that are this much of the greatest, or less, are the same change but for rounding.
 _SAME = 1e-5
 _TINY = 1e-300
 
 
-def beginning(start: Start, problem: Problem) -> Beginning:
+def beginning(initial: Initial, problem: Problem) -> Beginning:
     """The combination of earlier solutions that comes closest to what is observed.
 
     How far tissue moves is proportional to how far it is pushed. Their shares add up to one: what
@@ -27,21 +28,21 @@ def beginning(start: Start, problem: Problem) -> Beginning:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If one is of another grid.
     """
-    solutions = (start,) if isinstance(start, Solution) else tuple(start)
+    solutions = (initial,) if isinstance(initial, Solution) else tuple(initial)
     for each in solutions:
         theirs, ours = (each.tissue.shape, each.spacing), (problem.shape, problem.spacing)
         if theirs != ours:
-            raise ValueError(
-                f"start is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem of "
-                f"{ours[0]} pixels of size {ours[1]}. Leave it out"
+            raise ArgumentError(
+                f"initial is of a grid of {theirs[0]} pixels of size {theirs[1]}, but the problem "
+                f"of {ours[0]} pixels of size {ours[1]}. Leave it out"
             )
     displacements = tuple(each.displacement for each in solutions)
-    at = np.flatnonzero(problem.observed)
+    at = np.flatnonzero(problem.known)
     first, *others = (each.ravel()[at].astype(np.float64) for each in displacements)
-    missing = problem.y.ravel()[at] - first
+    missing = problem.observed.ravel()[at] - first
     shares = [1.0]
     if others:
         changes = np.stack(others) - first

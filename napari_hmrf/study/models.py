@@ -5,25 +5,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.model_names import ModelName, converged, model_name, parts
+from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 
 #: The paper's Markov random field, or linear elasticity.
 Model = Literal["paper", "elastic"]
 #: By the paper's schedule, or until the field no longer changes.
 Schedule = Literal["paper", "converged"]
 
-# Sweeps that may end only once the energy stands still to so many digits converge, too.
-_STILL = 1e-7
+
+def chosen(name: ModelName) -> tuple[Prior, Optimizer]:
+    """The energy of a model, and how it is minimised."""
+    if name == "elastic":
+        return ElasticPrior(), Multigrid()
+    return SeilerPrior(), Multigrid() if name == "paper, converged" else ICM()
 
 
 def converges(optimizer: Optimizer) -> bool:
     """Whether an optimizer goes on until the field no longer changes."""
-    return _converges(optimizer.parameters)
+    return converged(optimizer.parameters)
 
 
 def is_multigrid(parameters: Mapping[str, Any]) -> bool:
     """Whether a result's iterations are cycles over all levels, not sweeps on each."""
-    return _parts(parameters)[1].get("name") == "Multigrid"
+    return parts(parameters)[1].get("name") == "Multigrid"
 
 
 def short_name(parameters: Mapping[str, Any]) -> str:
@@ -39,11 +45,7 @@ def short_name(parameters: Mapping[str, Any]) -> str:
     str
         Such as "elastic", "converged" or "".
     """
-    prior, optimizer = _parts(parameters)
-    if prior.get("name") == "ElasticPrior":
-        return "elastic"
-    words = ["blanket"] if prior.get("conditional") == "blanket" else []
-    return ", ".join([*words, "converged"] if _converges(optimizer) else words)
+    return model_name(parameters).removeprefix("paper").removeprefix(", ")
 
 
 def in_words(parameters: Mapping[str, Any]) -> str:
@@ -54,7 +56,7 @@ def in_words(parameters: Mapping[str, Any]) -> str:
     parameters : mapping
         As for `short_name`.
     """
-    prior, optimizer = _parts(parameters)
+    prior, optimizer = parts(parameters)
     if prior.get("name") == "ElasticPrior":
         nu = prior.get("poisson")
         ratio = f"{nu:g}" if isinstance(nu, int | float) else "by tissue"
@@ -63,20 +65,6 @@ def in_words(parameters: Mapping[str, Any]) -> str:
         what = f"the paper's prior ({prior.get('conditional')})"
     else:
         return "unknown"
-    if _converges(optimizer):
+    if converged(optimizer):
         return f"{what}, converged"
     return f"{what}, {optimizer.get('iterations')} sweeps per level"
-
-
-def _parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    prior, optimizer = (parameters.get(part) for part in ("prior", "optimizer"))
-    return (
-        prior if isinstance(prior, Mapping) else {},
-        optimizer if isinstance(optimizer, Mapping) else {},
-    )
-
-
-def _converges(optimizer: Mapping[str, Any]) -> bool:
-    tolerance = optimizer.get("tolerance")
-    exact = isinstance(tolerance, int | float) and tolerance <= _STILL
-    return optimizer.get("name") == "Multigrid" or exact

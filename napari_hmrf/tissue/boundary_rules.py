@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.labels import labels_present, values_at
 from napari_hmrf.tissue.normals import OpenLine, outward_normals
 
@@ -59,12 +61,12 @@ class Material:
     @property
     def is_rigid(self) -> bool:
         """Whether it moves as one."""
-        return self.stiffness == RIGID
+        return real(self.stiffness) == RIGID
 
     @property
     def is_deformable(self) -> bool:
         """Whether it is tissue that changes its shape: neither void nor rigid."""
-        return 0 < self.stiffness < RIGID
+        return 0 < real(self.stiffness) < RIGID
 
     def as_row(self) -> dict[str, Any]:
         """The material in JSON types, which have no infinite number: the stiffness is "rigid"."""
@@ -100,6 +102,7 @@ class BoundaryRule:
 
     label: int
     action: Action
+    _: KW_ONLY
     vector: tuple[float, float] = (0.0, 0.0)
     amount: float = 0.0
     confidence: tuple[float, float] = (1.0, 1.0)
@@ -129,7 +132,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     Returns
     -------
     ndarray, shape (H, W), float32
-        `m` of a `Problem`; infinite where tissue is rigid.
+        The stiffness of a `Problem`; infinite where tissue is rigid.
 
     Raises
     ------
@@ -137,18 +140,19 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
         If a label has no material or two, or a stiffness is neither `RIGID` nor a number of 0 or
         more that single precision holds.
     """
-    image = _as_labels("m", labels)
-    table = _by_label("m", "materials", materials)
+    image = _as_labels("stiffness", labels)
+    table = _by_label("stiffness", "materials", Material, materials)
     for material in table.values():
-        if not (0 <= material.stiffness <= LARGEST_STIFFNESS or material.is_rigid):
+        stiffness = real(material.stiffness)
+        if not (0 <= stiffness <= LARGEST_STIFFNESS or stiffness == RIGID):
             raise ProblemError(
-                "m",
-                f"gives {_quoted(material)} a stiffness of {material.stiffness}. Give a number "
-                f"above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' "
-                "for what moves as one.",
+                "stiffness",
+                f"gives {_quoted(material)} a stiffness of {shown(material.stiffness)}. Give a "
+                f"number above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or "
+                "'rigid' for what moves as one.",
             )
     present = labels_present(image)
-    _require("m", "stiffness", present, table)
+    _require("stiffness", "stiffness", present, table)
     values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
     return values_at(image, present, values)
 
@@ -172,18 +176,18 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     ProblemError
         If a label has no material or two, or a tissue's ratio is out of range.
     """
-    image = _as_labels("m", labels)
-    table = _by_label("m", "materials", materials)
+    image = _as_labels("stiffness", labels)
+    table = _by_label("stiffness", "materials", Material, materials)
     present = labels_present(image)
-    _require("m", "Poisson's ratio", present, table)
+    _require("stiffness", "Poisson's ratio", present, table)
     there = [table[int(label)] for label in present]
     low, high = POISSON_RANGE
     tissues = [material for material in there if material.is_deformable]
     for material in tissues:
-        if not low <= material.poisson <= high:
+        if not low <= real(material.poisson) <= high:
             raise ProblemError(
-                "m",
-                f"gives {_quoted(material)} a Poisson's ratio of {material.poisson}. Give a "
+                "stiffness",
+                f"gives {_quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Give a "
                 f"number from {low:g} to {high:g}.",
             )
     if len({material.poisson for material in tissues}) <= 1:
@@ -195,6 +199,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
 def boundary_images(
     labels: npt.ArrayLike,
     rules: Iterable[BoundaryRule],
+    *,
     spacing: Sequence[float] = (1.0, 1.0),
 ) -> tuple[FloatArray, FloatArray]:
     """Give every painted pixel the displacement and the confidence of its rule.
@@ -214,9 +219,9 @@ def boundary_images(
 
     Returns
     -------
-    y : ndarray, shape (H, W, 2), float32
+    observed : ndarray, shape (H, W, 2), float32
         Material displacement in (row, col) order, in the unit of `spacing`.
-    c : ndarray, shape (H, W, 2), float32
+    confidence : ndarray, shape (H, W, 2), float32
         Confidence per component; 0 where nothing is painted, and on an expanding spot so small
         that it has no direction.
 
@@ -226,12 +231,12 @@ def boundary_images(
         If a label has no rule or two, a rule holds numbers out of range, or an open line is to
         expand (which of its sides is outside, nobody can say).
     """
-    image = _as_labels("y", labels)
-    table = _by_label("y", "rules", rules)
+    image = _as_labels("observed", labels)
+    table = _by_label("observed", "rules", BoundaryRule, rules)
     for rule in table.values():
         _check_rule(rule)
     present = [int(label) for label in labels_present(image) if label != 0]
-    _require("y", "rule", present, table)
+    _require("observed", "rule", present, table)
     y = np.zeros((*image.shape, 2), dtype=np.float32)
     c = np.zeros_like(y)
     for label in present:
@@ -254,7 +259,7 @@ def _normals(
         return outward_normals(painted, spacing)
     except OpenLine as line:
         raise ProblemError(
-            "y",
+            "observed",
             f"lets {_quoted(rule)} expand, but a part of it is an open line (about "
             f"{line.length:.3g} long and {line.thickness:.3g} thick), which has no outside: it "
             "would be torn along its middle. Close the line to a ring, or let it move by a vector "
@@ -263,7 +268,7 @@ def _normals(
 
 
 def _as_labels(field: str, labels: npt.ArrayLike) -> npt.NDArray[Any]:
-    image = np.asarray(labels)
+    image = as_numbers(field, labels)
     if image.dtype.kind not in "biu":
         raise ProblemError(
             field, f"has labels of type {image.dtype}. Give whole numbers, one per material."
@@ -275,9 +280,15 @@ def _as_labels(field: str, labels: npt.ArrayLike) -> npt.NDArray[Any]:
     return image
 
 
-def _by_label(field: str, what: str, rows: Iterable[Any]) -> dict[int, Any]:
+def _by_label(field: str, what: str, kind: type, rows: Iterable[Any]) -> dict[int, Any]:
     table: dict[int, Any] = {}
-    for row in rows:
+    given = list(rows) if isinstance(rows, Iterable) else [rows]
+    for row in given:
+        refuse_unless(isinstance(row, kind), what, row, f"a list, each a {kind.__name__}")
+        if not is_whole(row.label):
+            raise ProblemError(
+                field, f"has {what} for label {shown(row.label)}. Give labels as whole numbers."
+            )
         if row.label in table:
             raise ProblemError(field, f"has two {what} for label {row.label}. Remove one.")
         table[row.label] = row
@@ -300,20 +311,25 @@ def _require(field: str, what: str, present: Iterable[int], table: dict[int, Any
 def _check_rule(rule: BoundaryRule) -> None:
     if rule.label <= 0:
         raise ProblemError(
-            "y", f"has a rule for label {rule.label}. Use labels above 0: 0 is what is unpainted."
+            "observed",
+            f"has a rule for label {rule.label}. Use labels above 0: 0 is what is unpainted.",
         )
-    if rule.action not in get_args(Action):
+    if not is_one_of(rule.action, get_args(Action)):
         raise ProblemError(
-            "y",
-            f'gives {_quoted(rule)} the action {rule.action!r}. Take "fixed", "move" or "expand".',
+            "observed",
+            f"gives {_quoted(rule)} the action {shown(rule.action)}. Take "
+            '"fixed", "move" or "expand".',
         )
-    if not all(math.isfinite(value) for value in (*rule.vector, rule.amount)):
+    if not all(math.isfinite(value) for value in (*reals(rule.vector, 2), real(rule.amount))):
         raise ProblemError(
-            "y", f"moves {_quoted(rule)} by something that is not a number. Give a length."
+            "observed",
+            f"moves {_quoted(rule)} by something that is no length. Give (row, col), or an amount.",
         )
-    if not all(0 <= value <= 1 for value in rule.confidence):
+    if not all(0 <= value <= 1 for value in reals(rule.confidence, 2)):
         raise ProblemError(
-            "c", f"gives {_quoted(rule)} the confidence {rule.confidence}. Give values from 0 to 1."
+            "confidence",
+            f"gives {_quoted(rule)} the confidence "
+            f"{shown(rule.confidence)}. Give two values from 0 to 1, (row, col).",
         )
 
 

@@ -135,7 +135,7 @@ class MaterialLibrary:
     @property
     def presets(self) -> tuple[Preset, ...]:
         """All that can be read, by name."""
-        return self._read()[0]
+        return tuple(sorted(self._read()[0].values(), key=lambda preset: preset.name.lower()))
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -177,23 +177,17 @@ class MaterialLibrary:
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob(f"*{ENDING}")) if self.folder.is_dir() else []
 
-    def _read(self) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
-        presets, refused = [], []
+    def _read(self) -> tuple[dict[Path, Preset], tuple[str, ...]]:
+        presets, refused = {}, []
         for path in self._files():
             try:
-                presets.append(load_materials(path))
+                presets[path] = load_materials(path)
             except (FileFormatError, OSError) as error:
                 refused.append(str(error))
-        return tuple(sorted(presets, key=lambda preset: preset.name.lower())), tuple(refused)
+        return presets, tuple(refused)
 
     def _file_of(self, name: str) -> Path | None:
-        for path in self._files():
-            try:
-                if load_materials(path).name == name:
-                    return path
-            except (FileFormatError, OSError):
-                continue
-        return None
+        return next((path for path, each in self._read()[0].items() if each.name == name), None)
 
     def _free(self, name: str) -> Path:
         """A file for a name, which may hold what no file's name can."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -17,7 +17,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import is_one_of, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.problem import as_numbers
 
 FloatArray = npt.NDArray[np.float32]
 Between = Literal["straight", "smooth"]
@@ -66,6 +68,7 @@ class StiffnessCurve:
     """
 
     points: tuple[Point, ...]
+    _: KW_ONLY
     void_below: float | None = None
     between: Between = "straight"
     logarithmic: bool = True
@@ -75,7 +78,7 @@ class StiffnessCurve:
         try:
             points = tuple((float(intensity), float(stiff)) for intensity, stiff in self.points)
             void_below = None if self.void_below is None else float(self.void_below)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise _bad("has points that are not pairs of numbers: intensity, stiffness") from error
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "void_below", void_below)
@@ -98,8 +101,8 @@ class StiffnessCurve:
                 )
         if void_below is not None and not math.isfinite(void_below):
             raise _bad(f"has no tissue below {void_below}. Give a number, or None")
-        if self.between not in get_args(Between):
-            raise _bad(f'is {self.between!r} between its points. Take "straight" or "smooth"')
+        if not is_one_of(self.between, get_args(Between)):
+            raise _bad(f'is {shown(self.between)} between its points. Take "straight" or "smooth"')
         if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
             raise _bad("needs true or false for 'logarithmic' and a word for 'unit'")
 
@@ -114,20 +117,14 @@ class StiffnessCurve:
         Returns
         -------
         ndarray of the same shape, float32
-            `m` of a `Problem`; 0 where there is no tissue.
+            The stiffness of a `Problem`; 0 where there is no tissue.
 
         Raises
         ------
         ProblemError
             If these are no real numbers.
         """
-        image = (
-            np.ma.asanyarray(intensities) if np.ma.isMA(intensities) else np.asarray(intensities)
-        )
-        if image.dtype.kind not in "biuf":
-            raise ProblemError(
-                "m", f"cannot come from intensities of type {image.dtype}. Give real numbers."
-            )
+        image = _as_intensities(intensities)
         mask, image = np.ma.getmaskarray(image), np.ma.getdata(image)
         if image.dtype.kind == "b":
             image = image.view(np.uint8)
@@ -180,13 +177,7 @@ class StiffnessCurve:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types, for a layer's metadata."""
-        return {
-            "points": [list(point) for point in self.points],
-            "void_below": self.void_below,
-            "between": self.between,
-            "logarithmic": self.logarithmic,
-            "unit": self.unit,
-        }
+        return {**asdict(self), "points": [list(point) for point in self.points]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> StiffnessCurve:
@@ -197,7 +188,7 @@ class StiffnessCurve:
         ProblemError
             If it is not what `as_dict` made.
         """
-        known = ("points", "void_below", "between", "logarithmic", "unit")
+        known = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
             raise _bad(f"is not stored as a curve. Give a mapping of {', '.join(known)}")
         return cls(**dict(values))
@@ -228,7 +219,7 @@ class StiffnessCurve:
         ProblemError
             If there are not two different intensities.
         """
-        values = np.ma.masked_invalid(np.ma.asanyarray(intensities)).compressed().astype(float)
+        values = np.ma.masked_invalid(_as_intensities(intensities)).compressed().astype(float)
         if void_below is not None:
             values = values[values >= void_below]
         if not values.size or values.min() == values.max():
@@ -238,7 +229,7 @@ class StiffnessCurve:
         if len(points) < 2:  # most of the image is of one value
             ends = (float(values.min()), float(values.max()))
             points = dict(zip(ends, (stiffnesses[0], stiffnesses[-1]), strict=True))
-        return cls(tuple(sorted(points.items())), void_below, unit=unit)
+        return cls(tuple(sorted(points.items())), void_below=void_below, unit=unit)
 
 
 def luminance(colours: npt.NDArray[Any]) -> FloatArray:
@@ -252,7 +243,17 @@ def luminance(colours: npt.NDArray[Any]) -> FloatArray:
     Returns
     -------
     ndarray, shape (...), float32
+
+    Raises
+    ------
+    ProblemError
+        If these are no colours.
     """
+    colours = as_numbers("colours", colours)
+    if colours.ndim == 0 or colours.shape[-1] not in (3, 4):
+        raise ProblemError(
+            "colours", f"has shape {colours.shape}. Give (..., 3 or 4): red, green, blue."
+        )
     bright = np.zeros(colours.shape[:-1], dtype=np.float32)
     for number, share in enumerate(_LUMINANCE):
         bright += share * colours[..., number].astype(np.float32)
@@ -270,6 +271,13 @@ def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> St
     others = [each for number, each in enumerate(curve.points) if number != at]
     added = [] if point is None else [point]
     return replace(curve, points=tuple(sorted([*others, *added])))
+
+
+def _as_intensities(values: npt.ArrayLike) -> npt.NDArray[Any]:
+    image = np.ma.asanyarray(values) if np.ma.isMA(values) else as_numbers("intensities", values)
+    if image.dtype.kind not in "biuf":
+        raise _bad(f"cannot come from intensities of type {image.dtype}. Give real numbers")
+    return image
 
 
 def _bad(message: str) -> ProblemError:

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from napari_hmrf.layers.compat import brush_circle_of
+
 
 def clear_middle(viewer: Any) -> None:
     """Let what is pointed at be seen through the middle of the circle.
@@ -13,7 +15,7 @@ def clear_middle(viewer: Any) -> None:
     napari 0.9 puts a small square there, in the colour of the canvas and meant for the background
     of words; it stays behind when the circle goes.
     """
-    circle = _circle_of(viewer)
+    circle = brush_circle_of(viewer)
     if getattr(circle, "box", False):
         circle.box = False
 
@@ -21,7 +23,7 @@ def clear_middle(viewer: Any) -> None:
 @contextmanager
 def no_circle(viewer: Any) -> Iterator[None]:
     """Draw no circle meanwhile, as for a picture of the canvas."""
-    circle = _circle_of(viewer)
+    circle = brush_circle_of(viewer)
     visible = circle is not None and circle.visible
     if visible:
         circle.visible = False
@@ -30,9 +32,3 @@ def no_circle(viewer: Any) -> Iterator[None]:
     finally:
         if visible:
             circle.visible = True
-
-
-def _circle_of(viewer: Any) -> Any:
-    """The overlay; None in versions of napari that keep it elsewhere."""
-    overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
-    return getattr(overlays, "_brush_circle", None)

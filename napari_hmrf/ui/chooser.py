@@ -10,18 +10,18 @@ from napari.layers import Labels, Vectors
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.background import background_filling
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
-from napari_hmrf.layers.inputs import Request
-from napari_hmrf.layers.landmarks import LandmarkLayers
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.material_tables import load_materials, save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.deform_form import Face
+from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.material_menu import materials_of
 from napari_hmrf.ui.messages import UNPAINTED, WELCOME
 from napari_hmrf.ui.model import TissueModel
@@ -37,7 +37,48 @@ class Chooser(Dock):
     Parameters
     ----------
     napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    image : napari.layers.Image or None
+        What to deform; without, the motion alone is seen.
+    tissue : napari.layers.Labels or Image
+        Labels of tissues, or an image of stiffness.
+    boundary : napari.layers.Labels or Vectors
+        Labels of boundaries, or observed displacements.
+    confidence : napari.layers.Image or None
+        Of Vectors as boundary; without, 1 everywhere.
+    landmarks : LandmarkLayers or None
+        Two Points layers, or a Shapes layer of lines, which count on top of the boundary. To be set
+        to a pair of layers, or one, too.
+    landmark_layers : tuple of napari.layers.Layer
+        Those that are chosen, be they complete or not yet.
+    materials : tuple of Material
+        How stiff each tissue label is.
+    rules : tuple of BoundaryRule
+        What each boundary label does.
+    curve : StiffnessCurve or None
+        From intensity to stiffness, if the tissue is made by one.
+    outputs : tuple of Kind
+        The layers a result makes.
+    model : TissueModel
+        What tissue is taken to be, and how far that is solved.
+    settings : SolverSettings
+        How to solve, in detail.
     """
+
+    image = Part[Any]("_face.image.value")
+    tissue = Part[Any]("_face.tissue.choice.value")
+    boundary = Part[Any]("_face.boundary.choice.value")
+    confidence = Part[Any]("_face.boundary.confidence.value")
+    landmarks = Part[Any]("_face.boundary.landmarks.chosen")
+    landmark_layers = Part[tuple[Any, ...]]("_face.boundary.landmarks.layers")
+    materials = Part[tuple[Material, ...]]("_face.tissue.table.rows")
+    rules = Part[tuple[BoundaryRule, ...]]("_face.boundary.table.rows")
+    curve = Part[StiffnessCurve | None]("_face.tissue.curve.curve")
+    outputs = Part[tuple[Kind, ...]]("_face.outputs")
+    model = Part[TissueModel]("_face.model")
+    settings = Part[SolverSettings]("_face.settings")
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
@@ -45,78 +86,6 @@ class Chooser(Dock):
         #: Whether somebody chose an image, or no image: from then on that is nobody else's to do.
         self._image_chosen = False
         self._face.image.changed.connect(self._on_image_chosen)
-
-    @property
-    def image(self) -> Any:
-        """The image to deform, or None to see the motion alone."""
-        return self._face.image.value
-
-    @image.setter
-    def image(self, layer: Any) -> None:
-        self._image_chosen = True
-        self._face.image.choose(layer)
-
-    @property
-    def tissue(self) -> Any:
-        """The Labels layer of tissues, or an image of stiffness."""
-        return self._face.tissue.choice.value
-
-    @tissue.setter
-    def tissue(self, layer: Any) -> None:
-        self._face.tissue.choice.choose(layer)
-
-    @property
-    def boundary(self) -> Any:
-        """The Labels layer of boundaries, or observed displacements as Vectors."""
-        return self._face.boundary.choice.value
-
-    @boundary.setter
-    def boundary(self, layer: Any) -> None:
-        self._face.boundary.choice.choose(layer)
-
-    @property
-    def confidence(self) -> Any:
-        """With Vectors as boundary: an image of confidence, or None for 1 everywhere."""
-        return self._face.boundary.confidence.value
-
-    @confidence.setter
-    def confidence(self, layer: Any) -> None:
-        self._face.boundary.confidence.choose(layer)
-
-    @property
-    def landmarks(self) -> LandmarkLayers | None:
-        """Two Points layers, or a Shapes layer of lines, which count on top of the boundary.
-
-        To be set to a pair of layers, or one, too.
-        """
-        return self._face.boundary.landmarks.chosen
-
-    @landmarks.setter
-    def landmarks(self, pair: LandmarkLayers | tuple[Any, ...] | None) -> None:
-        self._face.boundary.landmarks.choose(pair)
-
-    @property
-    def landmark_layers(self) -> tuple[Any, ...]:
-        """The layers of landmarks that are chosen, be they complete or not yet."""
-        return self._face.boundary.landmarks.layers
-
-    @property
-    def materials(self) -> tuple[Material, ...]:
-        """How stiff each tissue label is."""
-        return self._face.tissue.materials
-
-    @materials.setter
-    def materials(self, materials: tuple[Material, ...]) -> None:
-        self._face.tissue.table.rows = materials
-
-    @property
-    def curve(self) -> StiffnessCurve | None:
-        """The curve from intensity to stiffness, if the tissue is made by one."""
-        return self._face.tissue.curve.curve
-
-    @curve.setter
-    def curve(self, curve: StiffnessCurve) -> None:
-        self._face.tissue.curve.curve = curve
 
     def take_materials(self, materials: Preset | Any) -> None:
         """Take over a table with its unit: a preset, another Labels layer's, or a file's.
@@ -145,34 +114,6 @@ class Chooser(Dock):
     def save_materials(self, path: str | Path) -> Path:
         """Save the table of tissues to a file; as `material_tables.save_materials`."""
         return save_materials(path, self._face.tissue.table.contents)
-
-    @property
-    def rules(self) -> tuple[BoundaryRule, ...]:
-        """What each boundary label does."""
-        return self._face.boundary.rules
-
-    @rules.setter
-    def rules(self, rules: tuple[BoundaryRule, ...]) -> None:
-        self._face.boundary.table.rows = rules
-
-    @property
-    def outputs(self) -> tuple[Kind, ...]:
-        """The layers a result makes."""
-        return self._face.outputs
-
-    @outputs.setter
-    def outputs(self, kinds: tuple[Kind, ...]) -> None:
-        self._face.outputs = kinds
-
-    @property
-    def model(self) -> TissueModel:
-        """What tissue is taken to be, and how far that is solved."""
-        return self._face.model
-
-    @property
-    def settings(self) -> SolverSettings:
-        """How to solve, in detail."""
-        return self._face.settings
 
     def add_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
@@ -246,7 +187,7 @@ class Chooser(Dock):
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
         for choice in self._face.choices:
-            choice.refresh()
+            choice.reset_choices()
         self._face.boundary.landmarks.look()
         self._face.tissue.curve.look()
 

@@ -11,8 +11,9 @@ from psygnal import Signal
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.edit_history import steps_of
-from napari_hmrf.layers.inputs import Request, copy_layers, refuse_rigid
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.ui.deform_events import Watch
 from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.job import Done, Job, Work, deforming, drawing
@@ -63,7 +64,6 @@ class DeformTissue(ResultDock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._request: Request | None = None
-        self._solving_with: tuple[Any, ...] = ()
         self._stage = ("", 0.0)
         self._objection = ""
         face = self._face
@@ -84,14 +84,14 @@ class DeformTissue(ResultDock):
         face.intensity.changed.connect(self.make_from_intensity)
         face.tissue.painted.picked.connect(self.hand_brush)
         face.boundary.painted.picked.connect(self.hand_brush)
-        face.tissue.background.clicked.connect(self._on_background)
+        face.tissue.background.clicked.connect(self.mark_background)
         face.footer.deform.changed.connect(self.deform)
         face.footer.cancel.changed.connect(self._on_cancel)
         self.reset_choices()
         self.choose_by_role(list(self._viewer.layers))
         self._say(self.invitation)
         if (source := self._take_over()) is not None and (shown := self.shown) is not None:
-            self._live.result_shown(*shown, source)
+            self._live.result_shown(shown, source)
 
     @property
     def live(self) -> bool:
@@ -142,15 +142,14 @@ class DeformTissue(ResultDock):
             painted.look()
         try:
             request = self.request()
-            solver = self._solver
-            snapshot = copy_layers(request)
-            refuse_rigid(snapshot, solver[0])
-            work = deforming(snapshot, *solver, self.settings.backend, self.outputs)
+            self._copies.forget()
+            study = self.read(request)
+            refuse_rigid(study)
+            work = deforming(study, self.backend, self.outputs)
         except (HmrfError, ValueError) as error:
             self._refuse(error)
             self.finished.emit(None)
             return
-        self._solving_with = solver
         self._latest.note = ""
         self._start(request, work)
 
@@ -198,7 +197,7 @@ class DeformTissue(ResultDock):
             if self._status in (WELCOME, CHOOSE, MAKE, READY) or before != self._objection:
                 self._say(self.invitation)
             return
-        news = self._latest.compare(self.request, self._solver)
+        news = self._latest.compare(self.request, self.read)
         if self._latest.fresh and self._latest.lacks(self.outputs):
             self._face.footer.start("Drawing the result ...")
             self._start(self.request(), drawing(self._latest.done, self.outputs))
@@ -243,14 +242,14 @@ class DeformTissue(ResultDock):
     def _show(self, done: Done) -> None:
         request, outputs = self._request, done.outputs
         assert request is not None
-        self._latest.done, self._latest.settings = done, self._solving_with
-        self._latest.compare(self.request, self._solver)
+        self._latest.done = done
+        self._latest.compare(self.request, self.read)
         self._put(done, request.layers[0])
         if request.image is not None and {"image", "labels"} & set(outputs.layers):
             request.tissue.visible = False  # it would tint what was deformed
         self._set_idle("")
         self._say(*self._latest.words)
-        self._live.result_shown(done.snapshot, self._solving_with, request.layers[0])
+        self._live.result_shown(done.study, request.layers[0])
         self.finished.emit(outputs)
 
     def _set_idle(self, status: str) -> None:
@@ -284,9 +283,6 @@ class DeformTissue(ResultDock):
 
     def _on_cancel(self) -> None:
         self.cancel()
-
-    def _on_background(self, *_: Any) -> None:
-        self.mark_background()
 
     def _on_layer_removed(self, layer: Any) -> None:
         """What was to be computed from it is gone, too."""

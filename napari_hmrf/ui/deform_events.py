@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import role_of
 from napari_hmrf.layers.pixel_copy import plane_shape
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View, unit_symbol
 from napari_hmrf.layers.viewer_layers import is_selection_kept
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.ui.deform_form import Face
 from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.messages import READY
@@ -175,8 +175,8 @@ class Watch:
         try:
             reference = None if place is None else Frame.of(place, view)
             if reference is not None:
-                boundary.table.unit = unit_symbol(reference.unit)
-                boundary.table.show_ways(Directions.of(reference, self._viewer))
+                ways = Directions.of(reference, self._viewer)
+                boundary.table.show_place(unit_symbol(reference.unit), ways)
                 boundary.landmarks.show_place(reference, plane_shape(place, reference))
             layer = boundary.painted.layer
             too_large = layer is not None and self.preview.too_large(layer)

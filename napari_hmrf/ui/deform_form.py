@@ -13,8 +13,9 @@ from superqt import QCollapsible
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.ui.energy_plot import EnergyPlot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import Prose, put_scrolled
+from napari_hmrf.ui.forms import Prose, put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
+from napari_hmrf.ui.material_table import POISSON
 from napari_hmrf.ui.model import TissueModel
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.sections import BoundarySection, Layers, Shown, TissueSection
@@ -53,10 +54,7 @@ class Face:
 
     def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
         self.image = LayerChoice(
-            layers,
-            is_picture,
-            label="image",
-            tooltip="The image to deform; of a stack, the slice that is shown",
+            layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
         self.make = PushButton(
             text="Make layers to paint on",
@@ -81,6 +79,7 @@ class Face:
         self.energy = EnergyPlot()
         self.tissue.edited.connect(self._on_tissue)
         self.model.energy.changed.connect(self._on_energy)
+        self._on_energy()
         self.keys = Prose()
         remember("deform", {"preview": self.boundary.preview, "device": self.settings.device})
         self._assemble(outer)
@@ -108,8 +107,7 @@ class Face:
             "poisson": model.poisson,
         }
         fields.update((str(kind), check) for kind, check in self._checks.items())
-        fields.update((name, self.settings[name]) for name in self.settings.details)
-        return fields
+        return fields | self.settings.details
 
     @property
     def folds(self) -> CheckBox:
@@ -142,24 +140,13 @@ class Face:
         self.boundary.landmarks.release()
 
     def _assemble(self, outer: Container) -> None:
-        ways = Container(widgets=[self.make, self.intensity], layout="horizontal", labels=False)
+        ways = row(self.make, self.intensity)
         first = Container(widgets=[self.image, ways])
         kinds = list(self._checks.values())
-        rows = [
-            Container(widgets=part, layout="horizontal", labels=False)
-            for part in (kinds[:3], kinds[3:])
-        ]
-        body = Container(
-            widgets=[
-                first,
-                self.tissue,
-                self.boundary,
-                self.model,
-                Label(value="Layers to make of a result"),
-                *rows,
-            ],
-            labels=False,
-        )
+        rows = [row(*kinds[:3]), row(*kinds[3:])]
+        kinds_of = Label(value="Layers to make of a result")
+        parts = [first, self.tissue, self.boundary, self.model]
+        body = Container(widgets=[*parts, kinds_of, *rows], labels=False)
         advanced = QCollapsible("Advanced", expandedIcon="▾", collapsedIcon="▸")
         advanced.addWidget(self.settings.native)
         layout = body.native.layout()
@@ -173,12 +160,13 @@ class Face:
         for button in (self.make, self.intensity):
             button.native.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         ways.margins = (0, 0, 0, 0)
-        for container in (outer, body, first, self.tissue, self.boundary, self.model, *rows):
+        for container in (outer, body, *parts, *rows):
             container.margins = (2, 2, 2, 2)
 
     def _on_tissue(self) -> None:
         layer = self.tissue.choice.value
-        self.model.tissue_is(layer, self.tissue.materials if isinstance(layer, Labels) else ())
+        self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
 
-    def _on_energy(self, _: str) -> None:
-        self.tissue.table.poisson_shown = self.model.is_elastic
+    def _on_energy(self, *_: str) -> None:
+        # Only elastic tissue has it.
+        self.tissue.seen.setColumnHidden(POISSON, not self.model.is_elastic)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
@@ -89,7 +90,7 @@ class DockSteps:
             TableSteps(TISSUE, tissue.painted, tissue.table, steps),
             TableSteps(BOUNDARY, boundary.painted, boundary.table, steps),
         )
-        self._curve = CurveSteps(tissue.curve, tissue.choice.choose, steps)
+        self._curve = CurveSteps(tissue.curve, partial(setattr, tissue.choice, "value"), steps)
         tissue.choice.changed.connect(self._curve.look)
         self._landmarks = boundary.landmarks
         self._points = points

@@ -6,7 +6,7 @@ import math
 import time
 from typing import Any
 
-from magicgui.widgets import CheckBox, Container, PushButton
+from magicgui.widgets import CheckBox, PushButton
 from napari.utils import progress as napari_progress
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtGui import QFontMetricsF
@@ -20,6 +20,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.step_buttons import StepButtons
 
 #: Lines of text that are seen without scrolling.
@@ -62,17 +63,11 @@ class Footer:
         self.deform = PushButton(text="Deform", tooltip="Compute how the tissue moves")
         self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
         self.cancel.enabled = False
-        self._buttons = Container(
-            widgets=[self.deform, self.cancel], layout="horizontal", labels=False
-        )
+        self._buttons = row(self.deform, self.cancel)
         self._buttons.margins = (2, 2, 2, 2)
         self.live = CheckBox(text="Live", value=True)
         self.steps = StepButtons()
-        self._follow = Container(
-            widgets=[self.live, self.steps.undo, self.steps.redo],
-            layout="horizontal",
-            labels=False,
-        )
+        self._follow = row(self.live, self.steps.undo, self.steps.redo)
         self._follow.margins = (2, 0, 2, 0)
         self._bar = QProgressBar()
         self._bar.setTextVisible(True)

@@ -2,27 +2,73 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
 
-from magicgui.widgets import Container, FloatSlider, Label
+from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
 
+T = TypeVar("T")
 #: The lowest confidence that is asked for; below, it says nothing.
 LEAST_CONFIDENCE = 0.05
 
 
+class Part(Generic[T]):
+    """An attribute of a dock that is one of a part of it, read and set there.
+
+    Parameters
+    ----------
+    path : str
+        From the dock: "form.image.value".
+    """
+
+    def __init__(self, path: str) -> None:
+        part, _, self._name = path.rpartition(".")
+        self._part = attrgetter(part)
+
+    def __get__(self, dock: Any, _: Any = None) -> T:
+        value: T = getattr(self._part(dock), self._name)
+        return value
+
+    def __set__(self, dock: Any, value: T) -> None:
+        setattr(self._part(dock), self._name, value)
+
+
+def narrow(menu: Any) -> None:
+    """Have a long name not widen the dock."""
+    box = menu.native
+    box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    box.setMinimumContentsLength(8)
+
+
 def confidence_slider(tooltip: str) -> FloatSlider:
-    """A field for how sure something is; it speaks when the mouse lets go."""
-    return FloatSlider(
-        value=1.0,
-        min=LEAST_CONFIDENCE,
-        max=1.0,
-        step=0.05,
-        tracking=False,
-        label="confidence",
-        tooltip=tooltip,
-    )
+    """A field for how sure something is."""
+    return share("confidence", tooltip, value=1.0, min=LEAST_CONFIDENCE)
+
+
+def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
+    """A field for a part of a whole; it speaks when the mouse lets go."""
+    how = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
+    return FloatSlider(label=label, tooltip=tooltip, tracking=False, **how)
+
+
+def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> FloatSpinBox:
+    """A field for a length, or for a step if it may be negative."""
+    how = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
+    return FloatSpinBox(label=label, tooltip=tooltip, **how)
+
+
+def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
+    """A field for one of some values, each called by its words."""
+    choices = [(said, value) for value, said in words.items()]
+    return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
+
+
+def row(*widgets: Any) -> Container:
+    """Widgets beside each other."""
+    return Container(widgets=widgets, layout="horizontal", labels=False)
 
 
 class Prose(Label):

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from napari_hmrf.errors import Cancelled
-from napari_hmrf.layers.inputs import Snapshot, prepare
-from napari_hmrf.layers.layer_names import naming
 from napari_hmrf.layers.result_layers import Kind, Outputs, result_layers
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
-from napari_hmrf.solver.optimizers import Monitor, Optimizer
-from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import run_here
+from napari_hmrf.study.ground import Ground, Statement
+from napari_hmrf.study.study import Study
 
 Report = Callable[[Monitor], None]
 #: What those who wait for it are told.
@@ -26,10 +25,10 @@ _DRAWING = Monitor("drawing the result", 0.0)
 
 
 class Done(NamedTuple):
-    """What a job brings back: the layers to show, and what the user should know of them."""
+    """What a job brings back: the layers to show, and what people should know of them."""
 
     outputs: Outputs
-    snapshot: Snapshot
+    study: Study
     ignored: int
     notes: tuple[str, ...]
 
@@ -37,50 +36,59 @@ class Done(NamedTuple):
 Work = Callable[[Report, threading.Event], Done]
 
 
-def deforming(
-    snapshot: Snapshot,
-    prior: Prior,
-    optimizer: Optimizer,
-    backend: str,
-    kinds: Collection[Kind],
-) -> Work:
-    """Read the copies, solve, and draw the result."""
+def deforming(study: Study, backend: str, kinds: Collection[Kind]) -> Work:
+    """Understand a study, solve it from nothing, and draw the result."""
 
     def work(report: Report, cancel: threading.Event) -> Done:
         checkpoint = _checkpoint(cancel)
         report(Monitor("reading what is painted", 0.0))
-        inputs = prepare(snapshot, prior, optimizer, complete=True, checkpoint=checkpoint)
-        tissue, boundary = snapshot.tissue_name, snapshot.boundary_name
-        with naming(m=tissue, poisson=tissue, y=boundary, c=boundary):
-            solution = run_here(inputs.problem, inputs.prior, optimizer, backend, report, cancel)
-        solution = _with_tissue(solution, snapshot.record)
+        ground = Ground.of(study, checkpoint)
+        stated = ground.statement()
+        with study.naming():
+            solution = run_here(
+                stated.problem, stated.prior, stated.optimizer, backend, report, cancel
+            )
         report(_DRAWING)
-        outputs = result_layers(solution, inputs.frame, inputs.pictures, kinds, checkpoint)
-        return Done(outputs, snapshot, inputs.ignored, inputs.notes)
+        return drawn(ground, stated, solution, kinds, checkpoint)
 
     return work
 
 
 def drawing(done: Done, kinds: Collection[Kind]) -> Work:
     """Draw more layers of a result there is."""
-    solution: Solution = done.outputs.solution
 
     def work(report: Report, cancel: threading.Event) -> Done:
         report(_DRAWING)
-        snapshot = done.snapshot
         return done._replace(
-            outputs=result_layers(
-                solution, snapshot.frame, snapshot.pictures, kinds, _checkpoint(cancel)
-            )
+            outputs=_layers(done.study, done.outputs.solution, kinds, _checkpoint(cancel))
         )
 
     return work
 
 
-def _with_tissue(solution: Solution, record: dict[str, Any]) -> Solution:
+def drawn(
+    ground: Ground,
+    stated: Statement,
+    solution: Solution,
+    kinds: Collection[Kind],
+    checkpoint: Callable[[], None],
+) -> Done:
+    """Draw the layers of a solution, and find what there is to say of it."""
+    study = ground.study
+    outputs = _layers(study, _with_tissue(solution, study.tissue.record), kinds, checkpoint)
+    return Done(outputs, study, ground.ignored, ground.notes_on(stated))
+
+
+def _layers(
+    study: Study, solution: Solution, kinds: Collection[Kind], checkpoint: Callable[[], None]
+) -> Outputs:
+    return result_layers(solution, study.grid.place, study.pictures, kinds, checkpoint)
+
+
+def _with_tissue(solution: Solution, record: Mapping[str, Any]) -> Solution:
     """Keep with a solution what its tissue was made of."""
     run = solution.provenance
-    parameters = {**run.parameters, "tissue": record}
+    parameters = {**run.parameters, "tissue": dict(record)}
     return replace(solution, provenance=replace(run, parameters=parameters))
 
 

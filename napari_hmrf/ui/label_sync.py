@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,12 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, described, known_of, rows_of
+from napari_hmrf.layers.metadata import BOUNDARY, Role, described, known_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.labels import labels_present
+from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.timers import single_shot
 
@@ -47,14 +48,13 @@ class PaintedLabels:
     found = Signal(str)
 
     def __init__(self, role: Role, table: LabelTable, view: Callable[[], View | None]) -> None:
-        self._role = role
-        self._table = table
-        self._view = view
+        self._role, self._table, self._view = role, table, view
         self._layer: Any = None
         self._loading = False
         self._active = False
         #: Whether rows are being added for what was painted, by nobody's hand.
         self.by_itself = False
+        self._heard = Listening()
         self._timer = single_shot(table, _PAUSE, self.look)
         table.edited.connect(self._on_edited)
         table.picked.connect(self._on_picked)
@@ -73,23 +73,23 @@ class PaintedLabels:
         if self._layer is None:
             return
         self._loading = True
-        if hasattr(self._table, "unit") and self._role == TISSUE:
+        if hasattr(self._table, "unit"):
             self._table.unit = str(known_of(self._layer).get("unit", ""))
         self._table.rows = rows_of(self._layer, self._role) or ()
         self._look(quietly=True)
         self._loading = False
-        for name in _EVENTS:
-            getattr(self._layer.events, name).connect(self._on_painted)
-        self._layer.events.selected_label.connect(self._on_selected)
+        events = self._layer.events
+        self._heard = Listening(
+            (events.selected_label, self._on_selected),
+            *((getattr(events, name), self._on_painted) for name in _EVENTS),
+        )
         self._on_edited()
 
     def release(self) -> None:
         """Stop listening to the layer."""
-        self._timer.stop()
-        if self._layer is not None:
-            for name in _EVENTS:
-                getattr(self._layer.events, name).disconnect(self._on_painted)
-            self._layer.events.selected_label.disconnect(self._on_selected)
+        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+            self._timer.stop()
+        self._heard.release()
         self._layer = None
 
     def look(self) -> None:
@@ -118,17 +118,16 @@ class PaintedLabels:
         if new and not quietly:
             said = " and ".join(f"label {label} ({self._table.words(label)})" for label in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
-        colours = {}
-        for label in self._table.labels:
-            colour = self._layer.get_color(label)
-            if colour is not None and label != 0:
-                colours[label] = tuple(float(part) for part in colour)
-        self._table.set_colours(colours)
+        colours = {label: self._layer.get_color(label) for label in self._table.labels if label}
+        seen = {
+            label: tuple(map(float, rgba)) for label, rgba in colours.items() if rgba is not None
+        }
+        self._table.set_colours(seen)
 
     def mark(self, active: Any) -> None:
         """Highlight the row that is painted with, if the layer is the active one; else none."""
         self._active = self._layer is not None and active is self._layer
-        self._table.highlight(int(self._layer.selected_label) if self._active else None)
+        self._table.marked.emit(int(self._layer.selected_label) if self._active else None)
 
     def _on_painted(self) -> None:
         # Restarted at every stroke: looking at a large image takes longer than a stroke.
@@ -136,7 +135,7 @@ class PaintedLabels:
 
     def _on_selected(self) -> None:
         if self._active:
-            self._table.highlight(int(self._layer.selected_label))
+            self._table.marked.emit(int(self._layer.selected_label))
 
     def _on_picked(self, label: int) -> None:
         if self._layer is not None and not self._loading:
@@ -146,7 +145,7 @@ class PaintedLabels:
     def _on_edited(self) -> None:
         if self._layer is None or self._loading:
             return
-        unit = str(getattr(self._table, "unit", "")) if self._role == TISSUE else ""
+        unit = str(getattr(self._table, "unit", ""))
         self._layer.metadata.update(described(self._role, self._table.rows, unit))
         self._timer.start()
         self.changed.emit()

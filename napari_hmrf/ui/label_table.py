@@ -1,63 +1,105 @@
-"""A table with one row for each label of a Labels layer."""
+"""Tables with a row for each label of a Labels layer: what they say, and how that is seen."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
-from qtpy.QtCore import Qt, Signal
+from qtpy.QtCore import QAbstractTableModel, QModelIndex, QSize, Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
 from qtpy.QtWidgets import (
     QAbstractItemView,
+    QComboBox,
     QHeaderView,
     QSizePolicy,
-    QTableWidget,
-    QTableWidgetItem,
+    QStyledItemDelegate,
+    QTableView,
 )
 
 #: Rows that are seen without scrolling.
 _ROWS_SHOWN = 5
 _ROW_HEIGHT = 26
+_LABEL, _NAME = range(2)
+_ROLE = Qt.ItemDataRole
 
 
-class LabelTable(QTableWidget):
-    """Rows by label, with its colour; what the other columns hold is up to subclasses.
+class Column(NamedTuple):
+    """One column of a table.
+
+    Attributes
+    ----------
+    title, about : str
+        Its head, and what the mouse finds there.
+    shown : callable
+        What the cell of a row says; where that is "" there is nothing to be typed either.
+    typed : callable
+        The row after something was typed; ValueError says why that means nothing.
+    tip : callable
+        What the mouse finds in the cell of a row.
+    choices : sequence of str
+        What there is to choose from, if nothing is to be typed.
+    """
+
+    title: str
+    about: str
+    shown: Callable[[Any], str]
+    typed: Callable[[Any, str], Any] = lambda row, text: row
+    tip: Callable[[Any], str] = lambda row: ""
+    choices: Sequence[str] = ()
+
+
+class LabelTable(QAbstractTableModel):
+    """Rows by label, with its colour and its name; what the other columns hold is up to subclasses.
+
+    Parameters
+    ----------
+    title : str
+        Of the column of names.
+    columns : sequence of Column
+        Those beyond label and name.
+    about : callable
+        What there is to say of a row beside its name.
 
     Signals
     -------
     edited : the user, or a script, changed what the table says
     picked : int, the label of a row that was clicked or added, to paint with
+    marked : int or None, the label whose row is to be selected, without painting with it
     refused : str, why something typed was not taken
     """
 
     edited = Signal()
     picked = Signal(int)
+    marked = Signal(object)
     refused = Signal(str)
 
-    def __init__(self, headers: Sequence[tuple[str, str]], stretch: int) -> None:
-        super().__init__(0, len(headers))
-        for column, (title, tooltip) in enumerate(headers):
-            item = QTableWidgetItem(title)
-            item.setToolTip(tooltip)
-            self.setHorizontalHeaderItem(column, item)
-        self.verticalHeader().hide()
-        self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
-        self.setWordWrap(False)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        header = self.horizontalHeader()
-        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setSectionResizeMode(stretch, QHeaderView.ResizeMode.Stretch)
-        header.setMinimumSectionSize(30)
+    def __init__(
+        self,
+        title: str,
+        columns: Sequence[Column],
+        about: Callable[[Any], str] = lambda row: "",
+    ) -> None:
+        super().__init__()
+        self.columns = [
+            Column(
+                "",
+                "Label and colour; click a row to paint with it",
+                lambda row: str(row.label),
+                tip=lambda row: "Click to paint with this label",
+            ),
+            Column(
+                title,
+                "Any name",
+                lambda row: row.name,
+                lambda row, text: replace(row, name=text),
+                lambda row: about(row) or row.name,
+            ),
+            *columns,
+        ]
         self._rows: list[Any] = []
         self._colours: Mapping[int, Sequence[float]] = {}
-        self._filling = False
-        self._fit()
-        self.itemChanged.connect(self._on_item)
-        self.cellClicked.connect(self._on_picked)
 
     # What a subclass says
 
@@ -65,12 +107,8 @@ class LabelTable(QTableWidget):
         """The row of a label that was not there before."""
         raise NotImplementedError
 
-    def _show(self, row: int, value: Any) -> None:
-        """Fill the cells of a row beyond the first."""
-        raise NotImplementedError
-
-    def _parse(self, row: int, column: int, text: str, value: Any) -> Any:
-        """The row's value after an edit; ValueError, saying why, puts the old text back."""
+    def words(self, label: int) -> str:
+        """What a label's row says, in words."""
         raise NotImplementedError
 
     # What is in it
@@ -82,8 +120,14 @@ class LabelTable(QTableWidget):
 
     @rows.setter
     def rows(self, values: Iterable[Any]) -> None:
-        self._rows = sorted(values, key=lambda value: int(value.label))
-        self._refill()
+        rows = sorted(values, key=lambda value: int(value.label))
+        if [row.label for row in rows] == [*self.labels]:
+            self._rows = rows
+            self._show_again()
+        else:
+            self.beginResetModel()
+            self._rows = rows
+            self.endResetModel()
         self.edited.emit()
 
     @property
@@ -91,35 +135,113 @@ class LabelTable(QTableWidget):
         """The labels that have a row."""
         return tuple(int(value.label) for value in self._rows)
 
-    def ensure(self, labels: Iterable[int]) -> bool:
-        """Give each label a row; whether any was new."""
-        new = sorted(set(labels) - set(self.labels))
-        if new:
+    def ensure(self, labels: Iterable[int]) -> None:
+        """Give each label a row."""
+        if new := sorted(set(labels) - set(self.labels)):
             self.rows = [*self._rows, *(self._default(label) for label in new)]
-        return bool(new)
 
     def add(self, row: Callable[[int], Any] | None = None) -> int:
         """Add what `row` makes of the next free label; by default what a new label gets."""
         label = max([0, *self.labels]) + 1
         self.rows = [*self._rows, (row or self._default)(label)]
-        self.highlight(label)
         self.picked.emit(label)
         return label
 
-    def words(self, label: int) -> str:
-        """What a label's row says, in words."""
-        raise NotImplementedError
+    def set_colours(self, colours: Mapping[int, Sequence[float]]) -> None:
+        """Show each label's colour, RGBA from 0 to 1."""
+        if colours != self._colours:
+            self._colours = colours
+            self._show_again()
 
-    def highlight(self, label: int | None) -> None:
-        """Select the row of a label, or none; that alone does not ask to paint with it."""
-        if label not in self.labels:
-            self.setCurrentCell(-1, -1)
-            self.clearSelection()
-            return
-        row = self.labels.index(label)
-        if row != self.currentRow() or not self.selectedIndexes():
-            self.setCurrentCell(row, max(1, self.currentColumn()))
-            self.selectRow(row)
+    def set_head(self, column: int, title: str, about: str) -> None:
+        """Give a column another head."""
+        head = self.columns[column]._replace(title=title, about=about)
+        if head != self.columns[column]:  # Qt measures the columns anew
+            self.columns[column] = head
+            self.headerDataChanged.emit(Qt.Orientation.Horizontal, column, column)
+
+    def _show_again(self) -> None:
+        self.dataChanged.emit(
+            self.index(0, 0), self.index(len(self._rows) - 1, len(self.columns) - 1)
+        )
+
+    # What Qt asks
+
+    def rowCount(self, parent: Any = None) -> int:
+        """How many rows there are."""
+        return len(self._rows)
+
+    def columnCount(self, parent: Any = None) -> int:
+        """How many columns there are."""
+        return len(self.columns)
+
+    def headerData(self, section: int, orientation: Any, role: int = _ROLE.DisplayRole) -> Any:
+        """What the head of a column says."""
+        head = self.columns[section]
+        return {_ROLE.DisplayRole: head.title, _ROLE.ToolTipRole: head.about}.get(role)
+
+    def data(self, index: Any, role: int = _ROLE.DisplayRole) -> Any:
+        """What a cell says, and how it looks."""
+        row, column = self._rows[index.row()], self.columns[index.column()]
+        if role in (_ROLE.DisplayRole, _ROLE.EditRole):
+            return column.shown(row)
+        if role == _ROLE.ToolTipRole:
+            return column.tip(row)
+        if role == _ROLE.TextAlignmentRole and index.column() > _NAME:
+            return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+        if role == _ROLE.DecorationRole and index.column() == _LABEL:
+            return _swatch(self._colours.get(int(row.label), (0, 0, 0, 0)))
+        return None
+
+    def flags(self, index: Any) -> Any:
+        """Whether a cell can be typed in."""
+        column, flags = index.column(), super().flags(index)
+        typed = column == _NAME or (column > _NAME and self.data(index))
+        return flags | Qt.ItemFlag.ItemIsEditable if typed else flags
+
+    def setData(self, index: Any, value: Any, role: int = _ROLE.EditRole) -> bool:
+        """Take over what was typed into a cell, or say why not."""
+        row, column = self._rows[index.row()], self.columns[index.column()]
+        try:
+            after = column.typed(row, str(value).strip())
+        except ValueError as error:
+            self.refused.emit(f"{error}; kept {column.shown(row)}.")
+            return False
+        if after != row:
+            self._rows[index.row()] = after
+            self._show_again()
+            self.edited.emit()
+        return True
+
+
+class LabelTableView(QTableView):
+    """A table as it is seen; a row that is clicked, or gone to by the keys, is picked.
+
+    Parameters
+    ----------
+    table : LabelTable
+    """
+
+    def __init__(self, table: LabelTable) -> None:
+        super().__init__()
+        self.setModel(table)
+        self._boxes = _Boxes()
+        self.setItemDelegate(self._boxes)
+        self.verticalHeader().hide()
+        self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
+        self.setWordWrap(False)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        header = self.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
+        header.setMinimumSectionSize(30)
+        header.geometriesChanged.connect(self.updateGeometry)
+        self.clicked.connect(self._pick)
+        table.modelReset.connect(self._on_rows)
+        table.marked.connect(self._mark)
 
     def keyPressEvent(self, event: Any) -> None:
         """The arrow keys pick rows as the mouse does; Delete goes no further."""
@@ -127,98 +249,57 @@ class LabelTable(QTableWidget):
             # The window would give it to the active layer, which would lose its selected points.
             event.accept()
             return
-        before = self.currentRow()
+        before = self.currentIndex().row()
         super().keyPressEvent(event)
-        if self.currentRow() != before:
-            self._on_picked(self.currentRow())
+        if self.currentIndex().row() != before:
+            self._pick(self.currentIndex())
 
-    def set_colours(self, colours: Mapping[int, Sequence[float]]) -> None:
-        """Show each label's colour, RGBA from 0 to 1."""
-        if colours != self._colours:
-            self._colours = colours
-            self._filling = True
-            for row, label in enumerate(self.labels):
-                self._paint_swatch(self.item(row, 0), label)
-            self._filling = False
-
-    def _replace(self, row: int, value: Any) -> None:
-        """Take over an edited row and tell."""
-        self._rows[row] = value
-        self._filling = True
-        self._show(row, value)
-        self._filling = False
-        self.edited.emit()
-
-    def _text(
-        self, row: int, column: int, text: str, tooltip: str = "", number: bool = True
-    ) -> Any:
-        """Set a cell's text; it stays editable."""
-        item = self.item(row, column)
-        if item is None:
-            item = QTableWidgetItem()
-            self.setItem(row, column, item)
-        item.setText(text)
-        item.setToolTip(tooltip)
-        if number:
-            item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        return item
-
-    def _refill(self) -> None:
-        self._filling = True
-        current = self.currentRow()
-        self.setRowCount(0)
-        self.setRowCount(len(self._rows))
-        for row, value in enumerate(self._rows):
-            item = QTableWidgetItem(str(value.label))
-            item.setFlags(Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable)
-            item.setToolTip("Click to paint with this label")
-            self.setItem(row, 0, item)
-            self._paint_swatch(item, int(value.label))
-            self._show(row, value)
-        if 0 <= current < len(self._rows):
-            self.setCurrentCell(current, 1)
-            self.selectRow(current)
-        self._fit()
-        self._filling = False
-
-    def _paint_swatch(self, item: Any, label: int) -> None:
-        pixels = QPixmap(14, 14)
-        rgba = self._colours.get(label)
-        colour = QColor(0, 0, 0, 0) if rgba is None else QColor.fromRgbF(*(float(v) for v in rgba))
-        pixels.fill(colour)
-        icon = QIcon(pixels)
-        # Qt would tint the colour of the row that is selected.
-        icon.addPixmap(pixels, QIcon.Mode.Selected)
-        item.setIcon(icon)
-
-    def _fit(self) -> None:
+    def sizeHint(self) -> QSize:
         """As high as a few rows: the dock is shared."""
-        shown = min(max(2, len(self._rows)), _ROWS_SHOWN)
-        header = self.horizontalHeader().sizeHint().height()
-        self.setFixedHeight(header + shown * _ROW_HEIGHT + 2 * self.frameWidth() + 2)
-        scroll = Qt.ScrollBarPolicy
-        more = len(self._rows) > _ROWS_SHOWN
-        self.setVerticalScrollBarPolicy(
-            scroll.ScrollBarAsNeeded if more else scroll.ScrollBarAlwaysOff
-        )
+        rows = min(max(2, self.model().rowCount()), _ROWS_SHOWN)
+        height = self.horizontalHeader().sizeHint().height() + rows * _ROW_HEIGHT
+        return QSize(super().sizeHint().width(), height + 2 * self.frameWidth() + 2)
 
-    def _on_item(self, item: Any) -> None:
-        if self._filling or item.column() == 0:
-            return
-        row = item.row()
-        try:
-            value = self._parse(row, item.column(), item.text().strip(), self._rows[row])
-        except ValueError as error:
-            self._filling = True
-            self._show(row, self._rows[row])
-            self._filling = False
-            self.refused.emit(f"{error}; kept {item.text()}.")
-        else:
-            self._replace(row, value)
+    def _mark(self, label: int | None) -> None:
+        labels = self.model().labels
+        if label not in labels:
+            self.setCurrentIndex(QModelIndex())
+            self.clearSelection()
+        elif not self.selectionModel().isRowSelected(row := labels.index(label)):
+            self.selectRow(row)
 
-    def _on_picked(self, row: int, *_: int) -> None:
-        if 0 <= row < len(self._rows):
-            self.picked.emit(int(self._rows[row].label))
+    def _pick(self, index: Any) -> None:
+        if index.isValid():
+            self.model().picked.emit(self.model().labels[index.row()])
+
+    def _on_rows(self) -> None:
+        table = self.model()
+        for column, about in enumerate(table.columns):
+            for row in range(table.rowCount() if about.choices else 0):
+                self.openPersistentEditor(table.index(row, column))
+        self.updateGeometry()
+
+
+class _Boxes(QStyledItemDelegate):
+    """Has a cell chosen rather than typed, where its column says from what."""
+
+    def createEditor(self, parent: Any, option: Any, index: Any) -> Any:
+        choices = index.model().columns[index.column()].choices
+        if not choices:
+            return super().createEditor(parent, option, index)
+        box = QComboBox(parent)
+        box.addItems(choices)
+        box.activated.connect(lambda _: self.commitData.emit(box))
+        return box
+
+
+def _swatch(rgba: Sequence[float]) -> QIcon:
+    pixels = QPixmap(14, 14)
+    pixels.fill(QColor.fromRgbF(*(float(part) for part in rgba)))
+    icon = QIcon(pixels)
+    # Qt would tint the colour of the row that is selected.
+    icon.addPixmap(pixels, QIcon.Mode.Selected)
+    return icon
 
 
 def number(text: str) -> float:
@@ -227,8 +308,3 @@ def number(text: str) -> float:
         return float(text.replace(",", "."))
     except ValueError:
         return math.nan
-
-
-def shown(value: float) -> str:
-    """A number as a cell shows it."""
-    return f"{value:g}"

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import Container, FloatSpinBox
+from magicgui.widgets import Container
 from napari.layers import Points, Shapes
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.landmarks import LandmarkLayers, usual_radius
+from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import unit_symbol
-from napari_hmrf.ui.forms import align_labels, confidence_slider
+from napari_hmrf.tissue.usual_lengths import usual_radius
+from napari_hmrf.ui.forms import align_labels, confidence_slider, length
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.pixels import Pixels
 
@@ -41,9 +42,9 @@ class LandmarkChoice(Container):
             LayerChoice(
                 layers,
                 _any_of(*kinds),
+                label,
+                tip,
                 lambda layer: layer.name + (" (lines)" if isinstance(layer, Shapes) else ""),
-                label=label,
-                tooltip=tip,
             )
             for label, kinds, tip in (
                 (
@@ -65,14 +66,12 @@ class LandmarkChoice(Container):
                 ),
             )
         )
-        self.radius = FloatSpinBox(
-            value=0.0,
-            min=0.0,
-            max=1e6,
+        self.radius = length(
+            _RADIUS,
+            "Of the patch of tissue that goes with each landmark; smaller where landmarks are "
+            "close to each other. 0: a sixteenth of the image",
+            least=0.0,
             step=1.0,
-            label=_RADIUS,
-            tooltip="Of the patch of tissue that goes with each landmark; smaller where landmarks "
-            "are close to each other. 0: a sixteenth of the image",
         )
         self.confidence = confidence_slider(
             "How sure the landmarks are. Below 1 the tissue may pull them away from where they "
@@ -124,14 +123,12 @@ class LandmarkChoice(Container):
             )
         return LandmarkLayers(where, should, self.radius.value or None, self.confidence.value)
 
-    def choose(self, pair: LandmarkLayers | tuple[Any, ...] | None) -> None:
-        """Choose a pair; ValueError if it cannot be."""
+    @chosen.setter
+    def chosen(self, pair: LandmarkLayers | tuple[Any, ...] | None) -> None:
         if isinstance(pair, LandmarkLayers):
             self.radius.value, self.confidence.value = pair.radius or 0.0, pair.confidence
             pair = (pair.where, pair.should)
-        where, should = (*(pair or ()), None, None)[:2]
-        self.where.choose(where)
-        self.should.choose(should)
+        self.where.value, self.should.value = (*(pair or ()), None, None)[:2]
 
     def look(self) -> None:
         """Show what there are layers for."""

@@ -9,6 +9,7 @@ from magicgui.widgets import ComboBox
 from napari.layers import Image
 
 from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.ui.forms import narrow
 
 
 def is_picture(layer: Any) -> bool:
@@ -20,12 +21,15 @@ def is_picture(layer: Any) -> bool:
 class LayerChoice(ComboBox):
     """Choose a layer, or none.
 
+    magicgui's own menu of layers asks the window for them, which a script may not have.
+
     Parameters
     ----------
     layers : callable
         The layers there are, lowest first.
     accept : callable
         Whether a layer can be chosen.
+    label, tooltip : str
     title : callable, optional
         How a layer is named in the menu; by default by its name.
     """
@@ -34,39 +38,39 @@ class LayerChoice(ComboBox):
         self,
         layers: Callable[[], list[Any]],
         accept: Callable[[Any], bool],
+        label: str,
+        tooltip: str,
         title: Callable[[Any], str] = lambda layer: str(layer.name),
-        **options: Any,
     ) -> None:
-        def choices(_: Any) -> list[tuple[str, Any]]:
-            return [(title(layer), layer) for layer in layers() if accept(layer)]
-
-        super().__init__(choices=choices, nullable=True, **options)
         self._layers, self._accept = layers, accept
-        # A long name must not widen the dock.
-        box = self.native
-        box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        box.setMinimumContentsLength(8)
+        super().__init__(
+            choices=lambda _: [(title(layer), layer) for layer in self.offered],
+            nullable=True,
+            label=label,
+            tooltip=tooltip,
+        )
+        narrow(self)
 
     @property
     def offered(self) -> list[Any]:
         """The layers that can be chosen, lowest first."""
         return [layer for layer in self._layers() if self._accept(layer)]
 
-    def refresh(self) -> None:
+    def reset_choices(self, *_: Any) -> None:
         """Look again at what layers there are; a choice that is gone becomes none."""
         before: Any = self.get_value()
-        after = None
         with self.changed.blocked():
-            self.reset_choices()
-            if before in self.choices:
-                after = before
+            super().reset_choices()
+            after = before if before in self.choices else None
             self.set_value(after)
         if after is not before:
             self.changed.emit(after)
 
-    def choose(self, layer: Any) -> None:
-        """Choose a layer; ValueError if it cannot be."""
-        self.refresh()
+    def _choose(self, layer: Any) -> None:
+        self.reset_choices()
         if layer is not None and layer not in self.choices:
-            raise ValueError(f"{layer!r} cannot be chosen as {self.label or self.name}")
-        self.value = layer
+            raise ValueError(f"{layer!r} cannot be chosen as {self.label}")
+        ComboBox.value.fset(self, layer)
+
+    #: The layer; ValueError if another is set than can be chosen.
+    value = property(ComboBox.value.fget, _choose)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 import time
 import weakref
+from dataclasses import replace
 from typing import Any
 
-from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.inputs import Snapshot, copy_layers
+from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.layers.slice_view import layer_extents
-from napari_hmrf.ui.live_job import LiveJob, News
+from napari_hmrf.study.engine import Deformation, Engine
+from napari_hmrf.study.study import Study
+from napari_hmrf.ui.job import Done, drawn
 from napari_hmrf.ui.messages import in_short, progress
 from napari_hmrf.ui.newest_result import Newest
 from napari_hmrf.ui.pixels import Pixels
 from napari_hmrf.ui.result_dock import ResultDock
 from napari_hmrf.ui.timers import repeating, single_shot
 
+_log = logging.getLogger("napari_hmrf")
 #: So many pixels are followed without being asked. On two cores and no GPU the picture follows an
 #: edit of 1200 x 1200 pixels in 0.4 s (elastic) to 1.4 s, and one of 2048 x 2048 in 1.6 to 5 s.
 LARGEST = 1200 * 1200
@@ -24,6 +28,10 @@ _PATIENCE = 0.4
 #: How long edits must rest until all layers of a result are drawn, in milliseconds.
 _REST = 120
 _POLL = 50
+
+# What those who wait for it are told.
+_DOING = "an edit that 'Deform tissue' follows, which its Cancel stops"
+_DRAWING = "the layers of a result of 'Deform tissue', which its next edit stops"
 
 LIVE = "Live: follow every edit"
 STAYS = "The last result stays."
@@ -51,9 +59,9 @@ class LiveMode:
         self._check = check
         #: Whether somebody ticked or unticked the box; None while the size decides.
         self._wanted: bool | None = None
-        self._job: LiveJob | None = None
+        self._engine: Engine | None = None
         self._newest = Newest(self._on_news)
-        self._asked: tuple[Snapshot, Any] | None = None
+        self._asked: Study | None = None
         self._source: weakref.ref[Any] | None = None
         #: What is followed, if anything yet: nobody asked for another image to be deformed.
         self._followed: weakref.ref[Any] | None = None
@@ -113,9 +121,9 @@ class LiveMode:
             self._drop()
         self.touch()
 
-    def result_shown(self, snapshot: Snapshot, settings: Any, source: Any) -> None:
+    def result_shown(self, study: Study, source: Any) -> None:
         """There is a result that was asked for: what comes next begins from these layers."""
-        self._asked, self._said = (snapshot, settings), ""
+        self._asked, self._said = study, ""
         self._source = self._followed = weakref.ref(source)
         self.touch()
 
@@ -135,9 +143,9 @@ class LiveMode:
     def release(self) -> None:
         """Follow nothing any more."""
         self._pixels.release()
-        if self._job is not None:
-            self._job.close()
-            self._job = None
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
         self._newest.release()
 
     def leave(self) -> None:
@@ -196,68 +204,83 @@ class LiveMode:
         if not self.begun or widget.away:
             return
         before, self._place = self._place, self._shown_place()
-        prior, optimizer, backend = widget.solver
         try:
             request = widget.request()
-            snapshot = copy_layers(request)
+            study = widget.read(request)
         except (HmrfError, ValueError) as error:
             self._drop()
             self._asked = None
             self._fail(error)
             return
-        settings = (prior, optimizer)
-        asked = self._asked
-        if asked is not None and asked[1] == settings and asked[0].same_as(snapshot):
+        if self._asked is not None and self._asked.same_as(study):
             return
-        self._asked, self._layers = (snapshot, settings), request.layers
+        self._asked, self._layers = study, request.layers
         # To go to another slice is no work in this dock, and hides nothing of another's.
         self._turn = before in (None, self._place)
         self._source = self._followed = weakref.ref(request.layers[0])
-        job = self._job
-        if job is None or job.made_with != (optimizer, backend):
-            self._drop()
-            if job is not None:
-                job.close()
-            job = self._job = LiveJob(self._newest.put, optimizer, backend)
+        if self._engine is None:
+            self._engine = Engine(self._newest.put, _DOING)
         self._resting.stop()
-        job.submit(snapshot, prior)
+        self._engine.submit(study, backend=widget.backend)
         self._pending = True
         if not self._poll.isActive():
             self._since = time.monotonic()
             self._poll.start()
 
-    def _on_news(self, news: News) -> None:
-        job, source = self._job, None if self._source is None else self._source()
-        if job is None or not self.on or self._widget.away or source is None:
+    def _on_news(self, news: Deformation | Done) -> None:
+        engine, source = self._engine, None if self._source is None else self._source()
+        if engine is None or not self.on or self._widget.away or source is None:
             self._pending = False
             return
-        if news.error is not None:
-            self._asked, self._pending = None, job.busy
-            self._fail(news.error)
-        elif news.done is not None:
-            self._pending = job.busy
-            self._widget.show_live(news.done, source, self._turn)
+        if isinstance(news, Done):
+            self._pending = engine.busy
+            self._widget.show_live(news, source, self._turn)
             self._said = ""
+        elif news.error is not None:
+            self._asked, self._pending = None, engine.busy
+            self._fail(news.error)
         else:
             self._since = time.monotonic()
-            seen = self._widget.show_picture
-            shown = news.picture is not None and seen(news, source, self._turn)
+            shown = self._widget.show_picture(news, source, self._turn)
             self._resting.start(_REST if shown else 0)
 
     def _complete(self) -> None:
-        if self._job is not None and not self._job.busy:
-            self._job.complete(self._widget.outputs)
+        engine = self._engine
+        if engine is None or engine.busy:
+            return
+        kinds, newest = self._widget.outputs, self._newest
+
+        def checkpoint() -> None:
+            if engine.busy:
+                raise Cancelled
+
+        def draw(latest: Deformation | None) -> None:
+            if latest is None or engine.busy:
+                return
+            ground, stated, solution = latest.ground, latest.stated, latest.solution
+            assert ground is not None
+            assert stated is not None
+            assert solution is not None
+            try:
+                newest.put(drawn(ground, stated, solution, kinds, checkpoint))
+            except Cancelled:
+                return
+            except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
+                _log.exception("a live result could not be drawn")
+                newest.put(replace(latest, error=error))
+
+        engine.beside(draw, _DRAWING)
 
     def _on_poll(self) -> None:
-        job, footer = self._job, self._widget.footer
-        if job is None or not job.busy:
+        engine, footer = self._engine, self._widget.footer
+        if engine is None or not engine.busy:
             self._poll.stop()
             footer.following(False)
             return
         waited = time.monotonic() - self._since
         if waited > _PATIENCE and self._widget.idle:
             footer.following(True)
-            doing = progress(job.monitor, waited)
+            doing = progress(engine.monitor, waited)
             self._widget.say(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
 
     def _fail(self, error: Exception) -> None:
@@ -278,7 +301,7 @@ class LiveMode:
             timer.stop()
         self._newest.forget()
         self._pending = False
-        if self._job is not None:
-            self._job.forget()
+        if self._engine is not None:
+            self._engine.forget()
         self._widget.footer.following(False)
         return was

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.layers.slice_view import unit_symbol
-from napari_hmrf.layers.snapshot import Snapshot
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.models import Model, Schedule, in_words, is_multigrid
+from napari_hmrf.study.study import Study
 from napari_hmrf.ui.job import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -108,7 +108,7 @@ def report(done: Done) -> str:
     ----------
     done : Done
     """
-    outputs, frame = done.outputs, done.snapshot.frame
+    outputs, frame = done.outputs, done.study.grid.place
     where = f"S{frame.slice_said[1:]}: tissue" if frame.slice_said else "Tissue"
     parts = [f"{where} moved up to {_farthest(done)}."]
     if outputs.folds > _HANDFUL and outputs.worst is not None:
@@ -116,7 +116,7 @@ def report(done: Done) -> str:
         where = "'folds' shows where" if "folds" in outputs.layers else "tick 'folds' to see where"
         parts.append(
             f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
-            f"pushed through itself (it folds), which no tissue does. {_less(done.snapshot)}; "
+            f"pushed through itself (it folds), which no tissue does. {_less(done.study)}; "
             f"{where}."
         )
     if outputs.overlaps > _HANDFUL:
@@ -136,10 +136,11 @@ def sentence_of(clause: str) -> str:
     return f"{clause[0].upper()}{clause[1:]}."
 
 
-def _less(snapshot: Snapshot) -> str:
+def _less(study: Study) -> str:
     """What keeps tissue from folding, of what there is to change."""
-    painted = not snapshot.boundary_labelled or bool(snapshot.boundary.any())
-    if snapshot.landmarks is None:
+    motion = study.motion
+    painted = motion.observed is not None or (motion.labels is not None and motion.labels.any())
+    if not motion.landmarks.marks:
         return "Let it move less or over a wider boundary"
     if painted:
         return "Let it move less, over a wider boundary, or by landmarks of a larger radius"
@@ -199,7 +200,7 @@ def _farthest(done: Done) -> str:
     solution = done.outputs.solution
     squares = (solution.displacement.astype(np.float32) ** 2).sum(axis=-1)
     length = float(np.sqrt(squares.max()))
-    unit, size = unit_symbol(done.snapshot.frame.unit), solution.spacing[0]
+    unit, size = unit_symbol(done.study.grid.place.unit), solution.spacing[0]
     if any(other != size for other in solution.spacing):
         return f"{length:.3g} {unit}"
     pixels = f"{length / size:.1f} px"

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
+from magicgui.widgets import Container, FloatSpinBox, PushButton
 from napari.layers import Image
 from qtpy.QtWidgets import QSizePolicy
 
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
-from napari_hmrf.ui.forms import Prose, align_labels
+from napari_hmrf.ui.forms import Prose, align_labels, menu
 from napari_hmrf.ui.messages import (
     ABOUT_POISSON,
     ELASTIC,
@@ -45,21 +45,13 @@ class TissueModel(Container):
 
     def __init__(self) -> None:
         low, high = POISSON_RANGE
-        self.energy = ComboBox(
-            label="model",
-            choices=[(words, name) for name, words in MODELS.items()],
-            tooltip="What tissue is taken to be",
-        )
-        self.schedule = ComboBox(
-            label="solved",
-            choices=[(words, name) for name, words in SCHEDULES.items()],
-            tooltip="How near to the model's own answer",
-        )
-        self.plane = ComboBox(
-            label="taken as",
-            choices=[(words, name) for name, words in PLANES.items()],
-            tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
-            "it; plane strain: tissue that lets nothing through",
+        self.energy = menu("model", MODELS, "What tissue is taken to be")
+        self.schedule = menu("solved", SCHEDULES, "How near to the model's own answer")
+        self.plane = menu(
+            "taken as",
+            PLANES,
+            "What is in front of the image and behind it. Plane stress: nothing that holds it; "
+            "plane strain: tissue that lets nothing through",
         )
         self.poisson = FloatSpinBox(
             label="Poisson's ratio",
@@ -84,7 +76,7 @@ class TissueModel(Container):
         self.poisson.native.setDecimals(3)
         for button in (self.elastic, self.back):
             button.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
-        self.elastic.changed.connect(self._take_elastic)
+        self.elastic.changed.connect(lambda _: setattr(self.energy, "value", "elastic"))
         self._tissue: Any = None
         self._rigid: tuple[str, ...] = ()
         for choice in (self.energy, self.schedule, self.plane):
@@ -116,19 +108,11 @@ class TissueModel(Container):
             self._tissue, self._rigid = layer, rigid
             self._show()
 
-    def _take_elastic(self, *_: Any) -> None:
-        self.energy.value = "elastic"
-
     def _show(self, *_: Any) -> None:
         """Show what applies."""
         elastic, one_for_all = self.is_elastic, isinstance(self._tissue, Image)
         self._when.say(when_to_take(self.energy.value, self.schedule.value, self.plane.value))
         self._against.say(self.objection)
-        for widget, applies in (
-            (self.schedule, not elastic),
-            (self.plane, elastic),
-            (self.poisson, elastic and one_for_all),
-            (self._against, bool(self.objection)),
-            (self.elastic, bool(self.objection)),
-        ):
-            widget.visible = applies
+        self.schedule.visible, self.plane.visible = not elastic, elastic
+        self.poisson.visible = elastic and one_for_all
+        self._against.visible = self.elastic.visible = bool(self.objection)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from napari_hmrf.ui.event_wait import Listening
+
 #: The events after which a layer's pixels, or their place, are others.
 _EVENTS = (
     "data", "labels_update", "paint",
@@ -28,19 +30,17 @@ class Pixels:
         self._answer = answer
         self._names = (*_EVENTS, "set_data") if refreshed else _EVENTS
         self._layers: list[Any] = []
+        self._heard = Listening()
 
     def listen_to(self, layers: Iterable[Any]) -> None:
         """Listen to these layers and no others."""
         wanted = list(layers)
         if [id(layer) for layer in wanted] == [id(layer) for layer in self._layers]:
             return
-        for layer in self._layers:
-            for event in self._events(layer):
-                event.disconnect(self._on_event)
+        self._heard.release()
         self._layers = wanted
-        for layer in wanted:
-            for event in self._events(layer):
-                event.connect(self._on_event)
+        events = (event for layer in wanted for event in self._events(layer))
+        self._heard = Listening(*((event, self._on_event) for event in events))
 
     def release(self) -> None:
         """Listen no more."""

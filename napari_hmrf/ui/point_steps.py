@@ -12,6 +12,7 @@ from napari.layers import Points, Shapes
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf.layers.compat import is_drawn
 from napari_hmrf.layers.edit_history import POINTS, Slot, steps_of
 from napari_hmrf.layers.points_state import placed_in
 from napari_hmrf.ui.event_wait import Listening
@@ -86,13 +87,13 @@ class PointSteps:
         if self._edits.in_progress != slot or now.count != before.count:
             self._edits.begin(slot, before.change(now, layer.name))
         self._edits.update(now)
-        if now.count == before.count or _is_drawn(layer):
+        if now.count == before.count or is_drawn(layer):
             self._resting.start()
         else:
             self._end()
 
     def _on_rest(self) -> None:
-        drawn = any(_is_drawn(layer) for layer in self._heard)
+        drawn = any(is_drawn(layer) for layer in self._heard)
         if drawn or QApplication.mouseButtons() != Qt.MouseButton.NoButton:
             self._resting.start()
         else:
@@ -113,8 +114,3 @@ class PointSteps:
             value.give_to(slot.layer)
         finally:
             self._undoing = False
-
-
-def _is_drawn(layer: Any) -> bool:
-    """Whether a line is there that is not drawn to its end: it is one step with what follows."""
-    return bool(getattr(layer, "_is_creating", False))

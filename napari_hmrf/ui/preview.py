@@ -171,7 +171,7 @@ class LandmarkPreview(Preview):
             If they are no pairs; the arrows are then those of before.
         """
         frame = Frame.of(image, view)
-        marks = read_landmarks(pair, frame, plane_shape(image, frame), view).marks
+        marks = read_landmarks(pair, frame, plane_shape(image, frame), view)[0].marks
         ends = np.array([(mark.source, mark.target) for mark in marks], dtype=np.float32)
         arrows = np.stack([ends[:, 0], ends[:, 1] - ends[:, 0]], axis=1)
         self.show(frame, arrows, image, pair.where if pair.should is None else pair.should)

@@ -7,6 +7,7 @@ model and the calm picture of the first minute, whatever was tried last.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from magicgui.widgets.bases import ValueWidget
@@ -30,8 +31,8 @@ def remember(dock: str, widgets: Mapping[str, ValueWidget[Any]]) -> None:
     )
     for name, widget in widgets.items():
         key = f"{dock}/{name}"
-        if store.contains(key):
-            _restore(widget, store.value(key))
+        with suppress(TypeError, ValueError):  # another version's, or written by hand
+            widget.value = store.value(key, widget.value, type(widget.value))
         widget.changed.connect(lambda value, key=key: store.setValue(key, value))
 
 
@@ -56,12 +57,3 @@ def keep(viewer: Any, widgets: Mapping[str, ValueWidget[Any]]) -> None:
         if name in kept:
             widget.value = kept[name]
         widget.changed.connect(lambda value, name=name: kept.update({name: value}))
-
-
-def _restore(widget: ValueWidget[Any], kept: Any) -> None:
-    """Set a value that was kept as text, unless it means nothing any more."""
-    kind = type(widget.value)
-    try:
-        widget.value = str(kept).lower() == "true" if kind is bool else kind(kept)
-    except (TypeError, ValueError):
-        return  # another version's, or written by hand

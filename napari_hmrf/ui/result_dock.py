@@ -7,17 +7,18 @@ from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.layers.inputs import Snapshot
+from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.result_layers import picture_layer
 from napari_hmrf.layers.viewer_shared import shared
-from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.study import Study
 from napari_hmrf.ui.chooser import Chooser
 from napari_hmrf.ui.footer import Footer
+from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.job import Done
-from napari_hmrf.ui.live_job import News
 from napari_hmrf.ui.messages import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.ui.messages import details as details_of
 from napari_hmrf.ui.remembered_settings import keep
@@ -33,16 +34,23 @@ class ResultDock(Chooser):
 
     Attributes
     ----------
+    footer : Footer
+        What always stays in sight.
+    dims : napari.components.Dims
+        Which slice is shown.
     followed : Signal(object)
         Emitted with `Outputs` when the result has followed an edit, in live mode.
     """
 
+    footer = Part[Footer]("_face.footer")
+    dims = Part[Any]("_viewer.dims")
     followed = Signal(object)
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._status = ""
         self._latest = shared(self._viewer, Latest)
+        self._copies = shared(self._viewer, LayerCopies)
         self._painting: tuple[str, weakref.ref[Any] | None] = ("", None)
         keep(self._viewer, self._face.solved)
         self._face.folds.changed.connect(self._on_folds)
@@ -72,25 +80,30 @@ class ResultDock(Chooser):
         return None if done is None else done.outputs.solution
 
     @property
-    def shown(self) -> tuple[Snapshot, tuple[Any, ...]] | None:
-        """What the latest result was made from, and prior and optimizer."""
+    def shown(self) -> Study | None:
+        """What the latest result was made from."""
         done = self._latest.done
-        return None if done is None else (done.snapshot, self._latest.settings)
+        return None if done is None else done.study
 
     @property
-    def footer(self) -> Footer:
-        """What always stays in sight."""
-        return self._face.footer
+    def backend(self) -> str:
+        """What a deformation is computed on."""
+        return self.settings.backend
 
     @property
-    def dims(self) -> Any:
-        """Which slice is shown."""
-        return self._viewer.dims
+    def study(self) -> Study:
+        """What is chosen, painted and set, as it is now.
 
-    @property
-    def solver(self) -> tuple[Prior, Optimizer, str]:
-        """What a deformation is computed with."""
-        return (*self._solver, self.settings.backend)
+        Raises
+        ------
+        HmrfError
+            If a layer is missing, or cannot be read.
+        """
+        return self.read(self.request())
+
+    def read(self, request: Request) -> Study:
+        """Read what is chosen, and how it is to be solved."""
+        return read_study(request, self.settings.prior, self.settings.optimizer, self._copies)
 
     # What is said and shown
 
@@ -148,21 +161,19 @@ class ResultDock(Chooser):
         """The result has followed an edit, or, unasked, the slice that is shown."""
         if source not in self._viewer.layers:
             return
-        self._latest.done, self._latest.settings = done, self._solver
-        self._latest.compare(self.request, self._solver)
+        self._latest.done = done
+        self._latest.compare(self.request, self.read)
         self._put(done, source, asked)
         if self._latest.fresh:
             self.say_result()
         self.followed.emit(done.outputs)
 
-    def show_picture(self, news: News, source: Any, asked: bool = True) -> bool:
+    def show_picture(self, moved: Deformation, source: Any, asked: bool = True) -> bool:
         """Show at once how the image has followed an edit; whether that is seen."""
-        if "image" not in self.outputs or news.picture is None:
+        if "image" not in self.outputs or moved.image is None or moved.solution is None:
             return False
-        frame, pictures = news.snapshot.frame, news.snapshot.pictures
-        prior, optimizer = self._solver
-        model = {"prior": prior.parameters, "optimizer": optimizer.parameters}
-        made = picture_layer(frame, pictures, news.picture, model)
+        frame, parameters = moved.study.grid.place, moved.solution.provenance.parameters
+        made = picture_layer(frame, moved.study.pictures, moved.image, parameters)
         show = self._results.show
         return bool(show(source, frame, {"image": made}, "deform", asked=asked, moving=True))
 
@@ -183,7 +194,8 @@ class ResultDock(Chooser):
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
         self._hide_preview()
         self._latest.source = weakref.ref(source)
-        self._results.show(source, done.snapshot.frame, outputs.layers, "deform", asked=asked)
+        frame = done.study.grid.place
+        self._results.show(source, frame, outputs.layers, "deform", asked=asked)
         self._face.energy.show_solution(outputs.solution)
 
     def _on_folds(self, ticked: bool) -> None:
@@ -202,7 +214,8 @@ class ResultDock(Chooser):
         latest, source = self._latest, self._latest.source()
         if latest.done is None:
             return None
-        latest.compare(self.request, self._solver)
+        self._copies.forget()  # a script may have changed what no dock looked at
+        latest.compare(self.request, self.read)
         if not latest.fresh or source not in self._viewer.layers:
             latest.forget()
             return None
@@ -213,10 +226,6 @@ class ResultDock(Chooser):
     @property
     def _worked_on(self) -> tuple[Any, ...]:
         return (self._latest.source(),)
-
-    @property
-    def _solver(self) -> tuple[Prior, Optimizer]:
-        return self.settings.prior, self.settings.optimizer
 
     def _say(self, status: str, details: str = "") -> None:
         self._status = status

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any
 
-from napari_hmrf.layers.inputs import Request, copy_layers
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import Kind
+from napari_hmrf.study.study import Study
 from napari_hmrf.ui.job import Done
 from napari_hmrf.ui.messages import CHANGED, OTHER_SLICE, details, report
 
@@ -21,8 +22,6 @@ class Latest:
         The result.
     source : callable
         Returns what was deformed, as long as that is there.
-    settings : tuple
-        Prior and optimizer it was made with.
     fresh : bool
         Whether layers, tables and settings were still the same when last looked at.
     here : bool
@@ -34,7 +33,6 @@ class Latest:
     def __init__(self, _: Any = None) -> None:
         self.done: Done | None = None
         self.source: Callable[[], Any] = lambda: None
-        self.settings: tuple[Any, ...] = ()
         self.fresh = self.here = True
         self.note = ""
 
@@ -42,7 +40,7 @@ class Latest:
         """The layers it came from are gone."""
         self.done = None
 
-    def compare(self, request: Callable[[], Request], settings: tuple[Any, ...]) -> bool:
+    def compare(self, request: Callable[[], Request], read: Callable[[Request], Study]) -> bool:
         """Look whether a solve would give the same now; whether the answer is another than before.
 
         Layers that cannot be read, for whatever reason, would not give the same.
@@ -53,9 +51,8 @@ class Latest:
         try:
             now = request()
             index = Frame.of(now.layers[0], now.view).index
-            self.here = index == self.done.snapshot.frame.index
-            if self.here and settings == self.settings:
-                self.fresh = self.done.snapshot.same_as(copy_layers(now))
+            self.here = index == self.done.study.grid.place.index
+            self.fresh = self.here and self.done.study.same_as(read(now))
         except Exception:  # noqa: BLE001 - a layer may raise anything; the result is there
             self.fresh = False
         return (self.fresh, self.here) != before
@@ -68,7 +65,7 @@ class Latest:
         """Whether it could show more than it does."""
         if self.done is None:
             return False
-        outputs, pictures = self.done.outputs, self.done.snapshot.pictures
+        outputs, pictures = self.done.outputs, self.done.study.pictures
         possible = set(kinds) - set(outputs.layers)
         without = {
             "image": pictures.image is None,

@@ -8,15 +8,14 @@ from typing import Any, Generic, TypeVar
 from magicgui.widgets import CheckBox, Container
 from napari.layers import Image, Labels, Vectors
 from psygnal import Signal
-from qtpy.QtWidgets import QHBoxLayout, QPushButton, QWidget
+from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.boundary_table import BoundaryTable
 from napari_hmrf.ui.curve.tissue import TissueCurve
 from napari_hmrf.ui.label_sync import PaintedLabels
-from napari_hmrf.ui.label_table import LabelTable
+from napari_hmrf.ui.label_table import LabelTable, LabelTableView
 from napari_hmrf.ui.landmark_choice import LandmarkChoice
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.material_menu import MaterialMenu
@@ -37,15 +36,20 @@ def _is_tissue(layer: Any) -> bool:
     return isinstance(layer, Labels) or role_of(layer) == TISSUE
 
 
-def _add_button(table: LabelTable, text: str, tooltip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tooltip)
-    button.clicked.connect(lambda: table.add())
-    return button
-
-
 class _PaintedSection(Container, Generic[Table]):
-    """A menu of layers; for Labels, their table and a row of buttons below it."""
+    """A menu of layers; for Labels, their table and a row of buttons below it.
+
+    Attributes
+    ----------
+    choice : LayerChoice
+        The menu.
+    table : LabelTable
+        What the layer's labels mean.
+    seen : LabelTableView
+        The table as it is seen.
+    painted : PaintedLabels
+        What keeps layer and table in step.
+    """
 
     edited = Signal()
 
@@ -53,51 +57,43 @@ class _PaintedSection(Container, Generic[Table]):
         self, choice: LayerChoice, others: list[LayerChoice], role: Role, table: Table, view: Shown
     ) -> None:
         super().__init__(widgets=[choice, *others], labels=True)
-        self._choice = choice
-        self._table = table
-        self._painted = PaintedLabels(role, table, view)
-        self._rows: list[QWidget] = []
-        self._choice.changed.connect(self._on_choice)
-        self._painted.changed.connect(self.edited)
+        self.choice, self.table, self.seen = choice, table, LabelTableView(table)
+        self.painted = PaintedLabels(role, table, view)
+        self._below = QWidget()
+        self.choice.changed.connect(self._on_choice)
+        self.painted.changed.connect(self.edited)
 
-    @property
-    def choice(self) -> LayerChoice:
-        """The menu of layers."""
-        return self._choice
-
-    @property
-    def table(self) -> Table:
-        """The table, for what a script wants to set."""
-        return self._table
-
-    @property
-    def painted(self) -> PaintedLabels:
-        """What keeps layer and table in step."""
-        return self._painted
-
-    def _put_below(self, *buttons: QWidget) -> None:
+    def _put_below(self, what: str, *others: QWidget) -> None:
         """Put the table and a row of buttons, plain Qt widgets, under the section's own."""
-        for widgets in ((self._table,), buttons):
-            row = QWidget()
-            layout = QHBoxLayout(row)
-            layout.setContentsMargins(0, 0, 0, 0)
-            for widget in widgets:
-                layout.addWidget(widget)
-            if widgets is buttons:
-                layout.addStretch()
-            self.native.layout().addWidget(row)
-            self._rows.append(row)
+        add = QPushButton(f"Add {what}")
+        add.setToolTip("Add a label to paint with")
+        add.clicked.connect(lambda: self.table.add())
+        rows, row = QVBoxLayout(self._below), QHBoxLayout()
+        rows.setContentsMargins(0, 0, 0, 0)
+        for widget in (add, *others):
+            row.addWidget(widget)
+        row.addStretch()
+        rows.addWidget(self.seen)
+        rows.addLayout(row)
+        self.native.layout().addWidget(self._below)
         self._on_choice(None)
 
     def _on_choice(self, layer: Any) -> None:
-        self._painted.layer = layer
-        for row in self._rows:
-            row.setVisible(isinstance(layer, Labels))
+        self.painted.layer = layer
+        self._below.setVisible(isinstance(layer, Labels))
         self.edited.emit()
 
 
 class TissueSection(_PaintedSection[MaterialTable]):
-    """Labels with a table of stiffness, or an image that is the stiffness, by a curve or not."""
+    """Labels with a table of stiffness, or an image that is the stiffness, by a curve or not.
+
+    Attributes
+    ----------
+    menu : MaterialMenu
+    background : QPushButton
+        Tells air from tissue.
+    curve : TissueCurve
+    """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
@@ -107,37 +103,23 @@ class TissueSection(_PaintedSection[MaterialTable]):
                 isinstance(layer, Labels)
                 or (isinstance(layer, Image) and "kind" not in known_of(layer))
             ),
+            "tissue",
+            "A Labels layer in which tissues are painted, or an image of stiffness",
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
-            label="tissue",
-            tooltip="A Labels layer in which tissues are painted, or an image of stiffness",
         )
         super().__init__(choice, [], TISSUE, MaterialTable(), view)
-        self._background = QPushButton("Background is no tissue")
-        self._background.setToolTip(
+        self.background = QPushButton("Background is no tissue")
+        self.background.setToolTip(
             "Paints what is dark around the image with a label of stiffness 0, as far as it is "
             "unpainted; Undo at the bottom takes it back with its row"
         )
-        self.menu = MaterialMenu(self._table, layers, lambda: self._painted.layer)
-        self._put_below(
-            _add_button(self._table, "Add tissue", "Add a label to paint with"),
-            self.menu,
-            self._background,
-        )
+        self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
+        self._put_below("tissue", self.menu, self.background)
         self.curve = TissueCurve(layers, view)
         self.native.layout().addWidget(self.curve.editor)
         self.curve.changed.connect(lambda _: self.edited.emit())
-        self._choice.changed.connect(self._show_curve)
+        self.choice.changed.connect(self._show_curve)
         self._show_curve(None)
-
-    @property
-    def background(self) -> QPushButton:
-        """The button that tells air from tissue."""
-        return self._background
-
-    @property
-    def materials(self) -> tuple[Material, ...]:
-        """The tissues."""
-        return self._table.rows
 
     def _show_curve(self, layer: Any) -> None:
         self.curve.layer = layer
@@ -149,6 +131,10 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
 
     Attributes
     ----------
+    confidence : LayerChoice
+        Of images, for arrows.
+    preview : CheckBox
+        Whether arrows are drawn while painting.
     landmarks : LandmarkChoice
         Two Points layers or lines, beside all that or without any of it.
     """
@@ -157,50 +143,30 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         choice = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and not is_preview(layer),
+            "boundary",
+            "A Labels layer in which is painted what holds or moves, or observed displacements as "
+            "a Vectors layer. Landmarks, as two Points layers or as lines of a Shapes layer, come "
+            "on top: their menus are below once there are such layers",
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
-            label="boundary",
-            tooltip="A Labels layer in which is painted what holds or moves, or observed "
-            "displacements as a Vectors layer. Landmarks, as two Points layers or as lines of "
-            "a Shapes layer, come on top: their menus are below once there are such layers",
         )
-        self._confidence = LayerChoice(
+        self.confidence = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Image) and not layer.rgb,
-            label="confidence",
-            tooltip="How sure each arrow is, from 0 to 1; without an image, 1",
+            "confidence",
+            "How sure each arrow is, from 0 to 1; without an image, 1",
         )
-        super().__init__(choice, [self._confidence], BOUNDARY, BoundaryTable(), view)
-        self._preview = CheckBox(
-            value=True,
-            text=PREVIEW,
-            tooltip="A layer of its own shows what the boundary will do",
+        super().__init__(choice, [self.confidence], BOUNDARY, BoundaryTable(), view)
+        self.preview = CheckBox(
+            value=True, text=PREVIEW, tooltip="A layer of its own shows what the boundary will do"
         )
-        self._put_below(
-            _add_button(self._table, "Add boundary", "Add a label to paint with"),
-            self._preview.native,
-        )
+        self._put_below("boundary", self.preview.native)
         self.landmarks = LandmarkChoice(layers)
         self.landmarks.margins = (0, 0, 0, 0)
         self.native.layout().addWidget(self.landmarks.native)
         self.landmarks.edited.connect(self.edited)
-        for widget in (self._confidence, self._preview):
+        for widget in (self.confidence, self.preview):
             widget.changed.connect(lambda _: self.edited.emit())
 
-    @property
-    def confidence(self) -> LayerChoice:
-        """The menu of images of confidence, for arrows."""
-        return self._confidence
-
-    @property
-    def preview(self) -> CheckBox:
-        """Whether arrows are drawn while painting."""
-        return self._preview
-
-    @property
-    def rules(self) -> tuple[BoundaryRule, ...]:
-        """What each label does."""
-        return self._table.rows
-
     def _on_choice(self, layer: Any) -> None:
-        self._confidence.visible = isinstance(layer, Vectors)
+        self.confidence.visible = isinstance(layer, Vectors)
         super()._on_choice(layer)

@@ -11,6 +11,7 @@ from magicgui.widgets import Container
 from qtpy.QtCore import QEvent, QObject
 from qtpy.QtWidgets import QDockWidget, QMainWindow
 
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.ui.timers import single_shot
 
 #: Qt's property by which a widget of ours is known.
@@ -130,7 +131,7 @@ def sees_all(viewer: Any) -> bool:
     """Whether a viewer shows its layers about as its home button does, in two dimensions."""
     if viewer is None or not viewer.layers or viewer.dims.ndisplay != 2:
         return False
-    camera = getattr(viewer, "scene", viewer).camera  # before napari 0.9 it was the viewer's own
+    camera = camera_of(viewer)
     center, zoom = camera.center, camera.zoom
     viewer.reset_view()
     # napari fits a first layer before it knows how wide the controls beside it are.

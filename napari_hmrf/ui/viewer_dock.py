@@ -6,6 +6,7 @@ from typing import Any
 
 from magicgui.widgets import Container
 
+from napari_hmrf.layers.compat import unwrapped
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.ui.brush_circle import clear_middle
@@ -24,8 +25,7 @@ class Dock(Container):
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(labels=False)
-        # napari hands plugins a proxy, whose layers are proxies too: other objects at every look.
-        self._viewer = getattr(napari_viewer, "__wrapped__", napari_viewer)
+        self._viewer = unwrapped(napari_viewer)
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
         self._results = shared(self._viewer, ResultLayers)
         # napari may be in the middle of removing more layers than the one.

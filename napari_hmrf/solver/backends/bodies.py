@@ -148,7 +148,7 @@ class Bodies:
             if off > _OFF + _PART * float(np.abs(seen).max(initial=0.0)):
                 i, j = np.divmod(body.at[: len(body.at) // 2], d.shape[2])
                 raise ProblemError(
-                    "y",
+                    "observed",
                     f"moves sites of the rigid body around ({i.mean() - 2:.0f}, {j.mean() - 2:.0f})"
                     f" otherwise than as one, by {off:.2g} px. Observe it in a single place, move "
                     "it evenly, or give it a stiffness.",

@@ -46,7 +46,7 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
     else:
         _spare.clear()
         d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
-    about = problem.y, problem.observed, 1 / problem.unit
+    about = problem.observed, problem.known, 1 / problem.unit
     if start is None:
         exact.prescribe(*about, None, 0.0, None, 0.0, d, held)
         return d, held

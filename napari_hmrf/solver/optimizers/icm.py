@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
-from numbers import Real
+from collections.abc import Sized
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends.base import Backend, FloatArray, SiteRule
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.optimizers.base import LevelRun, Monitor, Outcome, Report
@@ -30,35 +32,37 @@ class ICM:
     Parameters
     ----------
     iterations : int
-        Sweeps on each level; with a `tolerance`, the most there may be.
+        Sweeps on each level; with an `energy_change`, the most there may be.
     steps : tuple of float or None
         Step sizes of the candidate set Gamma, in pixels: a site may stay, or move by -e, 0 or e
         in each component, for one of the steps e. ``None``: the exact minimiser of the site's
         energy, in closed form.
-    tolerance : float, optional
+    energy_change : float, optional
         Leave a level when its mean energy has changed by at most this fraction of itself over the
-        last ten sweeps.
+        last ten sweeps; by default that is not looked at.
     """
 
     iterations: int = 70
+    _: KW_ONLY
     steps: tuple[float, ...] | None = (1.0, 0.1, 0.01, 0.001)
-    tolerance: float | None = None
+    energy_change: float | None = None
 
     def __post_init__(self) -> None:
-        if not _is_whole(self.iterations) or self.iterations < 1:
-            raise ValueError(
-                f"iterations must be a whole number of at least 1, not {self.iterations!r}"
-            )
+        enough = is_whole(self.iterations) and self.iterations >= 1
+        refuse_unless(enough, "iterations", self.iterations, "a whole number of at least 1")
         object.__setattr__(self, "iterations", int(self.iterations))
         if self.steps is not None:
-            steps = tuple(float(step) for step in self.steps)
-            if not steps or not all(math.isfinite(step) and step > 0 for step in steps):
-                raise ValueError(
-                    f"steps must be positive numbers, or None for the closed form, not {steps!r}"
-                )
+            steps = reals(
+                self.steps, max(1, len(self.steps) if isinstance(self.steps, Sized) else 0)
+            )
+            positive = all(math.isfinite(step) and step > 0 for step in steps)
+            what = "positive numbers, such as (1, 0.1), or None for the closed form"
+            refuse_unless(positive, "steps", self.steps, what)
             object.__setattr__(self, "steps", steps)
-        if self.tolerance is not None and not self.tolerance > 0:
-            raise ValueError(f"tolerance must be above 0, not {self.tolerance!r}")
+        change = self.energy_change
+        refuse_unless(
+            change is None or real(change) > 0, "energy_change", change, "a number above 0, or None"
+        )
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -68,7 +72,7 @@ class ICM:
 
     def rehearsal(self) -> ICM:
         """Return one sweep on each level, with the same kernels."""
-        return replace(self, iterations=1, tolerance=None)
+        return replace(self, iterations=1, energy_change=None)
 
     def run(
         self,
@@ -80,9 +84,11 @@ class ICM:
     ) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
         if start is not None:
-            raise ValueError("ICM begins with zero on its coarsest level: start is for Multigrid")
+            raise ArgumentError(
+                "ICM begins with zero on its coarsest level: initial is for Multigrid"
+            )
         if not isinstance(prior, SeilerPrior):
-            raise ValueError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
+            raise ArgumentError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
         rule = SiteRule(
             blanket=prior.conditional == "blanket",
             relaxation=prior.relaxation,
@@ -130,7 +136,9 @@ class ICM:
         before: list[float] = []
         while len(before) < self.iterations and not self._stable(before):
             # A small level is over before anybody could look.
-            block = self.iterations if level.sites < _SMALL and self.tolerance is None else BLOCK
+            block = (
+                self.iterations if level.sites < _SMALL and self.energy_change is None else BLOCK
+            )
             sweeps = min(block, self.iterations - len(before), _MOST)
             displacement, totals = backend.relax(displacement, stiffness, observation, rule, sweeps)
             before += [float(total) / tissue_sites for total in totals]
@@ -139,14 +147,10 @@ class ICM:
         return displacement, [*before[1:], last]
 
     def _stable(self, energies: list[float]) -> bool:
-        if self.tolerance is None or len(energies) <= BLOCK:
+        if self.energy_change is None or len(energies) <= BLOCK:
             return False
         change = abs(energies[-1] - energies[-1 - BLOCK])
-        return change <= self.tolerance * abs(energies[-1])
-
-
-def _is_whole(number: object) -> bool:
-    return isinstance(number, Real) and float(number).is_integer()
+        return change <= self.energy_change * abs(energies[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +193,7 @@ class _Progress:
 
 def _stiffness(problem: Problem) -> FloatArray:
     """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2)."""
-    m = problem.m / problem.m.max()
+    m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
@@ -197,7 +201,7 @@ def _stiffness(problem: Problem) -> FloatArray:
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
     both = np.empty((*problem.shape, 4), dtype=np.float32)
-    np.divide(problem.y, np.float32(problem.unit), out=both[..., :2])
-    np.multiply(problem.c, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
+    np.divide(problem.observed, np.float32(problem.unit), out=both[..., :2])
+    np.multiply(problem.confidence, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
     both *= problem.tissue[..., None]
     return both

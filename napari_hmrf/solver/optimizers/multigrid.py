@@ -7,11 +7,12 @@ pixels can see.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from napari_hmrf.arguments import is_whole, real, refuse_unless
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
@@ -55,13 +56,15 @@ class Multigrid:
     """
 
     tolerance: float = 1e-3
+    _: KW_ONLY
     max_iterations: int = 300
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.tolerance) and self.tolerance > 0):
-            raise ValueError(f"tolerance must be a positive number, not {self.tolerance!r}")
-        if self.max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, not {self.max_iterations!r}")
+        positive = 0 < real(self.tolerance) < math.inf
+        refuse_unless(positive, "tolerance", self.tolerance, "a positive number, in pixels")
+        most = self.max_iterations
+        enough = is_whole(most) and most >= 1
+        refuse_unless(enough, "max_iterations", most, "a whole number of at least 1")
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
-from numbers import Real
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.arguments import is_one_of, real, refuse_unless
+from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     ElementShape,
@@ -57,22 +57,23 @@ class ElasticPrior:
         tissue.
     penalty : float
         K of eq. 19: the greatest force with which a site of complete confidence is held at what
-        was observed, relative to the stiffest tissue (1 is what strains a pixel of it by 1).
-        Where tissue needs more it slips. ``inf``: held exactly wherever c > 0.
+        was observed; where tissue needs more it slips. In the unit of the energy: 1 is what strains
+        a pixel of the stiffest tissue by 1. ``inf``: held exactly wherever confidence is
+        above 0.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
+    _: KW_ONLY
     plane: Plane = "stress"
     penalty: float = math.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
-        if self.plane not in get_args(Plane):
-            raise ValueError(f'plane must be "stress" or "strain", not {self.plane!r}')
-        penalty: Any = self.penalty
-        if not (isinstance(penalty, Real) and float(penalty) > 0):
-            raise ValueError(f"penalty must be a positive number or inf, not {penalty!r}")
-        object.__setattr__(self, "penalty", float(penalty))
+        known = is_one_of(self.plane, get_args(Plane))
+        refuse_unless(known, "plane", self.plane, '"stress" or "strain"')
+        penalty = real(self.penalty)
+        refuse_unless(penalty > 0, "penalty", self.penalty, "a positive number or inf")
+        object.__setattr__(self, "penalty", penalty)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -105,7 +106,7 @@ class ElasticPrior:
         """Return a prior that takes the same kernels, for a small problem of this shape."""
         mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
         poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
-        return ElasticPrior(poisson, self.plane, 1.0 if slips else math.inf)
+        return ElasticPrior(poisson, plane=self.plane, penalty=1.0 if slips else math.inf)
 
     def resolved(self, problem: Problem) -> ElasticPrior:
         """Return this prior, once it is sure that the problem has one answer.
@@ -120,7 +121,7 @@ class ElasticPrior:
             _check_poisson_map(self.poisson, problem)
         if self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
-                "m",
+                "stiffness",
                 "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
                 "prior's penalty at inf, or give that tissue a number.",
             )
@@ -131,17 +132,17 @@ class ElasticPrior:
         """P = K c of every component (H, W, 2); None where all is held exactly."""
         if self.penalty == math.inf:
             return None
-        limit: Float64Array = self.penalty * problem.c.astype(np.float64)
+        limit: Float64Array = self.penalty * problem.confidence.astype(np.float64)
         return limit
 
     def material(self, problem: Problem) -> ElasticMaterial:
         """What the kernels need to know of a problem's tissue."""
         shape = self.shape(problem.spacing)
-        return ElasticMaterial(problem.m, self.poisson, self.plane == "strain", shape)
+        return ElasticMaterial(problem.stiffness, self.poisson, self.plane == "strain", shape)
 
     def lame(self, problem: Problem) -> Lame:
         """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
-        m = problem.m / np.float64(stiffest(problem.m))
+        m = problem.stiffness / np.float64(stiffest(problem.stiffness))
         first, shear = lame_parameters(m, self.poisson, self.plane == "strain")
         if not problem.rigid.any():
             return Lame(first, shear)
@@ -182,12 +183,12 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
     low, high = POISSON_RANGE
     given = as_numbers("poisson", value)
     if given.ndim == 0:
-        if not low <= value <= high:
-            raise ValueError(f"poisson must lie between {low} and {high}, not {value!r}")
-        return float(value)
+        right = low <= float(given) <= high
+        refuse_unless(right, "poisson", value, f"from {low:g} to {high:g}")
+        return float(given)
     made = np.array(given, dtype=np.float32, order="C")
     if made.ndim != 2:
-        raise ValueError(
+        raise ArgumentError(
             f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"
         )
     made.setflags(write=False)
@@ -198,8 +199,8 @@ def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> No
     if poisson.shape != problem.shape:
         raise ProblemError(
             "poisson",
-            f"has shape {poisson.shape}, but m has shape {problem.shape}. Give both on the same "
-            "pixel grid.",
+            f"has shape {poisson.shape}, but stiffness has shape {problem.shape}. Give both on the "
+            "same pixel grid.",
         )
     low, high = (np.float32(bound) for bound in POISSON_RANGE)
     wrong = problem.tissue & ~((poisson >= low) & (poisson <= high))

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import is_one_of, real, refuse_unless
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.cliques import (
     LINES,
@@ -50,16 +50,18 @@ class SiteParabola(NamedTuple):
     lowest: Float64Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SeilerPrior:
     """The paper's prior and observation energy (eqs. 8-11 and 16-19).
 
     Parameters
     ----------
     penalty : float, optional
-        K of eq. 19: the energy, per pixel of deviation from `y`, of a site of complete confidence.
-        By default 10^4 in uniform tissue, and as much more as the energy is steeper at the
-        observed site that has the steepest, so that boundaries hold whatever they lie between.
+        K of eq. 19: the greatest force with which a site of complete confidence is held at what
+        was observed; where tissue needs more it slips. In the unit of the energy: what a pixel of
+        deviation costs. By default 10^4 in uniform tissue, and as much more as the energy is
+        steeper at the observed site that has the steepest, so that boundaries hold whatever they
+        lie between.
     conditional : {"centred", "blanket"}
         Which cliques count when a site chooses its displacement (line 8 of the algorithm):
         ``"centred"``, those whose middle it is; ``"blanket"``, all that contain it, which is the
@@ -75,17 +77,13 @@ class SeilerPrior:
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        if self.penalty is not None and not _is_above_0(self.penalty, _LARGEST_PENALTY):
-            raise ValueError(
-                f"penalty must be a number above 0 and up to {_LARGEST_PENALTY:g}, or None, not "
-                f"{self.penalty!r}"
-            )
-        if self.conditional not in get_args(Conditional):
-            raise ValueError(
-                f'conditional must be "centred" or "blanket", not {self.conditional!r}'
-            )
-        if self.damping is not None and not _is_above_0(self.damping, 1):
-            raise ValueError(f"damping must lie in (0, 1], not {self.damping!r}")
+        firm = self.penalty is None or 0 < real(self.penalty) <= _LARGEST_PENALTY
+        what = f"a number above 0 and up to {_LARGEST_PENALTY:g}, or None"
+        refuse_unless(firm, "penalty", self.penalty, what)
+        known = is_one_of(self.conditional, get_args(Conditional))
+        refuse_unless(known, "conditional", self.conditional, '"centred" or "blanket"')
+        damped = self.damping is None or 0 < real(self.damping) <= 1
+        refuse_unless(damped, "damping", self.damping, "a number above 0 and up to 1, or None")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -113,11 +111,12 @@ class SeilerPrior:
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
-        seen = problem.tissue & ((problem.c[..., 0] > 0) | (problem.c[..., 1] > 0))
+        c = problem.confidence
+        seen = problem.tissue & ((c[..., 0] > 0) | (c[..., 1] > 0))
         around = []
         for level in levels(problem.shape):
             rows, cols = nearest_pixels(level, problem.shape)
-            m = problem.m.take(rows, axis=0).take(cols, axis=1)
+            m = problem.stiffness.take(rows, axis=0).take(cols, axis=1)
             around.append(_around(m, seen.take(rows, axis=0).take(cols, axis=1)))
         steepest = _steepest(np.concatenate(around, axis=-1), weights)
         uniform = 8.0 * float(weights.sum(axis=0).max())
@@ -133,7 +132,7 @@ class SeilerPrior:
         """
         if problem.rigid.any():
             raise ProblemError(
-                "m",
+                "stiffness",
                 "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
                 "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
             )
@@ -141,14 +140,14 @@ class SeilerPrior:
 
     def limit(self, problem: Problem) -> Float64Array:
         """P = K c of every component (H, W, 2)."""
-        limit: Float64Array = self.penalty_for(problem) * problem.c.astype(np.float64)
+        limit: Float64Array = self.penalty_for(problem) * problem.confidence.astype(np.float64)
         return limit
 
     def material(self, problem: Problem) -> SeilerMaterial:
         """What the kernels of multigrid need to know of a problem's tissue."""
         square = len(set(problem.spacing)) == 1
         blanket = self.conditional == "blanket"
-        return SeilerMaterial(problem.m, line_weights(problem.spacing), square, blanket)
+        return SeilerMaterial(problem.stiffness, line_weights(problem.spacing), square, blanket)
 
     def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
@@ -165,9 +164,11 @@ class SeilerPrior:
             In pixels squared; the sum over all sites is U_total.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
-        y = problem.y / np.float64(problem.unit)
+        y = problem.observed / np.float64(problem.unit)
         penalty = self.penalty_for(problem)
-        energy: Float64Array = (penalty * problem.c.astype(np.float64) * np.abs(y - d)).sum(axis=-1)
+        energy: Float64Array = (
+            penalty * problem.confidence.astype(np.float64) * np.abs(y - d)
+        ).sum(axis=-1)
         energy[~problem.tissue] = 0.0
         energy += self._cliques_of(problem, d).energy[2:-2, 2:-2]
         return energy
@@ -198,7 +199,7 @@ class SeilerPrior:
         """Look at the cliques of a problem, for a displacement (H, W, 2) in pixels."""
         planes = np.pad(np.moveaxis(d, -1, 0), ((0, 0), (2, 2), (2, 2)))
         weights, blanket = line_weights(problem.spacing), self.conditional == "blanket"
-        return cliques(planes, np.pad(problem.m, 2), weights, blanket)
+        return cliques(planes, np.pad(problem.stiffness, 2), weights, blanket)
 
 
 def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
@@ -210,10 +211,6 @@ def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
         for at in sites:
             found[at] |= exists[..., None] & carried[line]
     return found
-
-
-def _is_above_0(number: object, largest: float) -> bool:
-    return isinstance(number, Real) and 0 < float(number) <= largest
 
 
 def _around(m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_]) -> Float64Array:

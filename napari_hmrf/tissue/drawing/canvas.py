@@ -44,9 +44,9 @@ class Canvas:
 
     Attributes
     ----------
-    y : ndarray, shape (H, W, 2), float32
+    observed : ndarray, shape (H, W, 2), float32
         Observed displacement, (row, col), in the unit of `spacing`; material.
-    c : ndarray, shape (H, W, 2), float32
+    confidence : ndarray, shape (H, W, 2), float32
         Confidence per component, 0 to 1.
     labels : ndarray of int, shape (H, W), optional
         Which tissue, for strokes that paint tissue.
@@ -61,14 +61,14 @@ class Canvas:
         If the images are not of one size.
     """
 
-    y: FloatArray
-    c: FloatArray
+    observed: FloatArray
+    confidence: FloatArray
     labels: npt.NDArray[Any] | None = None
     spacing: tuple[float, float] = (1.0, 1.0)
     kinds: npt.NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        for field, image in (("y", self.y), ("c", self.c)):
+        for field, image in (("observed", self.observed), ("confidence", self.confidence)):
             if image.shape != (*self.shape, 2) or image.dtype != np.float32:
                 raise ProblemError(
                     field,
@@ -77,7 +77,7 @@ class Canvas:
                 )
         if self.labels is not None and self.labels.shape != self.shape:
             raise ProblemError(
-                "m", f"has labels of shape {self.labels.shape}, but {self.shape} is needed."
+                "stiffness", f"has labels of shape {self.labels.shape}, but {self.shape} is needed."
             )
 
     @classmethod
@@ -95,7 +95,7 @@ class Canvas:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return int(self.y.shape[0]), int(self.y.shape[1])
+        return int(self.observed.shape[0]), int(self.observed.shape[1])
 
     @property
     def whole(self) -> Box:
@@ -107,7 +107,7 @@ class Canvas:
         """The same images, to be drawn on."""
         labels = None if self.labels is None else self.labels.copy()
         kinds = None if self.kinds is None else self.kinds.copy()
-        return Canvas(self.y.copy(), self.c.copy(), labels, self.spacing, kinds)
+        return Canvas(self.observed.copy(), self.confidence.copy(), labels, self.spacing, kinds)
 
 
 def box_of(mark: Mark, canvas: Canvas) -> Box:
@@ -157,7 +157,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     where = distance <= reach
     at = (slice(box[0], box[1]), slice(box[2], box[3]))
     which = _COMPONENTS["both" if mark.components == "both" else mark.components]
-    y, c = canvas.y[at][..., which], canvas.c[at][..., which]
+    y, c = canvas.observed[at][..., which], canvas.confidence[at][..., which]
     if isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[which], mark.confidence
     elif mark.action == "pin":
@@ -176,7 +176,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     else:
         if canvas.labels is None:
             raise ProblemError(
-                "m", "has no labels to paint tissue in. Choose a Labels layer as tissue."
+                "stiffness", "has no labels to paint tissue in. Choose a Labels layer as tissue."
             )
         canvas.labels[at][where] = mark.label
         return
@@ -288,7 +288,7 @@ def _expanded_whole(
     box = common((int(low[0]), int(high[0]), int(low[1]), int(high[1])), around)
     painted = distance_to(stroke.lines, stroke.radius, spacing, box) <= radius
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
-    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing)
+    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
     y.setflags(write=False)
     c.setflags(write=False)
     return y, c, box

@@ -53,7 +53,7 @@ class Arrow:
     components: Components = "both"
 
     def __post_init__(self) -> None:
-        _set(self, at=_point(self.at), by=_point(self.by, "y"), radius=_radius(self.radius))
+        _set(self, at=_point(self.at), by=_point(self.by, "observed"), radius=_radius(self.radius))
         _set(self, confidence=_confidence(self.confidence))
         _one_of("components", self.components, get_args(Components))
 
@@ -147,9 +147,11 @@ class Stroke:
         _one_of("components", self.components, get_args(Components))
         lines = tuple(tuple(_point(point) for point in line) for line in self.lines)
         if not lines or not all(lines):
-            raise ProblemError("y", "has a stroke of the brush without a place. Give it one.")
-        _set(self, lines=lines, by=_point(self.by, "y"), radius=_radius(self.radius))
-        _set(self, amount=_number("y", "an amount", self.amount))
+            raise ProblemError(
+                "observed", "has a stroke of the brush without a place. Give it one."
+            )
+        _set(self, lines=lines, by=_point(self.by, "observed"), radius=_radius(self.radius))
+        _set(self, amount=_number("observed", "an amount", self.amount))
         _set(self, confidence=_share("a confidence", self.confidence))
         _set(self, softness=_share("a softness", self.softness), label=int(self.label))
 
@@ -247,21 +249,27 @@ def _point(value: Any, field: str = "") -> Point:
     try:
         row, col = value
     except (TypeError, ValueError):
-        raise ProblemError("y", f"has a mark with {what} {value!r}. Give (row, col).") from None
-    return _number("y", what, row), _number("y", what, col)
+        raise ProblemError(
+            "observed", f"has a mark with {what} {value!r}. Give (row, col)."
+        ) from None
+    return _number("observed", what, row), _number("observed", what, col)
 
 
 def _radius(value: Any) -> float:
-    radius = _number("y", "a radius", value)
+    radius = _number("observed", "a radius", value)
     if radius <= 0:
-        raise ProblemError("y", f"has a mark with a radius of {radius:g}. Give a length above 0.")
+        raise ProblemError(
+            "observed", f"has a mark with a radius of {radius:g}. Give a length above 0."
+        )
     return radius
 
 
 def _share(what: str, value: Any) -> float:
-    share = _number("c", what, value)
+    share = _number("confidence", what, value)
     if not 0 <= share <= 1:
-        raise ProblemError("c", f"has a mark with {what} of {share:g}. Give a value from 0 to 1.")
+        raise ProblemError(
+            "confidence", f"has a mark with {what} of {share:g}. Give a value from 0 to 1."
+        )
     return share
 
 
@@ -269,7 +277,7 @@ def _confidence(value: Any) -> float:
     confidence = _share("a confidence", value)
     if confidence == 0:
         raise ProblemError(
-            "c", "has a mark with a confidence of 0, which says nothing. Remove the mark."
+            "confidence", "has a mark with a confidence of 0, which says nothing. Remove the mark."
         )
     return confidence
 
@@ -277,4 +285,6 @@ def _confidence(value: Any) -> float:
 def _one_of(what: str, value: Any, known: tuple[str, ...]) -> None:
     if value not in known:
         listed = ", ".join(f'"{each}"' for each in known)
-        raise ProblemError("y", f"has a mark with the {what} {value!r}. Take one of {listed}.")
+        raise ProblemError(
+            "observed", f"has a mark with the {what} {value!r}. Take one of {listed}."
+        )

@@ -61,7 +61,7 @@ class Rendering:
     def _redraw(self, drawing: Drawing, window: Box) -> None:
         at = (slice(window[0], window[1]), slice(window[2], window[3]))
         base, canvas = self._base, self.canvas
-        canvas.y[at], canvas.c[at] = base.y[at], base.c[at]
+        canvas.observed[at], canvas.confidence[at] = base.observed[at], base.confidence[at]
         if base.labels is not None and canvas.labels is not None:
             canvas.labels[at] = base.labels[at]
         if base.kinds is not None and canvas.kinds is not None:

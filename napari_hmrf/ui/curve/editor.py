@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy.typing as npt
 from psygnal import Signal
@@ -23,14 +24,12 @@ from qtpy.QtWidgets import (
 )
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.background import between_air_and_tissue
 from napari_hmrf.tissue.stiffness_curve import Between, StiffnessCurve
+from napari_hmrf.tissue.surroundings import between_air_and_tissue
 from napari_hmrf.ui.curve.plot import CurvePlot
 
 #: Spin boxes need ends.
 _FAR = 1e12
-_BETWEEN: dict[Between, str] = {"straight": "straight", "smooth": "smooth"}
-_SCALES = {True: "logarithmic", False: "linear"}
 
 
 class CurveEditor(QWidget):
@@ -69,26 +68,24 @@ class CurveEditor(QWidget):
         self.unit.setToolTip("The unit of stiffness, such as kPa; shown only")
         self.add = _button("+", "Add a point, halfway to the next")
         self.remove = _button("−", "Remove the selected point (Delete)")
+        for button in (self.add, self.remove):
+            button.setFixedWidth(28)
         self.void = QCheckBox("no tissue below")
         self.void.setToolTip("What is darker than this, such as air, has stiffness 0")
         self.void_below = _number("Intensity, in the image's own unit", -_FAR)
-        self.between = QComboBox()
-        for between, words in _BETWEEN.items():
-            self.between.addItem(words, between)
-        self.between.setToolTip("How the points are joined; the smooth line overshoots none")
-        self.scale = QComboBox()
-        for logarithmic, words in _SCALES.items():
-            self.scale.addItem(words, logarithmic)
-        self.scale.setToolTip(
+        self.between = _choice(
+            {between: between for between in get_args(Between)},
+            "How the points are joined; the smooth line overshoots none",
+        )
+        self.scale = _choice(
+            {True: "logarithmic", False: "linear"},
             "Of stiffness. Logarithmic: by equal factors, as tissues differ; linear: by equal "
-            "amounts. It counts between the points, too"
+            "amounts. It counts between the points, too",
         )
-        self.anew = QPushButton("Start anew")
-        self.anew.setToolTip(
-            "The first guess again, from the slice that is shown: the brighter, the stiffer"
+        self.anew = _button(
+            "Start anew",
+            "The first guess again, from the slice that is shown: the brighter, the stiffer",
         )
-        for choice in (self.between, self.scale):
-            choice.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._assemble()
         self._connect()
         self._show()
@@ -130,7 +127,7 @@ class CurveEditor(QWidget):
     def _connect(self) -> None:
         self.plot.edited.connect(self._on_plot)
         self.plot.settled.connect(self.settled.emit)
-        self.plot.picked.connect(self._on_picked)
+        self.plot.picked.connect(self._show)
         self.intensity.valueChanged.connect(self._on_point)
         self.stiffness.valueChanged.connect(self._on_point)
         self.add.clicked.connect(self._on_add)
@@ -141,27 +138,18 @@ class CurveEditor(QWidget):
         self.scale.currentIndexChanged.connect(self._on_choice)
         self.unit.editingFinished.connect(self._on_choice)
 
-    def _show(self) -> None:
+    def _show(self, *_: Any) -> None:
         """Show in the fields what the plot shows."""
         curve, selected = self.plot.curve, self.plot.selected
-        fields = (
-            self.intensity,
-            self.stiffness,
-            self.void,
-            self.void_below,
-            self.between,
-            self.scale,
-            self.unit,
-        )
+        numbers, choices = (self.intensity, self.stiffness), (self.between, self.scale)
+        fields = (*numbers, self.void, self.void_below, *choices, self.unit)
         blocked = [QSignalBlocker(field) for field in fields]
-        for field in (self.intensity, self.stiffness):
+        for part, field in enumerate(numbers):
             field.setEnabled(selected is not None)
-        if selected is None:
-            self.intensity.clear()
-            self.stiffness.clear()
-        else:
-            _set(self.intensity, curve.points[selected][0])
-            _set(self.stiffness, curve.points[selected][1])
+            if selected is None:
+                field.clear()
+            else:
+                _set(field, curve.points[selected][part])
         self.remove.setEnabled(selected is not None and len(curve.points) > 2)
         self.void.setChecked(curve.void_below is not None)
         self.void_below.setEnabled(curve.void_below is not None)
@@ -177,9 +165,6 @@ class CurveEditor(QWidget):
     def _on_plot(self, curve: StiffnessCurve) -> None:
         self._show()
         self.changed.emit(curve)
-
-    def _on_picked(self, _: int | None) -> None:
-        self._show()
 
     def _on_point(self, *_: Any) -> None:
         if self.plot.selected is None:
@@ -246,8 +231,16 @@ def _number(tooltip: str, least: float) -> QDoubleSpinBox:
 def _button(text: str, tooltip: str) -> QPushButton:
     button = QPushButton(text)
     button.setToolTip(tooltip)
-    button.setFixedWidth(28)
     return button
+
+
+def _choice(words: Mapping[Any, str], tooltip: str) -> QComboBox:
+    box = QComboBox()
+    for value, said in words.items():
+        box.addItem(said, value)
+    box.setToolTip(tooltip)
+    box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    return box
 
 
 def _set(field: QDoubleSpinBox, value: float) -> None:

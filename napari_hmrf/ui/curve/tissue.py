@@ -10,7 +10,6 @@ from napari.layers import Image, Layer
 from psygnal import Signal
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.layer_names import LayerError
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.stiffness_layers import (
@@ -21,6 +20,7 @@ from napari_hmrf.layers.stiffness_layers import (
     stiffness_layer,
     update_stiffness,
 )
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.stiffness_curve import STIFFNESSES, StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.messages import in_short

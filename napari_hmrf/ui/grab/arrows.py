@@ -11,6 +11,7 @@ import numpy as np
 from napari.layers import Layer
 
 from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
+from napari_hmrf.layers.compat import thin_thumbnail
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
@@ -194,7 +195,7 @@ class ArrowsLayer:
     def _make(self, frame: Frame, shape: tuple[int, int]) -> Any:
         layer = Layer.create(*arrow_layer(frame, shape))
         # Drawing the thumbnail of every line would take longer than all the rest.
-        layer._max_vectors_thumbnail = 8
+        thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
         bind_keys(layer, self._told)
         layer.bind_key("Space", self._on_space)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from napari_hmrf.layers.compat import text_of
+
 
 class Badge:
     """The text in a corner of the canvas, while it is not somebody else's.
@@ -14,9 +16,7 @@ class Badge:
     """
 
     def __init__(self, viewer: Any) -> None:
-        canvas = getattr(viewer, "canvas", None)
-        # Before napari 0.9 it was the viewer's own.
-        self._text = canvas.overlays.text if canvas is not None else viewer.text_overlay
+        self._text = text_of(viewer)
         self._said = ""
 
     @property

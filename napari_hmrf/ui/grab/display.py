@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.layers.arrow_layer import Lines
-from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.image_choice import image_covering_at
 from napari_hmrf.layers.image_result import Result
 from napari_hmrf.layers.paint_layer import outline_of
@@ -17,6 +16,7 @@ from napari_hmrf.layers.result_layers import Kind, picture_layer
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
@@ -87,7 +87,7 @@ class Display:
         self.seen = None if ground is None else Seen.still(ground)
         before, self._result = self._result, None
         if ground is not None:
-            self._result = self._results.at(image, ground.frame.slice_name)
+            self._result = self._results.at(image, ground.study.grid.place.slice_name)
         other, unmoved = self._result is not before, self._unmoved
         self._here, self._unmoved = self._here and not other, False
         with self.own_doing():
@@ -95,7 +95,7 @@ class Display:
                 before.remove()
             self.painted.forget()
             if ground is not None:
-                self.arrows.place(ground.frame, ground.shape)
+                self.arrows.place(ground.study.grid.place, ground.shape)
 
     @property
     def covering(self) -> Any:
@@ -114,7 +114,7 @@ class Display:
             return
         self._here = True
         with self.own_doing():
-            self._results.claim(self._image, seen.ground.frame, "grab")
+            self._results.claim(self._image, seen.ground.study.grid.place, "grab")
             for layer in self._hidden:
                 layer.visible = True
             self._hidden = []
@@ -134,20 +134,20 @@ class Display:
             self.show_painted(seen, hand)
 
     def _show_tissue(self, seen: Seen) -> None:
-        ground = seen.ground
+        study, solution = seen.ground.study, seen.solution
+        place = study.grid.place
         if seen.outputs is not None:
             layers = seen.outputs.layers
         else:
-            model = {"prior": ground.prior.parameters}
-            made = picture_layer(ground.frame, ground.pictures, seen.picture, model)
-            layers = {"image": made}
+            model = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
+            layers = {"image": picture_layer(place, study.pictures, seen.picture, model)}
         self._results.show(
             self._image,
-            ground.frame,
+            place,
             layers,
             "grab",
             asked=self._here,
-            moving=seen.outputs is None and seen.solution is not None,
+            moving=seen.outputs is None and solution is not None,
             unasked=_UNASKED,
         )
 

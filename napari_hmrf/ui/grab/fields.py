@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox
+from magicgui.widgets import ComboBox, Container
 
-from napari_hmrf.layers.palette import Palette
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.brush import Paint
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.drawing.pull import Grip
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.ui.forms import LEAST_CONFIDENCE, confidence_slider
+from napari_hmrf.tissue.palette import Palette
+from napari_hmrf.ui.forms import LEAST_CONFIDENCE, confidence_slider, length, narrow, share
 from napari_hmrf.ui.grab.tools import BY_NAME, Tool
 
 _SURE = (
@@ -28,39 +28,30 @@ class ToolFields(Container):
     """How the tools draw."""
 
     def __init__(self) -> None:
-        self.radius = FloatSpinBox(
-            value=10.0,
-            min=0.001,
-            max=1e6,
-            step=1.0,
-            label="radius",
-            tooltip="Of the patch that is taken hold of, or of the brush, in the unit of the image "
+        self.radius = length(
+            "radius",
+            "Of the patch that is taken hold of, or of the brush, in the unit of the image "
             "([ and ] make it smaller and larger)",
+            least=0.001,
+            value=10.0,
+            step=1.0,
         )
         self._ways = Directions()
-        self.by_row, self.by_col = (_length(self._ways.label(axis)) for axis in (0, 1))
-        self.amount = _length(
-            "outward", "How far the outline moves along its normal; below 0 inward: it shrinks"
+        self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
+        self.amount = length(
+            "outward",
+            "How far the outline moves along its normal; below 0 inward: it shrinks; in the unit "
+            "of the image",
         )
         self.confidence = confidence_slider(_SURE)
-        self.sure = FloatSlider(
-            value=0.5,
-            min=0.0,
-            max=1.0,
-            step=0.05,
-            tracking=False,
-            label="becomes",
-            tooltip="How sure it is what is held or moved under the brush. 1: exactly so, "
+        self.sure = share(
+            "becomes",
+            "How sure it is what is held or moved under the brush. 1: exactly so, "
             "0: that says nothing any more",
         )
-        self.softness = FloatSlider(
-            value=0.5,
-            min=0.0,
-            max=1.0,
-            step=0.05,
-            tracking=False,
-            label="softness",
-            tooltip="Across which part of its radius the brush fades out. 0: hard edge, "
+        self.softness = share(
+            "softness",
+            "Across which part of its radius the brush fades out. 0: hard edge, "
             "1: from its middle on",
         )
         self.components = ComboBox(
@@ -79,9 +70,7 @@ class ToolFields(Container):
             tooltip="Published tissues to paint with, as the tissue layer has no table of its own; "
             "what is not painted behaves as the first of them",
         )
-        box = self.preset.native
-        box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        box.setMinimumContentsLength(8)
+        narrow(self.preset)
         self._own_table = False
         fields = (
             self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
@@ -222,14 +211,3 @@ def _stiffness(row: Material, unit: str) -> str:
 def _components(ways: Directions) -> list[tuple[str, str]]:
     """In which directions a mark may speak."""
     return [("both directions", "both"), (ways.only(0), "row"), (ways.only(1), "col")]
-
-
-def _length(label: str, tooltip: str = "How far") -> FloatSpinBox:
-    return FloatSpinBox(
-        value=0.0,
-        min=-1e6,
-        max=1e6,
-        step=0.5,
-        label=label,
-        tooltip=f"{tooltip}; in the unit of the image",
-    )

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import (
-    CheckBox,
-    Container,
-    PushButton,
-)
+from magicgui.widgets import CheckBox, Container, PushButton
 from napari.layers import Image, Labels, Points
 
 from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.layers.metadata import known_of
-from napari_hmrf.ui.forms import Prose
+from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.grab.fields import ToolFields
 from napari_hmrf.ui.grab.tools import BY_NAME, TOOLS, Tool
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
@@ -47,8 +43,8 @@ class GrabForm(Container):
         self.image = LayerChoice(
             layers,
             is_picture,
-            label="image",
-            tooltip="The image whose tissue is pulled; of a stack, the slice that is shown",
+            "image",
+            "The image whose tissue is pulled; of a stack, the slice that is shown",
         )
         self.tissue = LayerChoice(
             layers,
@@ -57,8 +53,8 @@ class GrabForm(Container):
                 and "kind" not in known_of(layer)
                 and layer is not self.image.value
             ),
-            label="tissue",
-            tooltip="Labels with a table of stiffnesses (as Deform tissue makes them), or an image "
+            "tissue",
+            "Labels with a table of stiffnesses (as Deform tissue makes them), or an image "
             "of stiffness; may be left out",
         )
         self.boundary = LayerChoice(
@@ -68,8 +64,8 @@ class GrabForm(Container):
                 and "kind" not in known_of(layer)
                 and layer is not self.tissue.value
             ),
-            label="boundary",
-            tooltip="Labels with a table of what holds and what moves (as Deform tissue makes "
+            "boundary",
+            "Labels with a table of what holds and what moves (as Deform tissue makes "
             "them); arrows come on top of it; may be left out",
         )
         self.edge = CheckBox(
@@ -93,7 +89,7 @@ class GrabForm(Container):
         self.confidence = self.fields.confidence
         self.components = self.fields.components
         self.where, self.should = (
-            LayerChoice(layers, lambda layer: isinstance(layer, Points), label=label, tooltip=tip)
+            LayerChoice(layers, lambda layer: isinstance(layer, Points), label, tip)
             for label, tip in (
                 ("is at", "A Points layer: where things are"),
                 ("should be at", "A Points layer: where the same things should be, in this order"),
@@ -108,16 +104,10 @@ class GrabForm(Container):
         #: What is wrong with the tissue that is seen, apart from what was done last.
         self.warning, self.status = Prose(value=""), Prose(value="")
         about, keys = Prose(value=ABOUT), Prose(value=KEYS)
-        buttons = [
-            Container(widgets=pair, layout="horizontal", labels=False)
-            for pair in ([self.undo, self.redo], [self.remove, self.clear])
-        ]
+        buttons = [row(self.undo, self.redo), row(self.remove, self.clear)]
         first = Container(widgets=[self.image, self.tissue, self.boundary])
         others = list(self.tools.values())[1:]
-        rows = [
-            Container(widgets=row, layout="horizontal", labels=False)
-            for row in (others[:4], others[4:])
-        ]
+        rows = [row(*others[:4]), row(*others[4:])]
         super().__init__(
             widgets=[
                 first, self.edge, self.grab, *rows, self.fields, self.points, self.take,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from napari_hmrf.tissue.drawing import Drawing, History
-from napari_hmrf.ui.forms import put_scrolled
+from napari_hmrf.ui.forms import Part, put_scrolled
 from napari_hmrf.ui.grab.form import GrabForm
 from napari_hmrf.ui.grab.grab_messages import REMOVED_ALL
 from napari_hmrf.ui.grab.pointer_events import Answers
@@ -27,40 +27,32 @@ class GrabControls(Dock):
     ----------
     form : GrabForm
         The fields and buttons.
+    image : napari.layers.Image or None
+        Whose tissue is pulled.
+    tissue : napari.layers.Labels, Image or None
+        How stiff tissue is: labels with their table, or an image of stiffness.
+    boundary : napari.layers.Labels or None
+        What holds and moves beside what is drawn.
+    warning : str
+        What is to be known of the tissue that is seen, folds above all; "" if nothing.
+    history : History
+        Of the slice that is shown.
+    active : bool
+        Whether the mouse pulls tissue.
     """
+
+    image = Part[Any]("form.image.value")
+    tissue = Part[Any]("form.tissue.value")
+    boundary = Part[Any]("form.boundary.value")
+    warning = Part[str]("form.warning.value")
+    history = Part[History]("_puller.history")
+    active = Part[bool]("_puller.active")
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self.form = GrabForm(self._layers)
         put_scrolled(self, self.form, _WIDTH)
         self._puller = Puller(self._viewer, lambda: self.form.fields.how, Answers)
-
-    @property
-    def image(self) -> Any:
-        """The image whose tissue is pulled, or None."""
-        return self.form.image.value
-
-    @image.setter
-    def image(self, layer: Any) -> None:
-        self.form.image.choose(layer)
-
-    @property
-    def tissue(self) -> Any:
-        """How stiff tissue is: a Labels layer with its table, an image of stiffness, or None."""
-        return self.form.tissue.value
-
-    @tissue.setter
-    def tissue(self, layer: Any) -> None:
-        self.form.tissue.choose(layer)
-
-    @property
-    def boundary(self) -> Any:
-        """A Labels layer of what holds and moves beside what is drawn, or None."""
-        return self.form.boundary.value
-
-    @boundary.setter
-    def boundary(self, layer: Any) -> None:
-        self.form.boundary.choose(layer)
 
     @property
     def drawing(self) -> Drawing:
@@ -70,16 +62,6 @@ class GrabControls(Dock):
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
         self._puller.set_drawing(drawing, "took over a drawing")
-
-    @property
-    def history(self) -> History:
-        """Of the slice that is shown."""
-        return self._puller.history
-
-    @property
-    def active(self) -> bool:
-        """Whether the mouse pulls tissue."""
-        return self._puller.active
 
     def undo(self) -> None:
         """Take back what was done last."""

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.ground import read_ground
 from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View, unit_symbol
 from napari_hmrf.layers.viewer_layers import is_selection_kept, still_there
+from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.grab.grab_controls import GrabControls
 from napari_hmrf.ui.grab.grab_events import GrabWatch
 from napari_hmrf.ui.grab.grab_messages import (
@@ -64,6 +73,7 @@ class GrabAndPull(GrabControls):
         )
         self._connect()
         self._watch = GrabWatch(self, self.form, self._viewer)
+        self._copies = shared(self._viewer, LayerCopies)
         StepKeys(self.native, self._puller.steps)
         self.reset_choices()
         self._watch.choose_first()
@@ -78,14 +88,17 @@ class GrabAndPull(GrabControls):
         return self._puller.follower.busy or self._resting.isActive() or not read
 
     @property
+    def study(self) -> Study | None:
+        """What is drawn, and what it is drawn on; None where nothing can be."""
+        ground = self._puller.ground
+        if ground is None:
+            return None
+        return replace(ground.study, motion=replace(ground.study.motion, drawing=self.drawing))
+
+    @property
     def status(self) -> str:
         """The sentence below the buttons: what was done last, or can be done next."""
         return self._status
-
-    @property
-    def warning(self) -> str:
-        """What is to be known of the tissue that is seen, folds above all; "" if nothing."""
-        return str(self.form.warning.value)
 
     @property
     def tool(self) -> str:
@@ -106,7 +119,8 @@ class GrabAndPull(GrabControls):
         else:
             if not self._sized and self._puller.ground is not None:
                 ground = self._puller.ground
-                self.form.fields.begin_with(ground.usual_radius, ground.usual_step)
+                size = (ground.shape, ground.study.grid.spacing)
+                self.form.fields.begin_with(usual_radius(*size), usual_step(*size))
                 self._sized = True
             self._watch.hide_paint()
             self._puller.take(self.form.radius.value)
@@ -138,34 +152,43 @@ class GrabAndPull(GrabControls):
                 raise HmrfError(FLAT)
             view = View.of(self._viewer.dims)
             form = self.form
-            how = {"hold_edge": form.edge.value, "preset": form.fields.preset.value}
-            ground = read_ground(self.image, self.tissue, self.boundary, view, **how)
+            request = Request(
+                image=self.image,
+                tissue=self.tissue,
+                boundary=self.boundary,
+                view=view,
+                hold_edge=form.edge.value,
+                preset=form.fields.preset.value,
+                drawing=Drawing(),
+            )
+            study = read_study(request, optimizer=Multigrid(TOLERANCE), copies=self._copies)
+            before = self._puller.ground
+            same = before is not None and before.study.lies_as(study)
+            ground = before if before is not None and same else Ground.of(study)
         except (HmrfError, ValueError) as error:
             self._puller.stand_on(None)
             self.show_toggle()
             self.say(in_short(error))
             return False
-        before = self._puller.ground
-        if before is None or not before.same_as(ground):
+        if ground is not before:
             tissues = tissue_colours(ground.palette, self.tissue)
             self._puller.stand_on(ground, self.image, tissues)
             self.form.fields.offer(ground.palette)
             self.show_toggle()
-        ways = Directions.of(ground.frame, self._viewer)
-        self.form.fields.show_place(unit_symbol(ground.frame.unit), ways)
+        ways = Directions.of(ground.study.grid.place, self._viewer)
+        self.form.fields.show_place(unit_symbol(ground.study.grid.place.unit), ways)
         return True
 
     def take_points(self, where: Any, should: Any) -> bool:
         """Draw landmarks from the points of two layers, paired by their order; whether it could."""
-        self.form.where.choose(where)
-        self.form.should.choose(should)
+        self.form.where.value, self.form.should.value = where, should
         return self._toolbox.take_points()
 
     def reset_choices(self, *_: Any) -> None:
         """Look again at which layers there are."""
         if not self.away:
             for choice in self.form.choices:
-                choice.refresh()
+                choice.reset_choices()
             self._toolbox.look()
 
     def say(self, sentence: str) -> None:

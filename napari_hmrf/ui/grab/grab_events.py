@@ -107,9 +107,9 @@ class GrabWatch:
         for layer in layers:
             role = role_of(layer)
             if role == TISSUE:
-                tissue.choose(layer)
+                tissue.value = layer
             elif layer in image.offered and (role == IMAGE or image.value is None):
-                image.choose(layer)
+                image.value = layer
 
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""

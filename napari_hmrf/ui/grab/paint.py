@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Layer
 
-from napari_hmrf.layers.ground import Ground
 from napari_hmrf.layers.paint_layer import number_of, painted_layer
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import (
@@ -18,6 +17,7 @@ from napari_hmrf.layers.viewer_layers import (
     still_there,
     update_layer,
 )
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import common, distance_to
 from napari_hmrf.tissue.drawing.marks import Point
@@ -120,7 +120,7 @@ class PaintedLayer:
 
     def _put(self, ground: Ground, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
         self._picture = picture
-        frame, layer = ground.frame, self.layer
+        frame, layer = ground.study.grid.place, self.layer
         if layer is None or layer.ndim != frame.ndim:
             if layer is not None:
                 self._viewer.layers.remove(layer)
@@ -156,7 +156,7 @@ class _Touch:
 
     def draw(self, picture: npt.NDArray[np.uint8], ground: Ground) -> None:
         """Draw it, in place."""
-        size, stroke, begin, end = ground.frame.spacing, self.stroke, self.begin, self.end
+        size, stroke, begin, end = ground.base.spacing, self.stroke, self.begin, self.end
         reach = [stroke.radius / step for step in size]
         box = common(
             (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-import numpy.typing as npt
+from napari_hmrf.layers.compat import compile_once, drawn_node
 
 _log = logging.getLogger("napari_hmrf")
 
@@ -13,31 +13,11 @@ _log = logging.getLogger("napari_hmrf")
 def spare_compiling(viewer: Any, layer: Any) -> None:
     """Have the lines of a Vectors layer be drawn by one program, compiled once.
 
-    vispy's meshes make the function that takes up their colours anew with all data they are given,
-    and so have their program composed, compiled and linked again: more than all the rest of
-    drawing a canvas takes. There is no public way to the mesh; where the way there is another one
-    day, lines are drawn slowly, and well.
+    Else more than all the rest of drawing a canvas goes into compiling one for each update. Where
+    there is no way to the mesh any more, lines are drawn slowly, and well.
     """
-    try:
-        mesh = viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
-        build = mesh._build_color_transform
-        mesh.unfreeze()
-    except (AttributeError, KeyError):  # no window, or another version of napari or vispy
+    if not compile_once(drawn_node(viewer, layer)):
         _log.debug("the lines of %s are compiled anew each time", layer)
-        return
-    made: dict[tuple[int, ...], Any] = {}
-
-    def build_once(colours: npt.NDArray[Any]) -> Any:
-        # One function for a colour of all, and one for a colour of each; values are none of ours.
-        kind = (colours.ndim, colours.shape[-1])
-        if kind[1] != 4:
-            return build(colours)
-        if kind not in made:
-            made[kind] = build(colours)
-        return made[kind]
-
-    mesh._build_color_transform = build_once
-    mesh.freeze()
 
 
 class Hush:

@@ -67,7 +67,7 @@ class Answers:
         puller, seen = self._puller, self._puller.display.seen
         if seen is None:
             return
-        drawing, spacing = puller.history.drawing, seen.ground.frame.spacing
+        drawing, spacing = puller.history.drawing, seen.ground.study.grid.spacing
         hit = drawing.at(point, reach, spacing)
         if hit is not None:
             number: int | None = hit.number

@@ -9,7 +9,7 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.layers.edit_history import ViewerSteps
-from napari_hmrf.layers.ground import Ground
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing, History, Stroke
 from napari_hmrf.tissue.drawing.brush import Paint
 from napari_hmrf.tissue.drawing.pull import Grip
@@ -146,8 +146,8 @@ class Puller:
             self.history = History()
             self._hands = Hands(self.history)
         else:
-            self.history = self._histories.of(image, ground.frame)
-            self._hands = Hands(self.history, ground.frame.spacing, ground.shape)
+            self.history = self._histories.of(image, ground.study.grid.place)
+            self._hands = Hands(self.history, ground.study.grid.spacing, ground.shape)
             self._working = False
         self.display.stand_on(ground, image, tissues or {})
         self.history.changed.connect(self._on_drawn)
@@ -179,7 +179,7 @@ class Puller:
             return
         self.display.come_forward()
         with self.display.own_doing():
-            self.display.arrows.take(ground.frame, ground.shape, radius)
+            self.display.arrows.take(ground.study.grid.place, ground.shape, radius)
         self.draw()
         self.said.emit(self.tool.how if self._working else PREPARING)
         if not self._working:

@@ -15,12 +15,12 @@ import numpy as np
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
-from napari_hmrf.layers.ground import Ground
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
+from napari_hmrf.study.ground import Ground
 
 _SIZE = 24
 _log = logging.getLogger("napari_hmrf")
@@ -31,7 +31,7 @@ _solved: set[tuple[str, bool]] = set()
 
 def rehearse(ground: Ground, report: Progress | None, left: CancelFlag) -> None:
     """Solve something small, and move a corner of the picture; on the compute thread only."""
-    picture = ground.pictures.image
+    picture = ground.study.pictures.image
     assert picture is not None
     _solve(ground, ground.prior, report, left)
     if left.is_set():
@@ -50,14 +50,14 @@ def rehearse_the_rest(ground: Ground, left: CancelFlag) -> None:
 
 
 def _solve(ground: Ground, prior: Prior, report: Progress | None, left: CancelFlag) -> None:
-    spacing = ground.frame.spacing
+    spacing = ground.study.grid.spacing
     key = (prior.kernels, len(set(spacing)) == 1)
     if key in _solved:
         return
     y, c = np.zeros((2, _SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
-    problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing)
+    problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
     small = prior.rehearsal(problem.shape)
     try:
         run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf.field.inverse_point import farthest_of, origin
-from napari_hmrf.layers.ground import Ground
+from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 
@@ -67,7 +67,7 @@ class Seen:
     @classmethod
     def still(cls, ground: Ground, drawing: Drawing | None = None) -> Seen:
         """Nothing has moved."""
-        picture = ground.pictures.image
+        picture = ground.study.pictures.image
         assert picture is not None
         return cls(ground, drawing or Drawing(), picture)
 
@@ -83,7 +83,7 @@ class Seen:
         if self.solution is not None:
             solution = self.solution
             field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            before = origin(point, *field)
+            before = inverse_point(point, *field)
             # What nobody held anywhere stayed out of it, and where it was.
             before = before or (None if self._tissue_at(point, solution.tissue) else point)
         return before if before is not None and self._tissue_at(before, self.ground.body) else None
@@ -97,7 +97,7 @@ class Seen:
         """Where tissue that was at points, (N, 2) in pixels, is seen."""
         if self.solution is None or not len(points):
             return points
-        field, size = self.solution.displacement, self.ground.frame.spacing
+        field, size = self.solution.displacement, self.ground.study.grid.spacing
         steps = [
             ndimage.map_coordinates(field[..., axis], points.T, order=1, mode="nearest")
             / size[axis]

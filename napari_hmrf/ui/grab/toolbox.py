@@ -10,7 +10,7 @@ from typing import Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.landmarks import landmarks_of
-from napari_hmrf.layers.layer_names import LayerError
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.ui.grab.badge import Badge
 from napari_hmrf.ui.grab.form import GrabForm
@@ -86,7 +86,7 @@ class Toolbox:
             return False
         radius, sure = form.radius.value, form.confidence.value
         try:
-            found = landmarks_of(where, should, ground.frame, ground.shape, radius, sure)
+            found = landmarks_of(where, should, ground.study.grid.place, ground.shape, radius, sure)
         except LayerError as error:
             self._say(in_short(error))
             return False

@@ -7,7 +7,6 @@ from typing import Any
 
 from napari.layers import Image
 
-from napari_hmrf.layers.layer_names import full_resolution
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import FoundResult, frame_in, place_at
@@ -15,6 +14,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.strain_layers import FloatArray, Quantity
 from napari_hmrf.layers.tissue_point import Points, Probe
+from napari_hmrf.study.layer_names import full_resolution
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.look.look_messages import NO_TISSUE, at_point, stiffness_of, strain_of
 

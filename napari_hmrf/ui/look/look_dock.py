@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
-from napari_hmrf.layers.result_lookup import result_of
+from napari_hmrf.layers.result_lookup import FoundResult, can_be_source, result_of
+from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.ui.event_wait import Listening
-from napari_hmrf.ui.look.look_controls import LookControls
-from napari_hmrf.ui.look.look_form import BEFORE_KEY, PAUSE, PLAY
-from napari_hmrf.ui.look.look_messages import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, POINT
+from napari_hmrf.ui.forms import Part
+from napari_hmrf.ui.look.look_form import BEFORE_KEY, PAUSE, PLAY, LookFace
+from napari_hmrf.ui.look.look_messages import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, NOTHING, POINT
+from napari_hmrf.ui.look.scene import Scene
 from napari_hmrf.ui.timers import single_shot
+from napari_hmrf.ui.viewer_dock import Dock
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
 #: How long a result has to stand still before it is looked at anew, in milliseconds.
 _SETTLED = 150
 
 
-class LookAtResult(LookControls):
+class LookAtResult(Dock):
     """Go through a deformation, colour it by what it does to the tissue, and save pictures.
 
     Everything the user can do a script can do too: set `result`, `image`, `percent`, `before`,
@@ -37,19 +40,54 @@ class LookAtResult(LookControls):
 
     Attributes
     ----------
+    result : napari.layers.Vectors or None
+        The arrows that hold the result.
+    image : napari.layers.Image or None
+        What is moved.
+    percent : int
+        How much of the deformation is seen, from 0 to 100.
+    playing : bool
+        Whether it goes back and forth by itself.
+    before : bool
+        Whether the image is seen as it was, and nothing of the result.
+    grid, arrows : bool
+        Whether the deformation grid is drawn, and whether arrows are.
+    arrow_count : int
+        How many arrows are drawn, roughly.
+    arrow_length : float
+        How many times longer than true arrows are drawn.
+    status : str
+        The sentence at the bottom.
+    point : str
+        What is said of the tissue under the cursor.
     saved : Signal(object)
         Emitted when pictures are written: a list of `Path`.
     """
 
+    result = Part[Any]("_face.result.value")
+    image = Part[Any]("_face.image.value")
+    percent = Part[int]("_face.slider.value")
+    playing = Part[bool]("_scene.player.playing")
+    before = Part[bool]("_scene.before")
+    grid = Part[bool]("_face.grid.value")
+    arrows = Part[bool]("_face.arrows.value")
+    arrow_count = Part[int]("_face.count.value")
+    arrow_length = Part[float]("_face.length.value")
+    status = Part[str]("_face.status.value")
+    point = Part[str]("_face.point.value")
     saved = Signal(object)
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
+        self._taken: FoundResult | None = None
+        self._face = LookFace(self, self._layers, self._is_result, self._is_source)
+        self._scene = Scene(self, self._viewer, self._face, self._results)
         self._settling = single_shot(self.native, _SETTLED, self._on_settled)
         # A layer is known to be the grid of a result only after it has come.
         self._eyes = single_shot(self.native, 0, self._on_eye)
         self._followed: Any = None
         self._grid: Any = None
+        self._heard = Listening()
         self._nothing = NO_RESULT
         self._connect()
         self._on_theme()
@@ -62,6 +100,18 @@ class LookAtResult(LookControls):
         """Whether all that was asked for is seen."""
         waiting = self._settling.isActive() or self._eyes.isActive()
         return not (waiting or self._scene.busy)
+
+    @property
+    def colours(self) -> str:
+        """What colours show: "nothing", "magnitude", "jacobian", "equivalent", ... (`Quantity`)."""
+        return str(self._face.colours.value)
+
+    @colours.setter
+    def colours(self, quantity: str) -> None:
+        known = (NOTHING, *get_args(Quantity))
+        if quantity not in known:
+            raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
+        self._face.colours.value = quantity
 
     # What can be done
 
@@ -85,6 +135,12 @@ class LookAtResult(LookControls):
     def save_pictures(self, folder: str | Path) -> None:
         """Write pictures into a folder that exists; `saved` is emitted when they are there."""
         self._scene.save(Path(folder), self.saved.emit)
+
+    def _is_result(self, layer: Any) -> bool:
+        return result_of(layer) is not None
+
+    def _is_source(self, layer: Any) -> bool:
+        return self._taken is not None and can_be_source(layer, self._taken)
 
     # What Qt and napari tell
 
@@ -115,7 +171,7 @@ class LookAtResult(LookControls):
 
     def _choose(self, seen: bool = False) -> None:
         """Look at the newest result, or at the newest of those that are seen."""
-        self._face.result.refresh()
+        self._face.result.reset_choices()
         offered = self._face.result.offered
         if seen:
             offered = [each for each in offered if self._results.of(each).visible] or offered
@@ -135,31 +191,21 @@ class LookAtResult(LookControls):
         self._nothing = NO_CHOICE if self._face.result.offered else NO_RESULT
         if self.result is None and gone is not None and gone not in self._viewer.layers:
             self._nothing = LOST.format(layer=gone.name)
-        self._follow(self.result)
+        self._follow(self.result, self._grid)
         self._taken = None if self.result is None else result_of(self.result)
         self._scene.take(self.result, chosen)
-        self._follow_grid(self._scene.shown.layer("grid"))
+        self._follow(self._followed, self._scene.shown.layer("grid"))
         self._face.status.say(self._nothing if self.result is None else self._scene.words)
 
-    def _follow(self, layer: Any) -> None:
-        if layer is self._followed:
+    def _follow(self, arrows: Any, grid: Any) -> None:
+        """Hear of the arrows that are looked at and of their grid, and of no others."""
+        if arrows is self._followed and grid is self._grid:
             return
-        if self._followed is not None:
-            self._followed.events.data.disconnect(self._on_arrows)
-            self._followed.events.visible.disconnect(self._on_eye)
-        self._followed = layer
-        if layer is not None:
-            layer.events.data.connect(self._on_arrows)
-            layer.events.visible.connect(self._on_eye)
-
-    def _follow_grid(self, layer: Any) -> None:
-        if layer is self._grid:
-            return
-        if self._grid is not None:
-            self._grid.events.visible.disconnect(self._on_eye)
-        self._grid = layer
-        if layer is not None:
-            layer.events.visible.connect(self._on_eye)
+        self._heard.release()
+        self._followed, self._grid = arrows, grid
+        data = [] if arrows is None else [(arrows.events.data, self._on_arrows)]
+        there = [each for each in (arrows, grid) if each is not None]
+        self._heard = Listening(*data, *((each.events.visible, self._on_eye) for each in there))
 
     def _on_arrows(self, *_: Any) -> None:
         """Arrows were drawn anew: by whom is seen when their metadata have followed."""
@@ -168,7 +214,7 @@ class LookAtResult(LookControls):
 
     def _on_eye(self, *_: Any) -> None:
         if not self.away:
-            self._follow_grid(self._scene.shown.layer("grid"))
+            self._follow(self._followed, self._scene.shown.layer("grid"))
             self._scene.look_at_eyes()
 
     def _on_settled(self) -> None:
@@ -184,8 +230,8 @@ class LookAtResult(LookControls):
 
     def _on_layers(self, *_: Any) -> None:
         if not self.away:
-            self._face.result.refresh()
-            self._face.image.refresh()
+            self._face.result.reset_choices()
+            self._face.image.reset_choices()
             self._eyes.start()
 
     def _on_slice(self, *_: Any) -> None:
@@ -260,8 +306,7 @@ class LookAtResult(LookControls):
         self._face.point.say(POINT)
 
     def _on_end(self) -> None:
-        self._follow(None)
-        self._follow_grid(None)
+        self._follow(None, None)
         self._events.release()
         self._unbind_key()
         self._scene.release()

@@ -9,7 +9,7 @@ from magicgui.widgets import CheckBox, ComboBox, Container, FloatSlider, PushBut
 
 from napari_hmrf.layers.result_layers import ARROWS
 from napari_hmrf.ui.energy_plot import EnergyPlot
-from napari_hmrf.ui.forms import Prose, put_scrolled
+from napari_hmrf.ui.forms import Prose, narrow, put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.look.look_messages import COLOURS_TIP, KEYS, NOTHING, POINT, colour_choices
 from napari_hmrf.ui.remembered_settings import remember
@@ -43,14 +43,11 @@ class LookFace:
         self.result = LayerChoice(
             layers,
             is_result,
-            label="result",
-            tooltip="The layer of displacement arrows that Deform tissue made, or a file has",
+            "result",
+            "The layer of displacement arrows that Deform tissue made, or a file has",
         )
         self.image = LayerChoice(
-            layers,
-            is_source,
-            label="image",
-            tooltip="What is moved: an image on the pixels of the result",
+            layers, is_source, "image", "What is moved: an image on the pixels of the result"
         )
         self.slider = Slider(
             value=100,
@@ -68,8 +65,7 @@ class LookFace:
         self.colours = ComboBox(
             choices=colour_choices("px"), value=NOTHING, label="colours", tooltip=COLOURS_TIP
         )
-        box = self.colours.native
-        box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        narrow(self.colours)
         self.arrows = CheckBox(
             value=True, text="arrows", tooltip="From where tissue was to where it is"
         )
@@ -114,18 +110,15 @@ class LookFace:
         self._assemble(outer)
 
     def _assemble(self, outer: Container) -> None:
-        buttons = _row(self.play, self.before)
-        marks = _row(self.arrows, self.grid)
-        sized = Container(widgets=[self.count, self.length])
         body = Container(
             widgets=[
                 Container(widgets=[self.result, self.image]),
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
-                buttons,
+                row(self.play, self.before),
                 Container(widgets=[self.colours]),
-                marks,
-                sized,
+                row(self.arrows, self.grid),
+                Container(widgets=[self.count, self.length]),
                 self.point,
                 self.save,
                 self.status,
@@ -146,18 +139,6 @@ class LookFace:
     def of_result(self) -> tuple[Any, ...]:
         """What is of no use without a result."""
         return (
-            self.image,
-            self.slider,
-            self.play,
-            self.before,
-            self.colours,
-            self.arrows,
-            self.grid,
-            self.count,
-            self.length,
-            self.save,
-        )
-
-
-def _row(*widgets: Any) -> Container:
-    return Container(widgets=list(widgets), layout="horizontal", labels=False)
+            self.image, self.slider, self.play, self.before, self.colours, self.arrows, self.grid,
+            self.count, self.length, self.save,
+        )  # fmt: skip

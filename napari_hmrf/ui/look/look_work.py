@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.layers.result_layers import LayerData, Pictures, picture_layer, result_layers
+from napari_hmrf.layers.read import look_of
+from napari_hmrf.layers.result_layers import LayerData, picture_layer, result_layers
 from napari_hmrf.layers.result_lookup import FoundResult
-from napari_hmrf.layers.snapshot import look_of
 from napari_hmrf.layers.strain_layers import FloatArray, Quantity, quantity_layer, quantity_of
+from napari_hmrf.study.study import Pictures
 
 
 def coloured(result: FoundResult, quantity: Quantity) -> tuple[LayerData, FloatArray]:

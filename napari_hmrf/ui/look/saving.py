@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.layers.compat import scale_bar_of
 from napari_hmrf.ui.brush_circle import no_circle
 
 
@@ -33,7 +34,7 @@ def save_canvas(viewer: Any, path: Path) -> list[Path]:
     """
     if not hasattr(viewer, "screenshot"):
         return []
-    bar = _scale_bar(viewer)
+    bar = scale_bar_of(viewer)
     visible = bar.visible
     bar.visible = True
     try:
@@ -80,10 +81,3 @@ def _no_brush(viewer: Any) -> Iterator[None]:
     finally:
         if mode != "pan_zoom":
             active.mode = mode
-
-
-def _scale_bar(viewer: Any) -> Any:
-    """The viewer's scale bar, which napari 0.9 has moved."""
-    overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
-    bar = getattr(overlays, "scale_bar", None)
-    return bar if bar is not None else viewer.scale_bar

@@ -99,12 +99,12 @@ class Scene:
         return (None if now is None else now.solution) is not solution
 
     @property
-    def is_before(self) -> bool:
-        """Whether the image is seen as it was."""
+    def before(self) -> bool:
+        """Whether the image is seen as it was; never without a result."""
         return self.shown.layers is not None and self.shown.layers.is_before
 
-    def show_before(self, hold: bool) -> None:
-        """Show the image as it was, or what there is of the result; nothing without a result."""
+    @before.setter
+    def before(self, hold: bool) -> None:
         layers = self.shown.layers
         if layers is not None and hold:
             layers.hold_before(self.shown.source)
@@ -137,13 +137,13 @@ class Scene:
         self.words = ""
         if result is None or layers is None:
             shown.layers = None
-            face.image.refresh()
+            face.image.reset_choices()
             self.player.motion = None
             face.how_far.say("")
             face.energy.show_solution(None)
             return
         with face.image.changed.blocked():
-            face.image.refresh()
+            face.image.reset_choices()
             if face.image.value is None or face.image.value.name != result.source:
                 face.image.value = source_of(self._viewer.layers, result)
         with face.colours.changed.blocked():
@@ -180,7 +180,7 @@ class Scene:
     def look_at_eyes(self) -> None:
         """Let the boxes say which layers are seen, whoever has hidden or shown them."""
         face, shown = self._face, self.shown
-        if shown.layers is None or self.is_before:
+        if shown.layers is None or self.before:
             return
         with face.grid.changed.blocked(), face.arrows.changed.blocked():
             if not self._errands.busy("grid"):  # else there is one soon

@@ -67,7 +67,7 @@ def _at_rest(
             "nothing moves: all that is to move is painted where there is no tissue (stiffness 0). "
             "Paint it on tissue, or give that place a stiffness"
         )
-    elif not (moves & tissue & (problem.c > 0)).any():
+    elif not (moves & tissue & (problem.confidence > 0)).any():
         note = (
             "nothing moves: all that is to move has a confidence of 0, with which it does not "
             "count. Give it one above 0, up to 1 for certain"
@@ -77,9 +77,9 @@ def _at_rest(
 
 def _adrift(problem: Problem) -> tuple[str, ...]:
     """Say so where something moves within tissue whose rim nothing holds or moves."""
-    seen = problem.observed.any(axis=-1)
+    seen = problem.known.any(axis=-1)
     rim = problem.tissue & ~ndimage.binary_erosion(problem.tissue)
-    if (seen & rim).any() or (seen & ~problem.y.any(axis=-1)).any():
+    if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():
         return ()
     note = (
         "nothing holds the tissue, so that all of it gives way: paint what stays where it is, such "
@@ -90,12 +90,16 @@ def _adrift(problem: Problem) -> tuple[str, ...]:
 
 def _held_exactly(problem: Problem) -> tuple[str, ...]:
     """Say so where a doubt about the boundary does not count."""
-    doubted = problem.observed & (problem.c < 1)
+    doubted = problem.known & (problem.confidence < 1)
     count = int(doubted.any(axis=-1).sum())
     if not count:
         return ()
     what = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
-    return (f"{what} held exactly, though of a confidence below 1, as elastic tissue is",)
+    note = (
+        f"{what} held exactly, though of a confidence below 1, as beside rigid tissue nothing may "
+        "slip"
+    )
+    return (note,)
 
 
 def _thin_boundary(problem: Problem) -> tuple[str, ...]:
@@ -106,7 +110,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ()
-    seen = np.asarray(problem.observed.any(axis=-1))
+    seen = np.asarray(problem.known.any(axis=-1))
     shares = []
     for level in tree[1:4]:
         rows, cols = nearest_pixels(level, problem.shape)
@@ -128,7 +132,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
 def _loose_pieces(problem: Problem) -> tuple[str, ...]:
     """Say so where tissue hangs on nothing that was observed."""
     pieces, count = ndimage.label(problem.tissue, structure=np.ones((3, 3)))
-    held = np.unique(pieces[problem.observed.any(axis=-1)])
+    held = np.unique(pieces[problem.known.any(axis=-1)])
     loose = count - int((held > 0).sum())
     if not loose:
         return ()

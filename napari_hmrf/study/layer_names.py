@@ -70,7 +70,7 @@ def full_resolution(layer: Any) -> Any:
 
 @contextmanager
 def naming(**layers: Any) -> Iterator[None]:
-    """Let errors about y, c, m or the spacing name the layer these came from."""
+    """Let errors about an input of the problem name the layer these came from."""
     try:
         yield
     except LayerError:

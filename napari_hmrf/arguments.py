@@ -1,0 +1,64 @@
+"""What a caller gave, where one value of some kind is needed."""
+
+from __future__ import annotations
+
+import math
+import os
+import reprlib
+from collections.abc import Iterable, Sized
+from numbers import Real
+from typing import Any
+
+from napari_hmrf.errors import ArgumentError
+
+_LONGEST = 80
+
+
+def shown(value: object) -> str:
+    """A value as it stands in a sentence: in one line, and short."""
+    line = " ".join(reprlib.repr(value).split())
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+
+
+def real(value: Any) -> float:
+    """A real number as a float; NaN for anything else, and where no float is so large."""
+    if not isinstance(value, Real):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan
+
+
+def reals(values: Any, count: int) -> tuple[float, ...]:
+    """So many real numbers as floats; NaN in the place of all if they are not that."""
+    given = tuple(values) if isinstance(values, Iterable) and isinstance(values, Sized) else ()
+    return tuple(map(real, given)) if len(given) == count else (math.nan,) * count
+
+
+def is_whole(value: object) -> bool:
+    """Whether it is a whole number, of whatever type of numbers."""
+    return real(value).is_integer()
+
+
+def is_one_of(value: object, choices: Iterable[str]) -> bool:
+    """Whether it is one of some words."""
+    return isinstance(value, str) and value in choices
+
+
+def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
+    """Refuse an argument that is not what it has to be.
+
+    Raises
+    ------
+    ArgumentError
+        Of one sentence.
+    """
+    if not right:
+        raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
+
+
+def checked_path(path: Any) -> str:
+    """The name of a file, or say that it is none."""
+    refuse_unless(isinstance(path, str | os.PathLike), "path", path, "the name of a file")
+    return str(os.fsdecode(path))

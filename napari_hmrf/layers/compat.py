@@ -1,0 +1,98 @@
+"""What we need of napari and vispy and they do not offer, and what napari has moved.
+
+Private names of others stand here and nowhere else; a test of each says when it can go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+def unwrapped(viewer: Any) -> Any:
+    """The viewer itself: plugins get a proxy, whose layers are other objects at every look."""
+    return getattr(viewer, "__wrapped__", viewer)
+
+
+def camera_of(viewer: Any) -> Any:
+    """A viewer's camera; napari 0.9 has moved it to the scene."""
+    return getattr(viewer, "scene", viewer).camera
+
+
+def scale_bar_of(viewer: Any) -> Any:
+    """A viewer's scale bar; napari 0.9 has moved it to the canvas."""
+    overlay = _overlay(viewer, "scale_bar")
+    return viewer.scale_bar if overlay is None else overlay
+
+
+def text_of(viewer: Any) -> Any:
+    """The text in a corner of the canvas; napari 0.9 has moved it to the canvas."""
+    overlay = _overlay(viewer, "text")
+    return viewer.text_overlay if overlay is None else overlay
+
+
+def brush_circle_of(viewer: Any) -> Any:
+    """The circle around the cursor; None in versions of napari that keep it elsewhere."""
+    # Private: pictures are taken without it, and napari offers the other overlays only.
+    return _overlay(viewer, "_brush_circle")
+
+
+def paint_steps(layer: Any, name: str) -> Collection[Any] | None:
+    """What a Labels layer can "undo" or "redo" of what was painted; None if it does not say."""
+    # Private: the keys are shared with our edits, and napari does not say if it has any to undo.
+    steps: Collection[Any] | None = getattr(layer, f"_{name}_history", None)
+    return steps
+
+
+def is_drawn(layer: Any) -> bool:
+    """Whether a shape is there that is not drawn to its end."""
+    # Private: until the last vertex a line is one step, and no event says that it has begun.
+    return bool(getattr(layer, "_is_creating", False))
+
+
+def thin_thumbnail(layer: Any, most: int) -> None:
+    """Draw so many lines in a Vectors layer's thumbnail at most."""
+    # Private: a thumbnail of all lines takes longer to draw than they do, and none can be had.
+    layer._max_vectors_thumbnail = most
+
+
+def drawn_node(viewer: Any, layer: Any) -> Any:
+    """What draws a layer in vispy; None without a window, or where there is no such way."""
+    # Private: napari's window does not offer its canvas, nor the canvas' nodes.
+    try:
+        return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
+    except (AttributeError, KeyError):
+        return None
+
+
+def compile_once(mesh: Any) -> bool:
+    """Have a mesh of vispy's keep its program when it is given other data; whether it does."""
+    # Private: meshes make the function that takes up their colours anew with all data they are
+    # given, and so have their program composed, compiled and linked again.
+    build = getattr(mesh, "_build_color_transform", None)
+    if build is None:
+        return False
+    made: dict[tuple[int, ...], Any] = {}
+
+    def build_once(colours: npt.NDArray[np.float32]) -> Any:
+        # One function for a colour of all, and one for a colour of each; values are none of ours.
+        kind = (colours.ndim, colours.shape[-1])
+        if kind[1] != 4:
+            return build(colours)
+        if kind not in made:
+            made[kind] = build(colours)
+        return made[kind]
+
+    mesh.unfreeze()
+    mesh._build_color_transform = build_once
+    mesh.freeze()
+    return True
+
+
+def _overlay(viewer: Any, name: str) -> Any:
+    """One of the canvas' overlays; None before napari 0.9, which has no such."""
+    overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
+    return getattr(overlays, name, None)

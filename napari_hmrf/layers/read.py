@@ -1,0 +1,296 @@
+"""From layers to a study: the only reader there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from napari.layers import Labels, Points, Shapes, Vectors
+
+from napari_hmrf.layers.arrow_layer import NAME as ARROWS
+from napari_hmrf.layers.landmarks import LandmarkLayers, read_landmarks
+from napari_hmrf.layers.layer_copies import LayerCopies
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
+from napari_hmrf.layers.observed_arrows import arrow_observations
+from napari_hmrf.layers.pixel_copy import check_size, nearest_paint, plane_shape
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.study.layer_names import LayerError, Named, naming
+from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.material_presets import Preset
+
+#: Pixels sheared by less than this many degrees pass for rectangles.
+_RIGHT_ANGLE = 0.1
+
+
+@dataclass(frozen=True)
+class Request:
+    """What somebody chose: layers, tables, what is drawn, and the slice that is shown.
+
+    Attributes
+    ----------
+    tissue : napari.layers.Labels or napari.layers.Image, optional
+        Labels, each with a stiffness in `materials`; or the stiffness itself. Without it tissue is
+        what is in the image.
+    boundary : napari.layers.Labels or napari.layers.Vectors, optional
+        Labels, each with a rule in `rules`; or the observed displacements as arrows.
+    image : napari.layers.Image, optional
+        The picture to deform; its place is the reference, else that of `tissue`.
+    materials : tuple of Material, optional
+        By default those that the tissue layer carries.
+    rules : tuple of BoundaryRule, optional
+        Lengths in the unit of the image; by default those that the boundary layer carries.
+    confidence : napari.layers.Image, optional
+        With arrows: how sure each is, 0 to 1; by default 1.
+    view : View, optional
+        Which slice; by default the first, of the last two axes.
+    landmarks : LandmarkLayers, optional
+        Two Points layers, or lines, which count on top of the boundary.
+    hold_edge : bool
+        Whether the outer edge of the tissue stays where it is.
+    drawing : Drawing, optional
+        What is drawn with a pointer, on top of everything; None where nobody draws.
+    preset : Preset, optional
+        The tissues that can be painted where the layer has no table of its own.
+    """
+
+    tissue: Any = None
+    boundary: Any = None
+    image: Any = None
+    materials: tuple[Material, ...] | None = None
+    rules: tuple[BoundaryRule, ...] | None = None
+    confidence: Any = None
+    view: View | None = None
+    landmarks: LandmarkLayers | None = None
+    hold_edge: bool = False
+    drawing: Drawing | None = None
+    preset: Preset | None = None
+
+    @property
+    def layers(self) -> tuple[Any, ...]:
+        """The layers that are there, the reference first."""
+        pairs = self.landmarks
+        points = () if pairs is None else (pairs.where, pairs.should)
+        chosen = (self.image, self.tissue, self.boundary, self.confidence, *points)
+        return tuple(layer for layer in chosen if layer is not None)
+
+
+def read_study(
+    request: Request,
+    prior: Prior | None = None,
+    optimizer: Optimizer | None = None,
+    copies: LayerCopies | None = None,
+) -> Study:
+    """Read the slice that is shown out of every layer; quick, for the window waits for it.
+
+    Parameters
+    ----------
+    request : Request
+    prior, optimizer
+        By default elastic tissue, to convergence.
+    copies : LayerCopies, optional
+        Of a viewer: a layer that did not change since is not read again.
+
+    Raises
+    ------
+    ProblemError
+        Naming the layer that lies elsewhere, is of another size or cannot be read.
+    """
+    return _Reader(request, copies or LayerCopies()).study(
+        prior or ElasticPrior(), optimizer or Multigrid()
+    )
+
+
+class _Reader:
+    """What is known while layers are read."""
+
+    def __init__(self, request: Request, copies: LayerCopies) -> None:
+        self._request = request
+        self._copies = copies
+        self._reference = reference = request.layers[0]
+        self._frame = Frame.of(reference, request.view)
+        self._shape = plane_shape(reference, self._frame)
+        placed = [layer for layer in request.layers if not isinstance(layer, Points | Shapes)]
+        self._frames = {
+            id(layer): self._frame if layer is reference else Frame.of(layer, request.view)
+            for layer in placed
+        }
+
+    def study(self, prior: Prior, optimizer: Optimizer) -> Study:
+        request, frame, reference = self._request, self._frame, self._reference
+        image = None if request.image is None else self._slice(request.image)
+        tissue, landmarks = self._tissue(), Landmarks()
+        notes = self._notes()
+        names = {"image": Named.of(reference)}
+        if request.tissue is not None:
+            names["tissue"] = Named.of(request.tissue)
+        if request.landmarks is not None:
+            pairs = request.landmarks
+            landmarks, more = read_landmarks(pairs, frame, self._shape, request.view)
+            names["landmarks"] = names["boundary"] = Named.of(pairs.where)
+            notes += more
+        motion, more = self._motion(landmarks)
+        if request.boundary is not None:
+            names["boundary"] = Named.of(request.boundary)
+        if request.confidence is not None:
+            names["confidence"] = Named.of(request.confidence)
+        if request.drawing is not None:
+            names["drawing"] = Named(ARROWS, "Vectors layer")
+        elif "boundary" not in names:
+            raise LayerError(reference, "has no boundary. Choose a boundary layer, or landmarks.")
+        return Study(
+            grid=Grid(self._shape, frame.spacing, frame.unit, frame),
+            tissue=tissue,
+            motion=motion,
+            prior=prior,
+            optimizer=optimizer,
+            pictures=Pictures(
+                image=image,
+                labels=tissue.labels,
+                name=str(reference.name),
+                labels_name="" if request.tissue is None else str(request.tissue.name),
+                look=look_of(request.image),
+                labels_look=look_of(request.tissue) if tissue.labels is not None else {},
+                level=0 if any(_multiscale(layer) for layer in request.layers) else None,
+            ),
+            names=names,
+            notes=notes + more,
+        )
+
+    def _slice(self, layer: Any) -> npt.NDArray[Any]:
+        """The pixels of a layer that are the reference's."""
+        own = self._frames[id(layer)]
+        check_size(layer, own, self._reference, self._frame, self._shape)
+        return self._copies.of(layer, own)
+
+    def _tissue(self) -> Tissue:
+        request = self._request
+        layer = request.tissue
+        if layer is None:
+            return Tissue(preset=request.preset)
+        unit = str(known_of(layer).get("unit", ""))
+        if isinstance(layer, Labels):
+            rows = request.materials
+            rows = rows_of(layer, TISSUE) or () if rows is None else tuple(rows)
+            return Tissue(
+                labels=self._slice(layer),
+                materials=rows,
+                unit=unit,
+                record=tissue_record(layer, rows),
+            )
+        if layer.rgb:
+            raise LayerError(
+                layer,
+                "is a colour image, which cannot be a stiffness. Choose a Labels layer or a grey "
+                "image.",
+            )
+        return Tissue(
+            stiffness=self._slice(layer),
+            preset=request.preset,
+            unit=unit,
+            record=tissue_record(layer, ()),
+        )
+
+    def _motion(self, landmarks: Landmarks) -> tuple[Motion, tuple[str, ...]]:
+        request, layer = self._request, self._request.boundary
+        drawing = request.drawing or Drawing()
+        if isinstance(layer, Vectors):
+            observed, counts, notes = self._arrows(layer)
+            return Motion(
+                request.hold_edge,
+                observed=observed,
+                counts=counts,
+                landmarks=landmarks,
+                drawing=drawing,
+            ), notes
+        if layer is None:
+            return Motion(request.hold_edge, landmarks=landmarks, drawing=drawing), ()
+        labels = self._slice(layer)
+        if not landmarks.marks and request.drawing is None and not labels.any():
+            _refuse_unpainted(layer, self._frames[id(layer)])
+        rules = request.rules
+        rules = rows_of(layer, BOUNDARY) or () if rules is None else tuple(rules)
+        return Motion(request.hold_edge, labels, rules, landmarks=landmarks, drawing=drawing), ()
+
+    def _arrows(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any], tuple[str, ...]]:
+        """What arrows observe, how sure each is, and what there is to say of them."""
+        own, confidence = self._frames[id(layer)], self._request.confidence
+        check_size(layer, own, self._reference, self._frame, self._shape)
+        sure = None if confidence is None else self._slice(confidence)
+        if sure is not None and sure.ndim != 2:
+            raise LayerError(confidence, "is a colour image. Choose a grey image of values 0 to 1.")
+        spacing, shape, data = self._frame.spacing, self._shape, self._copies.of(layer)
+
+        def observe() -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
+            with naming(observed=layer):
+                y, c, out = arrow_observations(np.array(data, float), own, spacing, shape)
+            if sure is not None:
+                c = np.where(c > 0, sure.astype(np.float32)[..., None], np.float32(0))
+            return y, c, out
+
+        y, c, out = self._copies.made(layer, (data, sure, own, spacing, shape), observe)
+        if not out:
+            return y, c, ()
+        what = "1 arrow points" if out == 1 else f"{out} arrows point"
+        return y, c, (f"{what} straight out of the slice and did not count",)
+
+    def _notes(self) -> tuple[str, ...]:
+        request, frame, notes = self._request, self._frame, []
+        if request.tissue is not None and request.tissue is request.boundary:
+            notes.append(
+                f"'{request.tissue.name}' is both the tissue and the boundary: choose another "
+                "layer for one of them, unless that is meant"
+            )
+        if frame.skew > _RIGHT_ANGLE:
+            notes.append(
+                f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
+            )
+        if any(_multiscale(layer) for layer in request.layers):
+            notes.append(f"computed on the finest level, {self._shape[0]} x {self._shape[1]}")
+        notes += [
+            f"of '{layer.name}' {self._frames[id(layer)].slice_said} was taken"
+            for layer in request.layers[1:]
+            if id(layer) in self._frames and self._frames[id(layer)].ndim > frame.ndim
+        ]
+        return tuple(notes)
+
+
+def _refuse_unpainted(boundary: Any, own: Frame) -> None:
+    """Say where there is paint, if not here."""
+    elsewhere = nearest_paint(boundary, own)
+    if elsewhere:
+        raise LayerError(
+            boundary,
+            f"has no paint in {own.slice_said}; paint here or go to {elsewhere}.",
+        )
+    raise LayerError(
+        boundary,
+        "is not painted yet.",
+        f"Nothing is painted in '{boundary.name}' yet: choose a row, then paint a wall or "
+        "something that moves.",
+    )
+
+
+def look_of(layer: Any) -> dict[str, Any]:
+    """How an Image or Labels layer is drawn, as a new layer takes it."""
+    if layer is None:
+        return {}
+    if isinstance(layer, Labels):
+        return {"colormap": layer.colormap, "opacity": layer.opacity}
+    if layer.rgb:
+        return {}
+    return {
+        "colormap": layer.colormap,
+        "contrast_limits": tuple(layer.contrast_limits),
+        "gamma": layer.gamma,
+    }
+
+
+def _multiscale(layer: Any) -> bool:
+    return bool(getattr(layer, "multiscale", False))

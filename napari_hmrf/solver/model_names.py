@@ -1,0 +1,54 @@
+"""What tissue was taken to be, in a name: of a result, of a choice, in files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+#: Linear elasticity; the paper's random field by its schedule; and where its sweeps would end.
+ModelName = Literal["elastic", "paper", "paper, converged"]
+
+# Sweeps that may end only once the energy stands still to so many digits converge, too.
+_STILL = 1e-7
+
+
+def model_name(parameters: Mapping[str, Any]) -> str:
+    """The name of the model that a result is of.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of prior and optimizer, as `Provenance.parameters` has them; from a file they may be
+        anything.
+
+    Returns
+    -------
+    str
+        A `ModelName`, with "blanket" after "paper" where the prior is read so, as in "paper,
+        blanket, converged"; "" if it is not told.
+    """
+    prior, optimizer = parts(parameters)
+    if prior.get("name") == "ElasticPrior":
+        return "elastic"
+    if prior.get("name") != "SeilerPrior":
+        return ""
+    blanket = ["blanket"] if prior.get("conditional") == "blanket" else []
+    return ", ".join(["paper", *blanket, *(["converged"] if converged(optimizer) else [])])
+
+
+def parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """The parameters of the prior and of the optimizer, where there are such."""
+    known = parameters if isinstance(parameters, Mapping) else {}
+    prior, optimizer = (known.get(part) for part in ("prior", "optimizer"))
+    return (
+        prior if isinstance(prior, Mapping) else {},
+        optimizer if isinstance(optimizer, Mapping) else {},
+    )
+
+
+def converged(optimizer: Mapping[str, Any]) -> bool:
+    """Whether an optimizer of these parameters goes on until the field no longer changes."""
+    # "tolerance" in older files.
+    change = optimizer.get("energy_change", optimizer.get("tolerance"))
+    exact = isinstance(change, int | float) and change <= _STILL
+    return optimizer.get("name") == "Multigrid" or exact

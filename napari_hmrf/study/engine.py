@@ -1,0 +1,240 @@
+"""Solving the newest study of those that come, and moving its image: away from any window.
+
+Everything is computed on the compute thread. Of several studies that come while one is solved only
+the newest is looked at; each solve begins with what the last ones found, and what two studies
+share is made once.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy.typing as npt
+
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.resample import emptiness
+from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+from napari_hmrf.solver.live_solver import Input, LiveSolver, Update
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.ground import Ground, Statement
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
+from napari_hmrf.tissue.drawing.canvas import Box
+
+_log = logging.getLogger("napari_hmrf")
+Array = npt.NDArray[Any]
+#: Keeps a picture that moves with the tissue, and that a drawing changes: called with the ground,
+#: the images with the drawing on top, the pixels that may have changed (None if none did), and the
+#: picture as it was, which may be None; returns it.
+Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Array | None], Array | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """A study, and how its tissue moves.
+
+    Attributes
+    ----------
+    study : Study
+    ground : Ground, optional
+        The study as it was understood; None if it could not be.
+    stated : Statement, optional
+        What was solved; None if it could not be stated.
+    solution : Solution, optional
+        None if nothing moves, or if there is an error.
+    image : ndarray, optional
+        The study's image, moved with the tissue.
+    overlay : ndarray, optional
+        What was drawn over it, moved likewise.
+    error : Exception, optional
+        Why there is no solution, in words of the study.
+    revision : int
+        Higher than that of all that were submitted before.
+    """
+
+    study: Study
+    ground: Ground | None = None
+    stated: Statement | None = None
+    solution: Solution | None = None
+    image: Array | None = None
+    overlay: Array | None = None
+    error: Exception | None = None
+    revision: int = 0
+
+
+class Engine:
+    """Answers the newest study by a `Deformation`.
+
+    All methods may be called from any thread, and return at once.
+
+    Parameters
+    ----------
+    deliver : callable
+        Called with a `Deformation` on the compute thread; it should hand over and return.
+    doing : str
+        What others who wait for it are told: what it is, and how to stop it, as a clause.
+    overlay : callable, optional
+        An `Overlay`, called on the compute thread.
+    """
+
+    def __init__(
+        self,
+        deliver: Callable[[Deformation], object],
+        doing: str,
+        overlay: Overlay | None = None,
+    ) -> None:
+        self._tell = deliver
+        self._doing = doing
+        self._overlay = overlay
+        self._live: LiveSolver | None = None
+        self._made_with: tuple[Any, ...] = ()
+        self._reached = Monitor("starting", 0.0)
+        self._closed = threading.Event()
+        self._beside: Future[Any] | None = None
+        # What follows only the compute thread looks at.
+        self._asked: Deformation | None = None
+        self._latest: Deformation | None = None
+        self._rendering: Rendering | None = None
+        self._over: Array | None = None
+        self._warper: tuple[Array | None, Array | None, Warper] | None = None
+
+    # From any thread
+
+    @property
+    def busy(self) -> bool:
+        """Whether an answer is still to come."""
+        return self._live is not None and self._live.busy
+
+    @property
+    def monitor(self) -> Monitor:
+        """What is going on, or waited for."""
+        waits = "" if self._beside is None else compute_thread.delays(self._beside)
+        waits = waits or ("" if self._live is None else self._live.delay)
+        return Monitor(waits, 0.0) if waits else self._reached
+
+    def submit(self, study: Study, ground: Ground | None = None, backend: str = "auto") -> None:
+        """Have this answered instead of what waits.
+
+        Parameters
+        ----------
+        study : Study
+        ground : Ground, optional
+            The same study, understood; by default that is done on the compute thread.
+        backend : str
+            As for `solve`.
+        """
+        made_with = (study.optimizer, backend)
+        live = self._live
+        if live is None or made_with != self._made_with:
+            if live is not None:
+                live.close()
+            self._made_with = made_with
+            live = self._live = LiveSolver(
+                self._deliver,
+                optimizer=study.optimizer,
+                backend=backend,
+                progress=self.report,
+                doing=self._doing,
+            )
+        live.submit(lambda: self._state(study, ground))
+
+    def beside(self, job: Callable[[Deformation | None], object], doing: str) -> Future[None]:
+        """Have a job done on the compute thread, in its turn, given the latest deformation.
+
+        Parameters
+        ----------
+        job : callable
+        doing : str
+            What those who wait for it are told.
+        """
+        self._beside = compute_thread.submit(
+            lambda: job(self._latest), lambda: STOPPED if self._closed.is_set() else doing
+        )
+        return self._beside
+
+    def forget(self) -> None:
+        """Drop what waits, what is being solved, and what was found."""
+        if self._live is not None:
+            self._live.forget()
+
+    def close(self) -> None:
+        """Drop everything, for good."""
+        self._closed.set()
+        if self._live is not None:
+            self._live.close()
+
+    @property
+    def closed(self) -> threading.Event:
+        """Set once everything was dropped: what is done beside must not go on."""
+        return self._closed
+
+    def report(self, monitor: Monitor) -> None:
+        """Say how far something is."""
+        self._reached = monitor
+
+    # On the compute thread
+
+    def _state(self, study: Study, ground: Ground | None) -> Input:
+        """State the problem of a study, making anew only what differs from the one before."""
+        before, self._asked = self._asked, Deformation(study)
+        if ground is None:
+            known = None if before is None else before.ground
+            same = known is not None and known.study.lies_as(study)
+            ground = known if known is not None and same else Ground.of(study)
+        self._asked = asked = Deformation(study, ground)
+        if before is None or before.ground is not ground or self._rendering is None:
+            self._rendering, self._over = Rendering(ground.base), None
+        drawing, canvas = study.motion.drawing, self._rendering.canvas
+        window = self._rendering.show(drawing)
+        if self._overlay is not None:
+            self._over = self._overlay(ground, drawing, canvas, window, self._over)
+        stated = ground.statement(canvas)
+        self._asked = replace(asked, stated=stated)
+        return stated.problem, stated.prior
+
+    def _deliver(self, update: Update) -> None:
+        asked = self._asked
+        assert asked is not None
+        asked = replace(asked, revision=update.number)
+        error = update.error
+        if update.solution is not None:
+            try:
+                image, over = self._moved(asked, update.solution)
+                answer = replace(asked, solution=update.solution, image=image, overlay=over)
+                self._latest = answer
+                self._tell(answer)
+                return
+            except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
+                _log.exception("the image could not be moved")
+                error = failure
+        latest, over = self._latest, None
+        if latest is not None and latest.ground is asked.ground and asked.ground is not None:
+            over = self._moved(asked, latest.solution)[1]
+        elif self._over is not None:
+            over = self._over.copy()
+        error = asked.study.in_words(error or RuntimeError("there is no solution"))
+        self._tell(replace(asked, error=error, overlay=over))
+
+    def _moved(
+        self, asked: Deformation, solution: Solution | None
+    ) -> tuple[Array | None, Array | None]:
+        """The image, and what lies over it, where a solution takes them."""
+        image, over = asked.study.pictures.image, self._over
+        if solution is None:
+            return image, None if over is None else over.copy()
+        shown = [] if image is None else [Picture(image, fill=emptiness(image))]
+        if over is not None:
+            shown.append(Picture(over, order=0))
+        if not shown:
+            return None, None
+        known = self._warper
+        if known is None or known[0] is not image or known[1] is not over:
+            known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
+        moved = known[2](solution.displacement, solution.tissue)
+        return moved[0] if image is not None else None, moved[-1] if over is not None else None

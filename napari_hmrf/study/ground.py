@@ -1,0 +1,308 @@
+"""From a study to a problem: the one way there is, in a window, in Python and from files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem, as_stiffness
+from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.study.layer_names import Named
+from napari_hmrf.study.reading_warnings import caveats, lacks
+from napari_hmrf.study.refusals import (
+    digit_notes,
+    image_notes,
+    no_tissue,
+    refuse_nothing,
+    refuse_rigid,
+    refuse_void,
+    tissue_name,
+)
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.boundary_rules import (
+    Material,
+    boundary_images,
+    poisson_image,
+    stiffness_image,
+)
+from napari_hmrf.tissue.drawing import Canvas, Drawing
+from napari_hmrf.tissue.drawing.canvas import paint
+from napari_hmrf.tissue.label_defaults import default_material, default_rule
+from napari_hmrf.tissue.labels import labels_present
+from napari_hmrf.tissue.normals import outer_rim
+from napari_hmrf.tissue.palette import OTHER, Palette
+from napari_hmrf.tissue.stiffness_curve import luminance
+from napari_hmrf.tissue.surroundings import air_that_is_tissue, background_of, surrounds
+
+FloatArray = npt.NDArray[np.float32]
+
+#: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
+#: enough to hinder nothing, and still tissue, so that there always is something that holds.
+_TISSUE, _SURROUNDINGS = 1.0, 0.01
+#: K of eq. 19 where some confidence is below 1: what is held with confidence c slips where it would
+#: take more than what strains the stiffest tissue by c.
+_PENALTY = 1.0
+#: K of what is certain beside it: no tissue takes as much, so that it is held exactly.
+_FIRM = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """What is to be solved.
+
+    Attributes
+    ----------
+    problem : Problem
+    prior : SeilerPrior or ElasticPrior
+        With the tissues' own Poisson's ratios, and a penalty where something may slip.
+    optimizer : ICM or Multigrid
+    at_rest : ndarray of bool, shape (H, W)
+        Tissue that too little holds: it takes no part, and stays where it is.
+    """
+
+    problem: Problem
+    prior: Prior
+    optimizer: Optimizer
+    at_rest: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The images that a study's drawing lies on: all of it but that.
+
+    Attributes
+    ----------
+    study : Study
+    base : Canvas
+        What is held and moved without a drawing.
+    stiffness : ndarray, shape (H, W), float32
+        Young's modulus; 0 is no tissue, infinity is rigid.
+    prior : Prior
+        The energy, with the tissues' own Poisson's ratios.
+    body : ndarray of bool, shape (H, W)
+        Where there is tissue that is no dark surroundings.
+    palette : Palette
+        The tissues that can be painted; the labels of `base` are theirs.
+    notes : tuple of str
+        What people should know of how the study was understood, as clauses.
+    ignored : int
+        Pixels of what is painted, or observed, where there is no tissue.
+    """
+
+    study: Study
+    base: Canvas
+    stiffness: FloatArray
+    prior: Prior
+    body: npt.NDArray[np.bool_]
+    palette: Palette
+    notes: tuple[str, ...] = ()
+    ignored: int = 0
+
+    @classmethod
+    def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
+        """Understand a study; on any thread, for it takes a while on large images.
+
+        Parameters
+        ----------
+        study : Study
+        checkpoint : callable
+            Called between the parts; raises to stop the work.
+
+        Raises
+        ------
+        ProblemError
+            Naming the part, what is wrong with it and what to do.
+        """
+        refuse_rigid(study)
+        notes = [*study.notes, *image_notes(study)]
+        checkpoint()
+        with study.naming():
+            tissue = _Where(study)
+        notes += tissue.notes
+        if not tissue.m.any():
+            raise no_tissue(study)
+        checkpoint()
+        there = tissue.m > 0
+        base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
+        base = replace(base, kinds=np.zeros(study.grid.shape, dtype=np.uint8))
+        notes += _observe(study, base)
+        ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
+        checkpoint()
+        if study.motion.hold_edge:
+            free = ~(base.confidence > 0).any(axis=-1)
+            for part in (there, tissue.body):
+                rim = outer_rim(part) & free
+                base.observed[rim], base.confidence[rim] = 0, 1
+        for mark in study.motion.landmarks.marks:
+            paint(mark, base, base.whole)
+        refuse_void(study, there)
+        return cls(
+            study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, tuple(notes), ignored
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.base.shape
+
+    def statement(self, drawn: Drawing | Canvas | None = None) -> Statement:
+        """State the problem of a drawing on this ground.
+
+        Tissue that too little holds stays out of it, and where it is. What is certain is held
+        exactly; of elastic tissue what is less sure may slip.
+
+        Parameters
+        ----------
+        drawn : Drawing or Canvas, optional
+            A drawing, or `base` with one on top of it; by default the study's own.
+
+        Raises
+        ------
+        ProblemError
+            Naming the part, what is wrong with it and what to do.
+        """
+        drawing = self.study.motion.drawing if drawn is None else drawn
+        canvas = drawing.render(self.base) if isinstance(drawing, Drawing) else drawing
+        m, prior = self.stiffness, self.prior
+        if canvas is not self.base and canvas.labels is not None and self.base.labels is not None:
+            m, prior = self.palette.painted(canvas.labels, self.base.labels, m, prior)
+        refuse_nothing(self.study, m, canvas.confidence)
+        at_rest = np.zeros(self.shape, dtype=bool)
+        if isinstance(prior, ElasticPrior):
+            at_rest = scraps(m > 0, canvas.confidence > 0)
+            if at_rest.any():
+                m = np.where(at_rest, np.float32(0), m)
+        prior, c = _with_doubt(prior, canvas.confidence, m)
+        with self.study.naming():
+            problem = Problem(canvas.observed, c, m, spacing=self.study.grid.spacing)
+        return Statement(problem, prior, self.study.optimizer, at_rest)
+
+    def notes_on(self, statement: Statement) -> tuple[str, ...]:
+        """What people should know of a problem as it was understood, as clauses."""
+        study, problem = self.study, statement.problem
+        notes = list(self.notes)
+        if statement.at_rest.any():
+            notes.append(left_at_rest(statement.at_rest))
+        motion = study.motion
+        if motion.labels is not None and not (motion.landmarks.marks or motion.drawing.marks):
+            notes += lacks(problem, self.base.observed, self.stiffness > 0)
+        notes += self._air_that_is_tissue
+        return (*notes, *caveats(problem, statement.prior, statement.optimizer))
+
+    @cached_property
+    def _air_that_is_tissue(self) -> tuple[str, ...]:
+        image = self.study.pictures.image
+        return () if image is None else air_that_is_tissue(image, self.body)
+
+
+def statement_of(study: Study) -> Statement:
+    """State the problem of a study: what is to be solved.
+
+    Parameters
+    ----------
+    study : Study
+
+    Raises
+    ------
+    ProblemError
+        Naming the part, what is wrong with it and what to do.
+    """
+    return Ground.of(study).statement()
+
+
+class _Where:
+    """Which tissue is where, understood."""
+
+    def __init__(self, study: Study) -> None:
+        tissue, self.prior = study.tissue, study.prior
+        self.notes: tuple[str, ...] = ()
+        shape = study.grid.shape
+        around = np.zeros(shape, dtype=bool)
+        if tissue.labels is not None:
+            rows, self.notes = _completed(study, tissue.materials, tissue.labels)
+            self.m = stiffness_image(tissue.labels, rows)
+            if isinstance(self.prior, ElasticPrior):
+                self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
+            self.palette = Palette(rows, tissue.unit, own=True)
+            self.labels = tissue.labels.astype(np.int32)
+        elif tissue.stiffness is not None:
+            self.notes = digit_notes(study, tissue.stiffness)
+            self.m = as_stiffness(tissue.stiffness)
+            self.palette = Palette.of_preset(tissue.preset, relative=False)
+            self.labels = np.full(shape, OTHER, dtype=np.int32)
+        elif tissue.curve is not None and study.pictures.image is not None:
+            colours = study.pictures.image.ndim == 3
+            self.m = tissue.curve(
+                luminance(study.pictures.image) if colours else study.pictures.image
+            )
+            self.palette = Palette.of_preset(tissue.preset, relative=False)
+            self.labels = np.full(shape, OTHER, dtype=np.int32)
+        else:
+            if study.pictures.image is not None:
+                dark = background_of(study.pictures.image)
+                around = dark if surrounds(dark) else around
+            self.m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
+            self.palette = Palette.of_preset(tissue.preset)
+            self.labels = np.where(around, OTHER, self.palette.usual).astype(np.int32)
+        self.body = (self.m > 0) & ~around
+
+
+def _completed(
+    study: Study, known: tuple[Material, ...], labels: npt.NDArray[Any]
+) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+    """Give labels that no table mentions a usual row, and say so."""
+    rows, notes = list(known), []
+    listed = {row.label for row in known}
+    for label in labels_present(labels):
+        if int(label) not in listed:
+            rows.append(default_material(int(label), known))
+            notes.append(
+                f"label {label} of '{tissue_name(study).name}' is not in the table and got "
+                f"stiffness {rows[-1].stiffness:g}"
+            )
+    return tuple(rows), tuple(notes)
+
+
+def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
+    """Have what is painted or observed count on the blank images of a study."""
+    motion, notes = study.motion, []
+    if motion.observed is not None and motion.counts is not None:
+        sure = motion.counts if motion.counts.ndim == 3 else motion.counts[..., None]
+        base.confidence[...] = sure
+        base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
+    if motion.labels is not None:
+        named = study.names.get("boundary", Named("boundary", "of the study"))
+        rules = list(motion.rules)
+        listed = {0, *(rule.label for rule in rules)}
+        for label in labels_present(motion.labels):
+            if int(label) not in listed:
+                rules.append(default_rule(int(label)))
+                notes.append(
+                    f"label {label} of '{named.name}' is not in the table and was held fixed"
+                )
+        with study.naming():
+            y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
+        painted = motion.labels != 0
+        base.observed[painted], base.confidence[painted] = y[painted], c[painted]
+    return tuple(notes)
+
+
+def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, FloatArray]:
+    """Have what is less than certain slip where it would take too much, and nothing else.
+
+    Beside rigid tissue nothing may slip, and all is held exactly.
+    """
+    if not (isinstance(prior, ElasticPrior) and prior.penalty == math.inf):
+        return prior, c
+    doubted = c < 1
+    if not (doubted & (c > 0)).any() or np.isinf(m).any():
+        return prior, c
+    return replace(prior, penalty=_FIRM), np.where(doubted, np.float32(_PENALTY / _FIRM) * c, c)

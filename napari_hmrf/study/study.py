@@ -1,0 +1,278 @@
+"""A study: all that a field is computed from. The same in a window, in Python and in files.
+
+Nothing here needs napari or Qt. A study does not change; an edit makes another, which shares with
+the one before what is the same in both. So parts are compared by identity, and no array ever is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.study.layer_names import Named, naming
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The pixels on which everything lies.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        (H, W), or (D, H, W) of a volume.
+    spacing : tuple of float
+        Size of a pixel along each axis, in `unit`.
+    unit : str
+        Of all lengths: displacements, radii.
+    place : object, optional
+        Where the pixels lie in the world, and which slice they are, as layers say it. The field
+        does not depend on it.
+    """
+
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+    unit: str = "pixel"
+    place: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tissue:
+    """Which tissue is where: by labels, by its stiffness, by brightness, or as the image shows it.
+
+    Without any of these all that is in the image is tissue of one stiffness, and its dark
+    surroundings, if it has any, are a hundred times softer.
+
+    Attributes
+    ----------
+    labels : ndarray of int, shape (H, W), optional
+        With a row of `materials` each; one without a row gets a usual one.
+    materials : tuple of Material
+    stiffness : ndarray, shape (H, W), optional
+        Young's modulus; 0 where there is no tissue, infinite where it is rigid.
+    curve : StiffnessCurve, optional
+        By which the image's intensity says how stiff tissue is.
+    record : mapping
+        What it was made from, in JSON types, to be kept with a solution.
+    preset : Preset, optional
+        Which tissues a brush can paint where there is no table; by default the first of all.
+    unit : str
+        Of stiffness; of no consequence, for only ratios matter.
+    """
+
+    labels: Array | None = None
+    materials: tuple[Material, ...] = ()
+    stiffness: Array | None = None
+    curve: StiffnessCurve | None = None
+    preset: Preset | None = None
+    unit: str = ""
+    record: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        given = [
+            each for each in ("labels", "stiffness", "curve") if getattr(self, each) is not None
+        ]
+        if len(given) > 1:
+            raise ProblemError(
+                "tissue", f"is given by its {' and by its '.join(given)}. Give one of them."
+            )
+
+    def same_as(self, other: Tissue) -> bool:
+        """Whether it is made of the same parts."""
+        return _same_parts(self, other)
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Places that were found again elsewhere.
+
+    Attributes
+    ----------
+    marks : tuple of Landmark
+    numbers : tuple of int
+        By which people know them; by default they are counted from 0.
+    what : {"point", "line"}
+        What they were made from.
+    """
+
+    marks: tuple[Landmark, ...] = ()
+    numbers: tuple[int, ...] = ()
+    what: Literal["point", "line"] = "point"
+
+    def __post_init__(self) -> None:
+        if not self.numbers:
+            object.__setattr__(self, "numbers", tuple(range(len(self.marks))))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How tissue moves where that is known. Of what overlaps, the later part counts.
+
+    Attributes
+    ----------
+    hold_edge : bool
+        Whether the outer edge of the tissue stays where it is: beside what is no tissue or the dark
+        surroundings, and at the edge of the image. Holes in it are free.
+    labels : ndarray of int, shape (H, W), optional
+        What is painted, with a row of `rules` each; one without a row stays where it is.
+    rules : tuple of BoundaryRule
+    observed : ndarray, shape (H, W, 2), optional
+        A displacement, in (row, col) order and the grid's unit, such as a registration's.
+    counts : ndarray, shape (H, W) or (H, W, 2), optional
+        How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
+    landmarks : Landmarks
+    drawing : Drawing
+        What was drawn with a pointer: pulls, holds, and strokes of a brush.
+    """
+
+    hold_edge: bool = False
+    labels: Array | None = None
+    rules: tuple[BoundaryRule, ...] = ()
+    observed: Array | None = None
+    counts: Array | None = None
+    landmarks: Landmarks = field(default_factory=Landmarks)
+    drawing: Drawing = field(default_factory=Drawing)
+
+    def __post_init__(self) -> None:
+        if (self.observed is None) != (self.counts is None):
+            raise ProblemError("motion", "needs both what is observed and how sure that is.")
+
+    def same_as(self, other: Motion) -> bool:
+        """Whether it is made of the same parts."""
+        return _same_parts(self, other)
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """What may be deformed along with the field.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+    labels : ndarray of int, shape (H, W), optional
+    name, labels_name : str
+        Of what they came from; results are named after them.
+    level : int, optional
+        Of an image of several resolutions: 0, the finest.
+    look, labels_look : dict
+        How they are drawn: colormap and the like, as a new layer takes it.
+    """
+
+    image: Array | None = None
+    labels: Array | None = None
+    name: str = ""
+    labels_name: str = ""
+    level: int | None = None
+    look: dict[str, Any] = field(default_factory=dict)
+    labels_look: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What somebody knows of a piece of tissue: where it is, how it moves, and by which energy.
+
+    Attributes
+    ----------
+    grid : Grid
+    tissue : Tissue
+    motion : Motion
+    prior : SeilerPrior or ElasticPrior
+        The energy; where tissues are labels, Poisson's ratios are those of their table.
+    optimizer : ICM or Multigrid
+        How it is minimised.
+    pictures : Pictures
+        What is deformed along with the tissue, and what it may be told from.
+    names : mapping of str to Named
+        What people call the parts: "image", "tissue", "boundary", "confidence", "landmarks" and
+        "drawing". What is wrong is said of these.
+    notes : tuple of str
+        What people should know of how it was read, as clauses.
+
+    Raises
+    ------
+    ProblemError
+        Naming the part that is not of the grid's shape.
+    """
+
+    grid: Grid
+    tissue: Tissue = field(default_factory=Tissue)
+    motion: Motion = field(default_factory=Motion)
+    prior: Prior = field(default_factory=ElasticPrior)
+    optimizer: Optimizer = field(default_factory=Multigrid)
+    pictures: Pictures = field(default_factory=Pictures)
+    names: Mapping[str, Named] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        needed = self.grid.shape
+        for what, part in (
+            ("image", self.pictures.image),
+            ("tissue", self.tissue.labels),
+            ("tissue", self.tissue.stiffness),
+            ("boundary", self.motion.labels),
+            ("boundary", self.motion.observed),
+            ("confidence", self.motion.counts),
+        ):
+            if part is not None and part.shape[: len(needed)] != needed:
+                raise ProblemError(
+                    what, f"has shape {part.shape}, but the grid is {needed}. Give one of its size."
+                )
+
+    def same_as(self, other: Study) -> bool:
+        """Whether a field of the other would be the same, and move the same image."""
+        return (
+            self.grid == other.grid
+            and self.prior == other.prior
+            and self.optimizer == other.optimizer
+            and self.pictures.image is other.pictures.image
+            and self.tissue.same_as(other.tissue)
+            and self.motion.same_as(other.motion)
+        )
+
+    def lies_as(self, other: Study) -> bool:
+        """Whether the other differs in its drawing, or in nothing."""
+        motion = replace(self.motion, drawing=other.motion.drawing)
+        return replace(self, motion=motion).same_as(other)
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """Let errors about the inputs of a problem name the parts that these came from."""
+        names = self.names
+        boundary = names.get("drawing") or names.get("boundary")
+        tissue = names.get("tissue") or names.get("image")
+        with naming(
+            stiffness=tissue,
+            poisson=tissue,
+            observed=boundary,
+            confidence=names.get("confidence") or boundary,
+            spacing=names.get("image") or tissue,
+        ):
+            yield
+
+    def in_words(self, error: Exception) -> Exception:
+        """An error, said of the parts that people know."""
+        try:
+            with self.naming():
+                raise error
+        except Exception as named:  # noqa: BLE001 - that is what is wanted
+            return named
+
+
+def _same_parts(one: Any, other: Any) -> bool:
+    """Whether all attributes are the same: arrays by identity, all else by value."""
+    return one is other or all(
+        mine is its if hasattr(mine, "dtype") or hasattr(its, "dtype") else mine == its
+        for mine, its in ((getattr(one, name), getattr(other, name)) for name in vars(one))
+    )

@@ -1,0 +1,24 @@
+"""Lengths to begin with, before anybody has set them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
+    """A radius to take hold of tissue with, in the unit of the spacing.
+
+    Parameters
+    ----------
+    shape : sequence of int, shape (2,)
+        Of the image.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel.
+    """
+    shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
+    return float(f"{shorter / 16:.2g}")
+
+
+def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
+    """How far tissue is pushed to begin with: enough to be seen. As `usual_radius`."""
+    return float(f"{0.02 * max(shape) * min(spacing):.1g}")

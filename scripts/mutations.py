@@ -1,0 +1,187 @@
+"""Break the window's half in many places, one at a time, and see a test fail for each.
+
+    python scripts/mutations.py [number ...]
+
+Each is a sign, an index, a weight or a constant that a person would notice, and names the tests
+that are to fail. The package is copied to another folder, and broken there.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+class Mutation(NamedTuple):
+    """What is broken, and which tests see it.
+
+    Attributes
+    ----------
+    file : str
+        Below `napari_hmrf`.
+    right, wrong : str
+        The text, which occurs once, and what it is replaced by.
+    tests : str
+        As pytest takes them, below `tests`.
+    """
+
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+MUTATIONS = (
+    # study: how a study is understood
+    Mutation(
+        "study/ground.py",
+        "_TISSUE, _SURROUNDINGS = 1.0, 0.01",
+        "_TISSUE, _SURROUNDINGS = 1.0, 0.02",
+        "test_pull.py",
+    ),
+    Mutation("study/ground.py", "_PENALTY = 1.0", "_PENALTY = 2.0", "test_recorded.py"),
+    Mutation("study/ground.py", "_FIRM = 1e4", "_FIRM = 1e3", "test_recorded.py"),
+    Mutation(
+        "study/ground.py",
+        "rim = outer_rim(part) & free",
+        "rim = outer_rim(part)",
+        "test_recorded.py",
+    ),
+    Mutation("study/ground.py", "doubted = c < 1", "doubted = c <= 1", "test_pull.py"),
+    Mutation(
+        "study/engine.py",
+        "shown.append(Picture(over, order=0))",
+        "shown.insert(0, Picture(over, order=0))",
+        "test_grab_tools.py",
+    ),
+    Mutation(
+        "study/study.py",
+        "and self.tissue.same_as(other.tissue)",
+        "and True",
+        "test_layers_inputs.py",
+    ),
+    # tissue: drawing, rules, surroundings
+    Mutation("tissue/surroundings.py", "_AROUND = 0.75", "_AROUND = 0.25", "test_pull.py"),
+    Mutation(
+        "tissue/surroundings.py", "_APART = 0.35", "_APART = 0.95", "test_layers_background.py"
+    ),
+    Mutation("tissue/usual_lengths.py", "shorter / 16", "shorter / 8", "test_pull.py"),
+    Mutation(
+        "tissue/palette.py",
+        "stiffness_image(now, self.materials)[0] / np.float32(self.one)",
+        "stiffness_image(now, self.materials)[0] * np.float32(self.one)",
+        "test_grab_tools.py",
+    ),
+    Mutation(
+        "tissue/drawing/pull.py",
+        "to = (point[0] - self._offset[0], point[1] - self._offset[1])",
+        "to = (point[0] + self._offset[0], point[1] + self._offset[1])",
+        "test_drawing.py test_pull.py test_grab.py",
+    ),
+    Mutation(
+        "tissue/drawing/canvas.py",
+        "soft = mark.softness * reach",
+        "soft = mark.softness * reach * 0.5",
+        "test_brush.py test_drawing.py",
+    ),
+    Mutation(
+        "tissue/drawing/marks.py",
+        "(to - start) * size",
+        "(start - to) * size",
+        "test_landmark_boundary.py",
+    ),
+    # layers: where things lie, and what is read
+    Mutation(
+        "layers/place.py",
+        "return float(lengths[0]), float(lengths[1])",
+        "return float(lengths[1]), float(lengths[0])",
+        "test_layers_inputs.py",
+    ),
+    Mutation(
+        "layers/place.py",
+        "placed[:, 0] = self.index",
+        "placed[:, 1] = self.index",
+        "test_layers_outputs.py",
+    ),
+    Mutation(
+        "layers/landmarks.py",
+        "(away / 2)[which.reshape(-1)]",
+        "away[which.reshape(-1)]",
+        "test_landmark_boundary.py",
+    ),
+    Mutation(
+        "layers/observed_arrows.py",
+        "at = np.rint(arrows[:, 0]).astype(int)",
+        "at = np.ceil(arrows[:, 0]).astype(int)",
+        "test_layers_inputs.py",
+    ),
+    Mutation(
+        "layers/screen_directions.py",
+        "way = ways[main] if step[main] > 0",
+        "way = ways[main] if step[main] < 0",
+        "test_directions.py",
+    ),
+    Mutation(
+        "layers/layer_copies.py",
+        "found = next((each for each in known if _same(each, now)), now)",
+        "found = now",
+        "test_layers_inputs.py test_pull.py",
+    ),
+    # ui: what is said, shown and played
+    Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),
+    Mutation(
+        "ui/live_mode.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"
+    ),
+    Mutation(
+        "ui/look/player.py",
+        "part = along if along <= 1 else 2 - along",
+        "part = along if along <= 1 else along - 1",
+        "test_widgets_look.py",
+    ),
+    Mutation("ui/grab/keys.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
+)
+
+
+def survives(mutation: Mutation, folder: Path) -> bool:
+    """Whether no test sees a mutation."""
+    package = folder / "napari_hmrf"
+    file = package / mutation.file
+    text = file.read_text(encoding="utf-8")
+    if text.count(mutation.right) != 1:
+        raise SystemExit(f"{mutation.file} has {mutation.right!r} not once: mend the list")
+    file.write_text(text.replace(mutation.right, mutation.wrong), encoding="utf-8")
+    try:
+        tests = [str(ROOT / "tests" / each) for each in mutation.tests.split()]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+        paths = {**os.environ, "PYTHONPATH": str(folder)}
+        return subprocess.run(command, env=paths, cwd=folder, capture_output=True).returncode == 0
+    finally:
+        file.write_text(text, encoding="utf-8")
+
+
+def main(wanted: list[str]) -> int:
+    """Try all mutations, or those of some numbers; how many survive."""
+    chosen = [int(each) for each in wanted] or range(len(MUTATIONS))
+    survivors = 0
+    with tempfile.TemporaryDirectory() as made:
+        shutil.copytree(ROOT / "napari_hmrf", Path(made) / "napari_hmrf")
+        shutil.copytree(ROOT / "shaders", Path(made) / "shaders")
+        for number in chosen:
+            mutation = MUTATIONS[number]
+            alive = survives(mutation, Path(made))
+            survivors += alive
+            said = "SURVIVES" if alive else "is seen"
+            print(f"{number:2} {said:8} {mutation.file}: {mutation.wrong}", flush=True)
+    print(f"{survivors} of {len(chosen)} survive")
+    return survivors
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,282 @@
+"""The public face: what a script imports, how it is called, and what it says of a mistake."""
+
+import inspect
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+
+import napari_hmrf
+from napari_hmrf import (
+    ICM,
+    ArgumentError,
+    BoundaryRule,
+    ElasticPrior,
+    HmrfError,
+    LiveSolver,
+    Material,
+    Multigrid,
+    Picture,
+    Problem,
+    Provenance,
+    SeilerPrior,
+    Solution,
+    StiffnessCurve,
+    Warper,
+    boundary_images,
+    equivalent_strain,
+    folds,
+    green_lagrange_strain,
+    poisson_image,
+    solve,
+    stiffness_image,
+)
+from napari_hmrf.solver.model_names import ModelName, model_name
+from napari_hmrf.study.models import chosen
+
+#: How many arguments may go without their name.
+WHAT_A_CALL_IS_ABOUT = {
+    "BoundaryRule": 2,
+    "ElasticPrior": 1,
+    "ICM": 1,
+    "LiveSolver": 2,
+    "Multigrid": 1,
+    "Picture": 1,
+    "Problem": 3,
+    "SeilerPrior": 0,
+    "StiffnessCurve": 1,
+    "Warper": 1,
+    "arrows": 1,
+    "boundary_images": 2,
+    "count_folds": 1,
+    "deformation_gradient": 1,
+    "deformation_grid": 1,
+    "folds": 1,
+    "green_lagrange_strain": 1,
+    "inverse_map": 1,
+    "jacobian_determinant": 1,
+    "resample": 3,
+    "small_strain": 1,
+    "solve": 2,
+    "warp": 2,
+}
+
+
+def test_a_script_makes_tissue_solves_and_measures_it_with_what_the_package_exports():
+    tissue, boundary = np.ones((20, 30), int), np.zeros((20, 30), int)
+    tissue[8:12] = 2
+    boundary[:, :2], boundary[:, -2:] = 1, 2
+    stiffness = stiffness_image(tissue, [Material(1, "soft", 1.0), Material(2, "stiff", 50.0)])
+    rules = [BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0, 3))]
+    solution = solve(Problem(*boundary_images(boundary, rules), stiffness))
+    field = solution.displacement
+    strain = equivalent_strain(green_lagrange_strain(field, tissue=solution.tissue))
+    assert np.ptp(field[10, :, 1]) == pytest.approx(3, abs=0.01)
+    assert 0.03 < strain.mean() < 0.3
+    assert not folds(field).any()
+    bright = StiffnessCurve(((0, 1), (255, 100)))
+    assert bright(np.uint8([[0, 255]])).tolist() == [[1, 100]]
+
+
+def test_every_name_that_is_exported_is_there_once_and_says_what_it_is():
+    names = napari_hmrf.__all__
+    assert len(names) == len(set(names))
+    for name in names:
+        found = getattr(napari_hmrf, name)
+        assert not inspect.ismodule(found)
+        assert not callable(found) or inspect.getdoc(found)
+
+
+@pytest.mark.parametrize(("name", "count"), WHAT_A_CALL_IS_ABOUT.items())
+def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
+    parameters = inspect.signature(getattr(napari_hmrf, name)).parameters.values()
+    unnamed = [each for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD]
+    assert len(unnamed) == count
+
+
+def test_whatever_has_a_choice_is_in_that_list():
+    """But for `phantom(name, size)`, `Material`, which is a row of a table, and results."""
+    records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
+    choices = set()
+    for name in napari_hmrf.__all__:
+        found = getattr(napari_hmrf, name)
+        if callable(found) and not (isinstance(found, type) and issubclass(found, Exception)):
+            given = inspect.signature(found).parameters.values()
+            if any(each.default is not each.empty for each in given):
+                choices.add(name)
+    assert choices - records - {"equivalent_strain"} <= set(WHAT_A_CALL_IS_ABOUT)
+
+
+def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says_which(tmp_path):
+    problem = napari_hmrf.phantom("mass-effect", 32).problem
+    usual, elastic, papers, converged = (
+        solve(problem, backend="cpu"),
+        solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu"),
+        solve(problem, SeilerPrior(), backend="cpu"),
+        solve(problem, SeilerPrior(), optimizer=Multigrid(), backend="cpu"),
+    )
+    np.testing.assert_array_equal(usual.displacement, elastic.displacement)
+    assert [each.provenance.model for each in (usual, papers, converged)] == [*get_args(ModelName)]
+    assert papers.iterations == 6 * 70
+    assert np.abs(papers.displacement - usual.displacement).max() > 0.1
+    for solution in (usual, papers, converged):
+        path = solution.save(tmp_path / "kept.npz")
+        assert Solution.load(path).provenance.model == solution.provenance.model
+        with np.load(path, allow_pickle=False) as file:
+            assert f'"model": "{solution.provenance.model}"' in str(file["header"])
+
+
+@pytest.mark.parametrize("name", get_args(ModelName))
+def test_a_name_chooses_the_model_that_has_it(name):
+    prior, optimizer = chosen(name)
+    parameters = {"prior": prior.parameters, "optimizer": optimizer.parameters}
+    assert model_name(parameters) == name
+    assert Provenance("cpu", "a device", parameters=parameters).model == name, "older files"
+
+
+@pytest.mark.parametrize("parameters", [{}, {"prior": 3}, {"prior": {"name": "?"}}, None, [1]])
+def test_what_is_not_told_has_no_name(parameters):
+    assert model_name(parameters) == ""
+
+
+def test_the_blanket_reading_has_a_name_of_its_own():
+    problem = napari_hmrf.phantom("bar", 32).problem
+    blanket = SeilerPrior(conditional="blanket")
+    for optimizer, name in ((ICM(3), "paper, blanket"), (Multigrid(), "paper, blanket, converged")):
+        solution = solve(problem, blanket, optimizer=optimizer, backend="cpu")
+        assert solution.provenance.model == name
+
+
+LABELS, IMAGE, FIELD = np.ones((4, 5), int), np.ones((4, 5)), np.zeros((4, 5, 2))
+HELD = np.zeros((4, 5, 2))
+HELD[0] = HELD[-1] = 1
+PROBLEM = Problem(FIELD, HELD, IMAGE)
+MOVED = {"displacement": FIELD, "spacing": (1, 1), "tissue": None}
+
+
+def ruled(**of_the_rule):
+    return boundary_images(LABELS, [BoundaryRule(**of_the_rule)])
+
+
+#: What works, argument by argument.
+CALLS = {
+    "Problem": {"observed": FIELD, "confidence": HELD, "stiffness": IMAGE, "spacing": (1, 1)},
+    "solve": {
+        "problem": PROBLEM,
+        "prior": ElasticPrior(),
+        "optimizer": Multigrid(),
+        "backend": "cpu",
+        "progress": None,
+        "cancel": None,
+        "initial": None,
+    },
+    "LiveSolver": {"deliver": print, "prior": None, "optimizer": None, "backend": "cpu"},
+    "ElasticPrior": {"poisson": 0.3, "plane": "stress", "penalty": 1.0},
+    "SeilerPrior": {"penalty": 1.0, "conditional": "centred", "damping": 1.0},
+    "ICM": {"iterations": 2, "steps": None, "energy_change": None},
+    "Multigrid": {"tolerance": 1e-3, "max_iterations": 3},
+    "warp": {"image": IMAGE, **MOVED, "order": 1, "fill": 0},
+    "resample": {"image": IMAGE, "coordinates": FIELD, "covered": IMAGE, "order": 1, "fill": 0},
+    "inverse_map": MOVED,
+    "jacobian_determinant": MOVED,
+    "count_folds": MOVED,
+    "folds": MOVED,
+    "deformation_gradient": MOVED,
+    "small_strain": MOVED,
+    "green_lagrange_strain": MOVED,
+    "deformation_grid": {**MOVED, "every": 2, "pieces": 2},
+    "arrows": {**MOVED, "about": 3},
+    "magnitude": {"displacement": FIELD},
+    "principal_strains": {"strain": np.eye(2)},
+    "equivalent_strain": {"strain": np.eye(2), "through": 0.0},
+    "strain_through_slice": {"strain": np.eye(2), "poisson": 0.3},
+    "phantom": {"name": "bar", "size": 16},
+    "sample": {"name": "bar"},
+    "reference_displacement": {"name": "bar"},
+    "Warper": {"pictures": IMAGE, "spacing": (1, 1)},
+    "stiffness_image": {"labels": LABELS, "materials": [Material(1, "a", 1.0)]},
+    "poisson_image": {"labels": LABELS, "materials": [Material(1, "a", 1.0)]},
+    "boundary_images": {"labels": LABELS, "rules": [BoundaryRule(1, "fixed")], "spacing": (1, 1)},
+    "StiffnessCurve": {"points": ((0, 1), (1, 2)), "void_below": None, "between": "straight"},
+    "luminance": {"colours": np.zeros((3, 3, 3))},
+    "is_solution_file": {"path": "none.npz"},
+}
+#: What is made first and looked at when it is used.
+CALLS_OF = {
+    "a picture": (lambda **of: Warper(Picture(**of)), {"image": IMAGE, "order": 1, "fill": 0}),
+    "a material": (
+        lambda **of: stiffness_image(LABELS, [Material(**of)]),
+        {"label": 1, "name": "a", "stiffness": 1.0},
+    ),
+    "a ratio": (
+        lambda **of: poisson_image(LABELS, [Material(1, "a", **of)]),
+        {"stiffness": 1.0, "poisson": 0.3},
+    ),
+    "a move": (ruled, {"label": 1, "action": "move", "vector": (1, 1), "confidence": (1, 1)}),
+    "an expansion": (ruled, {"label": 1, "action": "expand", "amount": 1.0}),
+    "intensities": (StiffnessCurve(((0, 1), (1, 2))), {"intensities": IMAGE}),
+    "percentiles": (StiffnessCurve.from_percentiles, {"intensities": np.arange(20.0)}),
+    "a stored curve": (StiffnessCurve.from_dict, {"values": {"points": ((0, 1), (1, 2))}}),
+    "a stored solution": (Solution.load, {"path": "none.npz"}),
+}
+CALLS_OF |= {name: (getattr(napari_hmrf, name), good) for name, good in CALLS.items()}
+
+WRONG = [
+    *(None, "a", b"a", 3, -1, 0.5, 1j, math.nan, math.inf, True, object(), {1}, {"a": 1}),
+    *([], [[1, 2], [3]], (1, "b"), range(3), np.float32(1), np.zeros(0), np.zeros((3, 3, 3))),
+    *(np.zeros((4, 5), complex), np.array(["a"]), np.array([None, 1]), np.full((4, 5), np.nan)),
+    *(np.full((4, 5, 2), np.nan), np.ma.masked_all((4, 5)), np.array(["2020"], "M8[D]")),
+    *(PROBLEM, str, ICM(), SeilerPrior(), Material(1, "a", 1.0), lambda *given: None),
+]
+
+
+@pytest.mark.parametrize("name", CALLS_OF)
+def test_whatever_is_given_by_mistake_is_refused_by_an_error_of_ours_in_short(
+    name, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    call, good = CALLS_OF[name]
+    said = []
+    for argument in good:
+        # A whole number may be an open file, which is not ours to close.
+        wrong = [each for each in WRONG if argument != "path" or type(each) not in (int, bool, str)]
+        for each in wrong:
+            try:
+                call(**{**good, argument: each})
+            except HmrfError as error:
+                said.append(str(error))
+    assert len(said) >= len(WRONG) / 2
+    assert [each for each in said if len(each) > 400 or "\n" in each] == []
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda: solve(IMAGE), r"problem is array.*of type ndarray\. Give a Problem"),
+        (lambda: solve(PROBLEM, Multigrid()), r"prior is Multigrid.*Give a prior: ElasticPrior"),
+        (lambda: solve(PROBLEM, optimizer=ElasticPrior()), "optimizer is .*Give an optimizer"),
+        (lambda: solve(PROBLEM, optimizer=Multigrid), "optimizer is .*Give an optimizer"),
+        (lambda: LiveSolver(3), "deliver is 3, of type int. Give something to call"),
+        (lambda: Multigrid("x"), "tolerance must be a positive number, in pixels, not 'x'"),
+        (lambda: ICM(steps=3), r"steps must be positive numbers, such as \(1, 0.1\).*, not 3"),
+        (lambda: ICM("many"), "iterations must be a whole number of at least 1, not 'many'"),
+        (lambda: SeilerPrior(conditional="both"), 'must be "centred" or "blanket", not \'both\''),
+        (lambda: ElasticPrior("a"), "poisson: is 'a', of type str. Give real numbers"),
+        (lambda: ElasticPrior(0.6), "poisson must be from 0 to 0.499, not 0.6"),
+        (lambda: Problem("a", 1, 2), r"stiffness: has shape \(\), but a 2-D image"),
+        (lambda: Problem("a", HELD, IMAGE), "observed: is 'a', of type str. Give real numbers"),
+        (lambda: stiffness_image(LABELS, {1: 5.0}), "materials must be a list, each a Material"),
+        (lambda: napari_hmrf.phantom("liver"), "no phantom 'liver'; choose from expansion"),
+    ],
+)
+def test_a_mistake_is_answered_by_what_was_given_and_what_to_give(mistake, says):
+    with pytest.raises(HmrfError, match=says) as refused:
+        mistake()
+    assert isinstance(refused.value, ValueError), "as those who catch Python's own expect"
+
+
+def test_what_is_no_kind_of_argument_is_caught_as_a_type_error_too():
+    with pytest.raises(TypeError):
+        solve(IMAGE)
+    assert issubclass(ArgumentError, TypeError)
