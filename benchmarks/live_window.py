@@ -25,10 +25,10 @@ from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
 from napari_hmrf.field.live_warp import Warper
+from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
 from napari_hmrf.ui.grab.arrows import ArrowsLayer
-from napari_hmrf.ui.grab.live_layers import LiveLayers
 
 #: What is painted with a brush, instead of pulled.
 BRUSHES = ("pin", "move", "tissue")
@@ -241,7 +241,7 @@ class Window:
             (Rendering, "show", "drawing"),
             (Ground, "statement", "problem"),
             (Warper, "__call__", "warp"),
-            (LiveLayers, "show", "image layer"),
+            (ResultLayers, "show", "image layer"),
             (ArrowsLayer, "show", "arrows layer"),
             (type(self._native), "paintGL", "canvas drawn"),
         ]

@@ -363,8 +363,8 @@ def test_points_of_two_layers_are_taken_as_landmarks(grab, pulled, viewer):
 def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_for, tmp_path):
     dock, _ = grab
     moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0))
-    wait_for(lambda: any(each.name.startswith("Displacement") for each in viewer.layers))
-    arrows = layer(viewer, "Displacement")
+    wait_for(lambda: any(each.name.startswith("MR arrows, elastic") for each in viewer.layers))
+    arrows = layer(viewer, "MR arrows, elastic")
     attributes = {"name": arrows.name, "metadata": arrows.metadata}
     (path,) = save_solution(str(tmp_path / "pulled.npz"), arrows.data, attributes)
     (again,) = open_solution(path)(path)

@@ -14,7 +14,7 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing
 
 def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     person, widget = pulling
-    still = by_name(person.viewer, "Deformed image").data.copy()
+    still = by_name(person.viewer, "MR deformed, elastic").data.copy()
     seen = []
     widget.seen.connect(seen.append)
     person.press(30, 30)
@@ -22,7 +22,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
         person.move(30 + step, 30 + 2 * step)
         qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
     assert widget.history.in_progress, "the button is still down"
-    moved = by_name(person.viewer, "Deformed image").data
+    moved = by_name(person.viewer, "MR deformed, elastic").data
     assert (moved != still).mean() > 0.05
     person.release(34, 38)
     settle(widget)
@@ -36,7 +36,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     assert 0.5 < np.linalg.norm(field[20, 20]) < 8
     assert seen[-1].outputs is not None
     assert person.viewer.layers.selection.active.name == "Arrows"
-    assert by_name(person.viewer, "Displacement").metadata[METADATA]["solution"] is not None
+    assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
     assert widget.history.undo_word == "drew an arrow"
 
 
@@ -80,7 +80,7 @@ def test_keys_remove_undo_and_redo(pulling, settle):
     assert widget.drawing == Drawing()
     settle(widget)
     image = by_name(person.viewer, "MR").data
-    assert np.array_equal(by_name(person.viewer, "Deformed image").data, image)
+    assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data, image)
 
 
 def test_escape_gives_a_drag_up(pulling):
@@ -198,12 +198,12 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     settle_moves(person, widget)
     by_name(person.viewer, "MR").name = "T1"
     by_name(person.viewer, "Arrows").name = "mine"
-    person.viewer.layers.remove("Deformed image")
+    person.viewer.layers.remove("MR deformed, elastic")
     person.move(34, 34)
     person.release(34, 34)
     settle(widget)
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
-    assert "Deformed image" in person.viewer.layers, "it is made again"
+    assert "MR deformed, elastic" in person.viewer.layers, "it is made again"
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
 
 
@@ -211,8 +211,8 @@ def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (33, 33))
     settle(widget)
-    moved = by_name(person.viewer, "Deformed image")
-    moved.gamma = 0.8
+    moved = by_name(person.viewer, "MR deformed, elastic")
+    before = moved.data.copy()
     dark = (by_name(person.viewer, "MR").data // 8).astype(np.uint8)
     other = person.viewer.add_image(dark, name="CT", colormap="magma", contrast_limits=(0, 30))
     widget.image = other
@@ -220,13 +220,27 @@ def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
     widget.start()
     person.drag((20, 20), (22, 22))
     settle(widget)
-    assert by_name(person.viewer, "Deformed image") is moved
-    assert moved.metadata[METADATA]["source"] == "CT"
-    assert (moved.colormap.name, moved.contrast_limits) == ("magma", [0, 30])
-    moved.gamma = 0.7
+    shown = by_name(person.viewer, "CT deformed, elastic")
+    assert shown.metadata[METADATA]["source"] == "CT"
+    assert (shown.colormap.name, shown.contrast_limits) == ("magma", [0, 30])
+    shown.gamma = 0.7
     person.drag((40, 40), (42, 42))
     settle(widget)
-    assert moved.gamma == 0.7, "how somebody has it drawn stays"
+    assert shown.gamma == 0.7, "how somebody has it drawn stays"
+    assert np.array_equal(moved.data, before), "the other's result stays"
+
+
+def test_a_slice_that_was_only_visited_leaves_no_layers(open_window, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_window(stack, scale=(5, 1, 1))
+    viewer = person.viewer
+    widget.start()
+    settle(widget)
+    for step in (1, 2, 0):
+        viewer.dims.set_current_step(0, step)
+        settle(widget)
+    made = [layer.name for layer in viewer.layers if layer.name.startswith("MR ")]
+    assert made == ["MR deformed, elastic (slice 0)"]
 
 
 def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
@@ -244,13 +258,14 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     settle(widget)
     assert not widget.drawing.marks, "nothing is drawn on this slice"
     assert by_name(viewer, "Arrows").data.shape[0] == 0
-    here = by_name(viewer, "Deformed image").metadata[METADATA]["slice"]
+    here = by_name(viewer, "MR deformed, elastic (slice 2)").metadata[METADATA]["slice"]
     assert by_name(viewer, "Arrows").metadata[METADATA]["slice"] == here
     viewer.dims.set_current_step(0, 1)
     settle(widget)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag ended with the slice"
     assert (by_name(viewer, "Arrows").data[:, 0, 0] == 1).all()
-    assert by_name(viewer, "Deformed image").data.shape == (1, 48, 64)
+    assert by_name(viewer, "MR deformed, elastic (slice 1)").data.shape == (1, 48, 64)
+    assert "MR deformed, elastic (slice 2)" not in viewer.layers, "nothing has moved there"
     viewer.dims.ndisplay = 3
     at_rest()
     assert "two dimensions" in widget.status
@@ -335,7 +350,7 @@ def test_scripts_draw_without_a_mouse(open_window, settle):
     assert seen[-1].solution.displacement[30, 30] == pytest.approx((3, -3), abs=0.02)
     kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]
     assert Drawing.from_dict(kept) == widget.drawing
-    solution = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"]
+    solution = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"]
     assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing
 
 
@@ -480,7 +495,7 @@ def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, sett
     image.scale = (0.5, 0.5)
     image.units = ("mm", "mm")
     settle(widget)
-    for name in ("Arrows", "Deformed image", "Displacement"):
+    for name in ("Arrows", "MR deformed, elastic", "MR arrows, elastic"):
         layer = by_name(person.viewer, name)
         assert layer.units == image.units
         np.testing.assert_array_equal(layer.scale, image.scale)
@@ -520,7 +535,7 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
     widget.drawing = Drawing((Arrow((48, 48), (0, 30), 20.0), Arrow((90, 90), (0, 0), 2.0)))
     settle(widget)
     assert "folds" not in widget.warning
-    solution = by_name(person.viewer, "Displacement").metadata[METADATA]["solution"]
+    solution = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"]
     assert np.array_equal(solution.tissue, disc)
     assert not solution.displacement[~disc].any()
 

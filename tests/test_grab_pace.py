@@ -74,9 +74,9 @@ def test_of_drawings_made_while_one_is_shown_only_the_last_is_solved(
     solved = []
     check = Problem.__init__
 
-    def noted(self, y, *rest):
+    def noted(self, y, *rest, **options):
         solved.append(round(float(y.max()), 1))
-        check(self, y, *rest)
+        check(self, y, *rest, **options)
 
     monkeypatch.setattr(Problem, "__init__", noted)
     for by in range(1, 10):
@@ -144,7 +144,7 @@ def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, sol
 
 def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, settle, qtbot):
     person, widget = pulling
-    picture = by_name(person.viewer, "Deformed image")
+    picture = by_name(person.viewer, "MR deformed, elastic")
     told, thumbnails, seen = [], [], []
     person.press(30, 30)
     person.move(32, 32)
@@ -172,7 +172,7 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person.press(30, 30)
     person.move(32, 32)
     qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
-    picture = by_name(person.viewer, "Deformed image")
+    picture = by_name(person.viewer, "MR deformed, elastic")
     theirs = np.zeros_like(picture.data)
     picture.data = theirs
     person.move(34, 34)

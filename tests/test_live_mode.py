@@ -305,11 +305,9 @@ def test_the_image_removed_in_mid_edit_is_not_shown_any_more(living, settle, bus
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
     viewer_of(widget).layers.remove(image)
-    before = names(widget)
     busy_thread.set()
     settle(widget)
-    assert "MR" not in names(widget)
-    assert [name for name in names(widget) if name in before] == before
+    assert not [name for name in names(widget) if name.startswith("MR")], "nor what it was"
 
 
 def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
@@ -415,7 +413,7 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     deformed = viewer.layers["MR deformed, elastic"]
     assert deformed.visible, "it is watched"
     pictures = []
-    deformed.events.data.connect(lambda: pictures.append(np.array(deformed.data)))
+    deformed.events.set_data.connect(lambda: pictures.append(np.array(deformed.data)))
     places = [(row, 32) for row in range(14, 34, 2)]
     during = []
     person.paint(*places, between=lambda: (settle(dock), during.append(len(pictures))))

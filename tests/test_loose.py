@@ -98,7 +98,7 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     assert (
         "2 pieces of tissue that too little holds stay where they are (9 pixels)" in widget.warning
     )
-    assert by_name(person.viewer, "Deformed image").visible
+    assert by_name(person.viewer, "MR deformed, elastic").visible
 
 
 def test_what_cannot_be_pulled_is_said_of_the_layer():

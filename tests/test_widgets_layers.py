@@ -3,15 +3,12 @@
 import dask.array as da
 import numpy as np
 import pytest
-from napari.components import ViewerModel
-from napari.layers import Image, Labels
+from napari.layers import Labels
 from study_reader import read_layers
 
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.label_sync import labels_in
-from napari_hmrf.ui.results import ResultLayers
 
 
 class Breakable:
@@ -222,22 +219,16 @@ def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
     assert "onto another" not in widget.status
 
 
-class Source:
-    """Stands for a layer: small, so that the next one is likely to lie at the same address."""
-
-
-def test_results_of_a_layer_that_is_gone_are_not_overwritten_by_its_successor():
-    from test_layers_outputs import solution
-
-    viewer = ViewerModel()
-    results = ResultLayers(viewer)
-    source = Source()
-    first = results.show(result_layers(solution()), source)["arrows"]
-    again = results.show(result_layers(solution()), source)["arrows"]
-    assert again is first
-    address = id(source)
-    del source
-    others = [Source() for _ in range(10_000)]
-    successor = next((other for other in others if id(other) == address), others[0])
-    assert results.show(result_layers(solution()), successor)["arrows"] is not first
-    assert len([layer for layer in viewer.layers if not isinstance(layer, Image)]) == 2
+def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
+    widget, small_sample, run, wait_for
+):
+    viewer = viewer_of(widget)
+    image, tissue, _ = small_sample(viewer)
+    widget.tissue = tissue
+    run(widget)
+    first = viewer.layers["MR deformed"]
+    viewer.layers.remove(image)
+    wait_for(lambda: first not in viewer.layers)
+    widget.image = viewer.add_image(image.data, name="MR")
+    run(widget)
+    assert [layer.name for layer in viewer.layers].count("MR deformed") == 1

@@ -97,7 +97,7 @@ def arrow_layer(frame: Frame, shape: tuple[int, int]) -> LayerData:
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
         "opacity": 1.0,
-        "metadata": {METADATA: {"kind": "drawing", "by": "grab", "slice": frame.slice_name}},
+        "metadata": {METADATA: {"kind": "drawing", "slice": frame.slice_name}},
     }
     # napari cannot tell how many axes no arrows have.
     none = frame.put_vectors(np.zeros((0, 2, 2)))

@@ -135,7 +135,7 @@ def painted_layer(
             "name": NAME,
             "opacity": 1.0,
             "colormap": painted_colours(tissues),
-            "metadata": {METADATA: {"kind": "painted", "by": "grab", "slice": frame.slice_name}},
+            "metadata": {METADATA: {"kind": "painted", "slice": frame.slice_name}},
         },
         "labels",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -85,6 +85,7 @@ def result_layers(
     pictures: Pictures | None = None,
     kinds: Collection[Kind] = ("arrows", "image"),
     checkpoint: Callable[[], None] = lambda: None,
+    moved: npt.NDArray[Any] | None = None,
 ) -> Outputs:
     """Turn a solution into layer data; the one way to do so. Needs neither window nor layer.
 
@@ -99,6 +100,8 @@ def result_layers(
         The layers to make; those that lack their picture are left out.
     checkpoint : callable
         Called between the parts; raises to stop the work.
+    moved : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+        The image as it has moved, where that is known already.
 
     Returns
     -------
@@ -120,9 +123,10 @@ def result_layers(
     if folded.any():
         row, col = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
         worst = (int(row), int(col))
-    maker = _Maker(solution, frame, pictures or Pictures(), folded)
     # A file that is opened shows arrows, and need not wait for the compiler of the loops.
-    overlaps = 0 if pictures is None else maker.count_overlaps()
+    arrows_alone, pictures = pictures is None or moved is not None, pictures or Pictures()
+    maker = _Maker(solution, frame, pictures, folded, moved)
+    overlaps = 0 if arrows_alone else maker.count_overlaps()
     layers: dict[Kind, LayerData] = {}
     for kind in KINDS:
         checkpoint()
@@ -149,6 +153,52 @@ def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[n
     return found[chosen], pixels / 8
 
 
+def picture_layer(
+    frame: Frame,
+    pictures: Pictures,
+    picture: npt.NDArray[Any],
+    parameters: Mapping[str, Any],
+    facts: Mapping[str, Any] | None = None,
+) -> LayerData:
+    """An image as it is while its tissue is on its way.
+
+    Parameters
+    ----------
+    frame : Frame
+    pictures : Pictures
+        Which image it is, and how that is drawn.
+    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+        As it has moved.
+    parameters : mapping
+        Of the solution's provenance.
+    facts : mapping, optional
+        What the layer is to know of its result; by default where it comes from.
+    """
+    known = {
+        "source": pictures.name,
+        "slice": frame.slice_name,
+        "slice_seen": frame.slice_seen,
+        "unit": frame.unit,
+        **(facts or {}),
+        "kind": "image",
+    }
+    attributes = {
+        **pictures.look,
+        **frame.placement(image=True),
+        "rgb": picture.ndim == 3,
+        "name": result_name(pictures.name, "deformed", parameters, frame.slice_seen),
+        "metadata": {METADATA: known},
+    }
+    return LayerData(frame.put_image(picture), attributes, "image")
+
+
+def result_name(source: str, what: str, parameters: Mapping[str, Any], where: str) -> str:
+    """Name a layer after the image it was made of, what it shows, the model and the slice."""
+    model = short_name(parameters)
+    name = f"{source} {what}".strip() + (f", {model}" if model else "")
+    return name + (f" ({where})" if where else "")
+
+
 class _Maker:
     """One method per kind of layer."""
 
@@ -158,9 +208,11 @@ class _Maker:
         frame: Frame,
         pictures: Pictures,
         folded: npt.NDArray[np.bool_],
+        moved: npt.NDArray[Any] | None,
     ) -> None:
         self._solution = solution
         self._folded = folded
+        self._moved = moved
         self._frame = frame
         self._pictures = pictures
         self._field = (solution.displacement, solution.spacing)
@@ -183,11 +235,13 @@ class _Maker:
 
     def image(self) -> LayerData | None:
         """The image, moved with the tissue."""
-        picture = self._pictures.image
-        if picture is None:
+        picture, moved = self._pictures.image, self._moved
+        if moved is None and picture is not None:
+            moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
+        if moved is None:
             return None
-        moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
-        return self._picture("image", moved, "deformed", self._pictures.look, rgb=moved.ndim == 3)
+        parameters = self._solution.provenance.parameters
+        return picture_layer(self._frame, self._pictures, moved, parameters, self._facts)
 
     def labels(self) -> LayerData | None:
         """The tissue labels, moved with the tissue."""
@@ -195,11 +249,8 @@ class _Maker:
         if labels is None:
             return None
         moved = resample(labels, *self._inverse, order=0)
-        data = self._picture("labels", moved, "deformed", self._pictures.labels_look)
-        return data._replace(
-            attributes={**data.attributes, "name": self._name("deformed", labels=True)},
-            kind="labels",
-        )
+        look = {**self._pictures.labels_look, "name": self._name("deformed", labels=True)}
+        return self._picture("labels", moved, "deformed", look)._replace(kind="labels")
 
     def magnitude(self) -> LayerData:
         """How far the tissue moves."""
@@ -211,7 +262,7 @@ class _Maker:
             "contrast_limits": (0.0, float(length.max()) or 1.0),
         }
         what = f"magnitude ({unit_symbol(self._frame.unit)})"
-        return self._picture("magnitude", length, what, look, rgb=False)
+        return self._picture("magnitude", length, what, {**look, "rgb": False})
 
     def grid(self) -> LayerData:
         """A grid that has moved with the tissue."""
@@ -248,13 +299,12 @@ class _Maker:
         return self._inverted[:2]
 
     def _picture(
-        self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any], **more: Any
+        self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any]
     ) -> LayerData:
         attributes = {
-            **look,
-            **more,
-            **self._frame.placement(image=True),
             "name": self._name(what),
+            **look,
+            **self._frame.placement(image=True),
             "metadata": {METADATA: {"kind": kind, **self._facts}},
         }
         return LayerData(self._frame.put_image(picture), attributes, "image")
@@ -275,6 +325,5 @@ class _Maker:
 
     def _name(self, what: str, labels: bool = False) -> str:
         source = self._pictures.labels_name if labels else self._pictures.name
-        where = f" ({self._frame.slice_seen})" if self._frame.slice_seen else ""
-        model = short_name(self._solution.provenance.parameters)
-        return f"{source} {what}".strip() + (f", {model}" if model else "") + where
+        parameters = self._solution.provenance.parameters
+        return result_name(source, what, parameters, self._frame.slice_seen)

@@ -14,7 +14,6 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View, unit_factor, unit_symbol
 from napari_hmrf.solver.solution import Solution
 
@@ -66,18 +65,6 @@ def result_of(layer: Any) -> FoundResult | None:
         return None
     facts = {key: value for key, value in known.items() if key not in ("solution", "kind")}
     return FoundResult(solution, frame, facts)
-
-
-def companion(layers: Iterable[Any], result: FoundResult, kind: Kind) -> Any:
-    """Find another layer that the same dock made of a source and slice; the topmost, or None."""
-    if not result.source:
-        return None
-    for layer in reversed(list(layers)):
-        known = known_of(layer)
-        same = all(known.get(key) == result.facts.get(key) for key in ("by", "source", "slice"))
-        if known.get("kind") == kind and same and "folds" in known:
-            return layer
-    return None
 
 
 def source_of(layers: Iterable[Any], result: FoundResult) -> Any:

@@ -17,9 +17,8 @@ from napari_hmrf.field.strain import (
     principal_strains,
 )
 from napari_hmrf.layers.label_colours import quantity_colours
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_layers import LayerData, result_name
 from napari_hmrf.layers.result_lookup import FoundResult, facts_for
-from napari_hmrf.study.models import short_name
 
 Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
@@ -125,7 +124,6 @@ def quantity_layer(
 
 def _name(result: FoundResult, quantity: Quantity) -> str:
     words = QUANTITIES[quantity]
-    model = short_name(result.solution.provenance.parameters)
+    what = f"{words.title} ({words.unit or result.unit})"
     where = str(result.facts.get("slice_seen") or result.facts.get("slice") or "")
-    name = f"{result.source} {words.title} ({words.unit or result.unit})".strip()
-    return name + (f", {model}" if model else "") + (f" ({where})" if where else "")
+    return result_name(result.source, what, result.solution.provenance.parameters, where)

@@ -173,7 +173,7 @@ class DeformTissue(ResultDock):
         if layer not in self._viewer.layers:
             return
         begun = self._live.begun
-        hidden = self._results.take_turn() if begun else self._results.set_aside()
+        hidden = self._results.set_aside("deform" if begun else None)
         self._viewer.layers.selection.active = layer
         layer.visible = True
         layer.mode = "paint"
@@ -244,7 +244,7 @@ class DeformTissue(ResultDock):
         assert request is not None
         self._latest.done = done
         self._latest.compare(self.request, self.read)
-        self._put(outputs, request.layers[0])
+        self._put(done, request.layers[0])
         if request.image is not None and {"image", "labels"} & set(outputs.layers):
             request.tissue.visible = False  # it would tint what was deformed
         self._set_idle("")
@@ -300,7 +300,6 @@ class DeformTissue(ResultDock):
 
     def _on_closed(self) -> None:
         self.cancel()
-        self._results.leave(self._latest, None if self._source is None else self._source())
         self._live.leave()
         self._watch.leave()
         self._steps.leave()

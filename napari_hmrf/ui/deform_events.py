@@ -12,6 +12,7 @@ from napari_hmrf.layers.pixel_copy import plane_shape
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View, unit_symbol
+from napari_hmrf.layers.viewer_layers import is_selection_kept
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.ui.deform_form import Face
 from napari_hmrf.ui.event_wait import Listening
@@ -20,7 +21,6 @@ from napari_hmrf.ui.preview import BoundaryPreview, LandmarkPreview
 from napari_hmrf.ui.result_dock import ResultDock
 from napari_hmrf.ui.sections import NO_PREVIEW, PREVIEW
 from napari_hmrf.ui.timers import single_shot
-from napari_hmrf.ui.viewer_layers import is_selection_kept
 
 #: How long after the last change it is asked what that means for the result, in milliseconds.
 _PAUSE = 300

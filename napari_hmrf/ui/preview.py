@@ -17,8 +17,8 @@ from napari_hmrf.layers.pixel_copy import plane_shape
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.slice_view import View, layer_extents
+from napari_hmrf.layers.viewer_layers import same_selection, still_there, update_layer
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.viewer_layers import same_selection, still_there, update_layer
 
 FloatArray = npt.NDArray[np.float32]
 

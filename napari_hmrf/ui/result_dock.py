@@ -10,7 +10,7 @@ from psygnal import Signal
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.layers.result_layers import picture_layer
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
@@ -23,7 +23,6 @@ from napari_hmrf.ui.messages import CHOOSE, MAKE, NO_FOLDS, READY, WELCOME
 from napari_hmrf.ui.messages import details as details_of
 from napari_hmrf.ui.remembered_settings import keep
 from napari_hmrf.ui.result_state import Latest
-from napari_hmrf.ui.results import ResultLayers
 
 
 class ResultDock(Chooser):
@@ -50,13 +49,11 @@ class ResultDock(Chooser):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         self._status = ""
-        self._latest = Latest()
+        self._latest = shared(self._viewer, Latest)
         self._copies = shared(self._viewer, LayerCopies)
         self._painting: tuple[str, weakref.ref[Any] | None] = ("", None)
         keep(self._viewer, self._face.solved)
-        self._results = shared(self._viewer, ResultLayers)
         self._face.folds.changed.connect(self._on_folds)
-        self._source: weakref.ref[Any] | None = None
 
     # What there is to see
 
@@ -152,7 +149,7 @@ class ResultDock(Chooser):
 
     def image_gone(self, image: Any) -> None:
         """The image was removed: what was said of its result is over."""
-        if self._source is not None and self._source() is image:
+        if self._latest.source() is image:
             self._latest.forget()
             self._face.energy.show_solution(None)
         next_one = "choose or open another image."
@@ -160,25 +157,25 @@ class ResultDock(Chooser):
             next_one = f"'{self.image.name}' is chosen now."
         self.say(f"'{image.name}' is gone: {next_one}")
 
-    def show_live(self, done: Done, source: Any, turn: bool = True) -> None:
-        """The result has followed an edit, which has a turn, or the slice that is shown."""
+    def show_live(self, done: Done, source: Any, asked: bool = True) -> None:
+        """The result has followed an edit, or, unasked, the slice that is shown."""
         if source not in self._viewer.layers:
             return
         self._latest.done = done
         self._latest.compare(self.request, self.read)
-        self._put(done.outputs, source, turn)
+        self._put(done, source, asked)
         if self._latest.fresh:
             self.say_result()
         self.followed.emit(done.outputs)
 
-    def show_picture(self, moved: Deformation, source: Any, turn: bool = True) -> bool:
-        """Show at once how the image has followed an edit; whether there was a place for it."""
-        here = source in self._viewer.layers and "image" in self.outputs
-        if not here or moved.image is None:
+    def show_picture(self, moved: Deformation, source: Any, asked: bool = True) -> bool:
+        """Show at once how the image has followed an edit; whether that is seen."""
+        if "image" not in self.outputs or moved.image is None or moved.solution is None:
             return False
-        frame = moved.study.grid.place
-        data = frame.put_image(moved.image)
-        return self._results.show_picture(source, frame.slice_name, data, turn=turn)
+        frame, parameters = moved.study.grid.place, moved.solution.provenance.parameters
+        made = picture_layer(frame, moved.study.pictures, moved.image, parameters)
+        show = self._results.show
+        return bool(show(source, frame, {"image": made}, "deform", asked=asked, moving=True))
 
     def outdate(self) -> None:
         """The result is not that of the layers."""
@@ -191,12 +188,14 @@ class ResultDock(Chooser):
             self._say(f"{words} {self._latest.note}".rstrip(), small)
             self._latest.note = ""
 
-    def _put(self, outputs: Outputs, source: Any, turn: bool = True) -> None:
+    def _put(self, done: Done, source: Any, asked: bool = True) -> None:
+        outputs = done.outputs
         for made in outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self._latest.fresh
         self._hide_preview()
-        self._source = weakref.ref(source)
-        self._results.show(outputs, source, turn=turn)
+        self._latest.source = weakref.ref(source)
+        frame = done.study.grid.place
+        self._results.show(source, frame, outputs.layers, "deform", asked=asked)
         self._face.energy.show_solution(outputs.solution)
 
     def _on_folds(self, ticked: bool) -> None:
@@ -212,21 +211,21 @@ class ResultDock(Chooser):
         napari.layers.Layer or None
             What was deformed.
         """
-        latest, source = self._results.left()
-        if latest is None or latest.done is None:
+        latest, source = self._latest, self._latest.source()
+        if latest.done is None:
             return None
         self._copies.forget()  # a script may have changed what no dock looked at
         latest.compare(self.request, self.read)
-        if not latest.fresh:
+        if not latest.fresh or source not in self._viewer.layers:
+            latest.forget()
             return None
-        self._latest, self._source = latest, weakref.ref(source)
         self._face.energy.show_solution(latest.done.outputs.solution)
         self.say_result()
         return source
 
     @property
     def _worked_on(self) -> tuple[Any, ...]:
-        return (self._results.left()[1],)
+        return (self._latest.source(),)
 
     def _say(self, status: str, details: str = "") -> None:
         self._status = status

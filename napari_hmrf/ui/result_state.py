@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from typing import Any
 
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request
@@ -13,12 +14,14 @@ from napari_hmrf.ui.messages import CHANGED, OTHER_SLICE, details, report
 
 
 class Latest:
-    """What came out last, and what it was made with.
+    """What came out last in a viewer, and what it was made with; have it `shared`.
 
     Attributes
     ----------
     done : Done or None
         The result.
+    source : callable
+        Returns what was deformed, as long as that is there.
     fresh : bool
         Whether layers, tables and settings were still the same when last looked at.
     here : bool
@@ -27,8 +30,9 @@ class Latest:
         What was found in the paint since.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, _: Any = None) -> None:
         self.done: Done | None = None
+        self.source: Callable[[], Any] = lambda: None
         self.fresh = self.here = True
         self.note = ""
 

@@ -101,7 +101,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
             # What a dock has deformed, or drawn of it, is nobody's stiffness.
             lambda layer: (
                 isinstance(layer, Labels)
-                or (isinstance(layer, Image) and "by" not in known_of(layer))
+                or (isinstance(layer, Image) and "kind" not in known_of(layer))
             ),
             "tissue",
             "A Labels layer in which tissues are painted, or an image of stiffness",

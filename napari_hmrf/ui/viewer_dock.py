@@ -7,9 +7,12 @@ from typing import Any
 from magicgui.widgets import Container
 
 from napari_hmrf.layers.compat import unwrapped
+from napari_hmrf.layers.viewer_results import ResultLayers
+from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.ui.brush_circle import clear_middle
 from napari_hmrf.ui.dock_life import Life
 from napari_hmrf.ui.tabs import Tabs
+from napari_hmrf.ui.timers import single_shot
 
 
 class Dock(Container):
@@ -24,6 +27,10 @@ class Dock(Container):
         super().__init__(labels=False)
         self._viewer = unwrapped(napari_viewer)
         self._life = Life(self, self._on_opened, self._on_closed, self._on_end)
+        self._results = shared(self._viewer, ResultLayers)
+        # napari may be in the middle of removing more layers than the one.
+        self._sweeping = single_shot(self.native, 0, self._results.remove_orphans)
+        self._results.orphaned.connect(self._on_orphaned)
         Tabs(self, self._viewer, self._on_front)
         clear_middle(self._viewer)
 
@@ -34,6 +41,10 @@ class Dock(Container):
 
     def _layers(self) -> list[Any]:
         return list(self._viewer.layers)
+
+    def _on_orphaned(self) -> None:
+        if not self._life.over:
+            self._sweeping.start()
 
     def _on_opened(self) -> None:
         """There is a dock around this."""

@@ -14,11 +14,11 @@ from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.compat import thin_thumbnail
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.grab.keys import Listener, bind_keys
-from napari_hmrf.ui.grab.pixel_update import Hush, overwrite, spare_compiling
-from napari_hmrf.ui.viewer_layers import same_selection, still_there
+from napari_hmrf.ui.grab.pixel_update import Hush, spare_compiling
 
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
 _NEAR = 8.0
@@ -97,7 +97,7 @@ class ArrowsLayer:
             for name, value in frame.placement().items():
                 setattr(layer, name, value)
             known = layer.metadata.get(METADATA)
-            if isinstance(known, dict):  # by which it is known when it is its turn to be seen
+            if isinstance(known, dict):
                 known["slice"] = frame.slice_name
         self._frame = frame
 

@@ -10,7 +10,11 @@ import numpy as np
 
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering_at
+from napari_hmrf.layers.image_result import Result
 from napari_hmrf.layers.paint_layer import outline_of
+from napari_hmrf.layers.result_layers import Kind, picture_layer
+from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing, Stroke
@@ -18,15 +22,17 @@ from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.grab.arrows import ArrowsLayer
 from napari_hmrf.ui.grab.keys import Listener
-from napari_hmrf.ui.grab.live_layers import LiveLayers
 from napari_hmrf.ui.grab.paint import PaintedLayer
 from napari_hmrf.ui.grab.tissue_view import Seen
 from napari_hmrf.ui.timers import single_shot
-from napari_hmrf.ui.viewer_layers import still_there
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
 _AHEAD = 80
+
+
+#: So many arrows would hide what is drawn.
+_UNASKED: tuple[Kind, ...] = ("arrows",)
 
 
 class Display:
@@ -54,8 +60,15 @@ class Display:
         self.seen: Seen | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
-        self._live = shared(viewer, LiveLayers)
+        self._results = shared(viewer, ResultLayers)
+        self._results.changed.connect(self._on_result)
+        self._result: Result | None = None
         self._image: Any = None
+        #: Whether it is this result that is seen, and the layers that were hidden when it was not.
+        self._here = False
+        #: Whether nothing has moved that is shown.
+        self._unmoved = False
+        self._hidden: list[Any] = []
         self._busy = False
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
@@ -72,7 +85,14 @@ class Display:
         self._touches_wait.stop()
         self._image, self.tissues = image, tissues
         self.seen = None if ground is None else Seen.still(ground)
+        before, self._result = self._result, None
+        if ground is not None:
+            self._result = self._results.at(image, ground.study.grid.place.slice_name)
+        other, unmoved = self._result is not before, self._unmoved
+        self._here, self._unmoved = self._here and not other, False
         with self.own_doing():
+            if other and before is not None and unmoved and before.maker == "grab":
+                before.remove()
             self.painted.forget()
             if ground is not None:
                 self.arrows.place(ground.study.grid.place, ground.shape)
@@ -80,26 +100,65 @@ class Display:
     @property
     def covering(self) -> Any:
         """The image of somebody else's that hides the place the mouse is at; else None."""
-        picture, image = self._live.picture, still_there(self._viewer, self._image)
+        image, result = still_there(self._viewer, self._image), self._result
+        picture = None if result is None else result.layer("image")
         lowest = picture if picture is not None and picture.visible else image
         if lowest is None:
             return None
         return image_covering_at(self._viewer, lowest, self._viewer.cursor.position)
 
-    def take_turn(self) -> None:
+    def come_forward(self) -> None:
         """Have this seen, and no result of another dock."""
-        if self.seen is not None:
-            with self.own_doing():
-                self._live.take_turn(self.seen.ground)
+        seen = self.seen
+        if seen is None or self._here:
+            return
+        self._here = True
+        with self.own_doing():
+            self._results.claim(self._image, seen.ground.study.grid.place, "grab")
+            for layer in self._hidden:
+                layer.visible = True
+            self._hidden = []
+            if seen.solution is not None:
+                self._show_tissue(seen)
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""
         self.seen = seen
         with self.own_doing():
-            if seen.solution is not None or self._live.picture is not None:
-                quick = hand.holding and seen.outputs is None
-                self._live.show(seen, self._image, quick)
+            maker = None if self._result is None else self._result.maker
+            # What has not moved yet is shown, too, so that the first movement finds its layer.
+            first = maker is None and seen.solution is not None
+            self._unmoved = seen.is_still
+            if not self._unmoved or first or maker == "grab":
+                self._show_tissue(seen)
             self.show_painted(seen, hand)
+
+    def _show_tissue(self, seen: Seen) -> None:
+        study, solution = seen.ground.study, seen.solution
+        place = study.grid.place
+        if seen.outputs is not None:
+            layers = seen.outputs.layers
+        else:
+            model = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
+            layers = {"image": picture_layer(place, study.pictures, seen.picture, model)}
+        self._results.show(
+            self._image,
+            place,
+            layers,
+            "grab",
+            asked=self._here,
+            moving=seen.outputs is None and solution is not None,
+            unasked=_UNASKED,
+        )
+
+    def _on_result(self, result: Result) -> None:
+        """Another result is seen: what is drawn belongs to none that is."""
+        if result is self._result and not self._busy:
+            self._here = False
+            drawn = [layer for layer in (self.arrows.layer, self.painted.layer) if layer]
+            self._hidden += [layer for layer in drawn if layer.visible]
+            for layer in drawn:
+                layer.visible = False
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
         """Show what is painted; what is being painted stays where it is, until it is known."""

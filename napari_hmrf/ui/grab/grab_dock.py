@@ -14,6 +14,7 @@ from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View, unit_symbol
+from napari_hmrf.layers.viewer_layers import is_selection_kept, still_there
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
@@ -36,7 +37,6 @@ from napari_hmrf.ui.grab.toolbox import Toolbox
 from napari_hmrf.ui.messages import WELCOME, in_short
 from napari_hmrf.ui.step_buttons import StepKeys
 from napari_hmrf.ui.timers import single_shot
-from napari_hmrf.ui.viewer_layers import is_selection_kept, still_there
 
 #: How long a drawing must rest until its displacement is drawn, in milliseconds.
 _REST = 300
@@ -66,6 +66,8 @@ class GrabAndPull(GrabControls):
         self._status = self._step = ""
         self._resting = single_shot(self.native, _REST, self._on_rest)
         self._selected = single_shot(self.native, 0, self.active_changed)
+        # napari may be in the middle of removing more layers than the one.
+        self._leaving = single_shot(self.native, 0, self._puller.display.leave)
         self._toolbox = Toolbox(
             self.form, self._puller, self._viewer, self.say, start=self.start, stop=self.stop
         )
@@ -215,7 +217,7 @@ class GrabAndPull(GrabControls):
                 self.say(OFF)
         else:
             if not before:
-                self._puller.display.take_turn()
+                self._puller.display.come_forward()
             if self._status == OFF:
                 self.say(self._puller.tool.how)
         self.show_toggle()
@@ -234,6 +236,7 @@ class GrabAndPull(GrabControls):
         if self._puller.ground is not None and self.image is None:
             self._started = False
             self._puller.stand_on(None)
+            self._leaving.start()
             self.say(IMAGE_GONE)
         self.show_toggle()
 

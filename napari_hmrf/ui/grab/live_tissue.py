@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
-from napari_hmrf.layers.result_layers import RESTORED, result_layers
+from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.ground import Ground
@@ -234,7 +234,9 @@ class _Scene:
                 tissue=body,
                 frame={"drawing": seen.drawing.as_dict()},
             )
-            outputs = result_layers(solution, ground.study.grid.place, None, kinds=RESTORED)
+            pictures = replace(ground.study.pictures, image=None)
+            place = ground.study.grid.place
+            outputs = result_layers(solution, place, pictures, moved=seen.picture)
         except Exception:  # noqa: BLE001 - nobody waits for this job who could be told
             _log.exception("the displacement could not be drawn")
             return

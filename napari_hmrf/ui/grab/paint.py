@@ -11,12 +11,16 @@ from napari.layers import Layer
 
 from napari_hmrf.layers.paint_layer import number_of, painted_layer
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.viewer_layers import (
+    overwrite,
+    same_selection,
+    still_there,
+    update_layer,
+)
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import common, distance_to
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.ui.grab.pixel_update import overwrite
-from napari_hmrf.ui.viewer_layers import same_selection, still_there, update_layer
 
 
 class PaintedLayer:

@@ -1,50 +1,13 @@
-"""Showing other data in a layer many times a second.
-
-napari is told of new data as of any others: the viewer's axes are measured anew, a thumbnail is
-drawn, the list of layers is painted. Of a picture that is moved about none of that changes, and
-without it an update takes the window's thread a third of the time.
-"""
+"""What makes drawing cheap while tissue is dragged: nothing is compiled, nobody is told."""
 
 from __future__ import annotations
 
 import logging
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from napari_hmrf.layers.compat import compile_once, drawn_node
 
 _log = logging.getLogger("napari_hmrf")
-
-
-def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
-    """Show other data in place of a layer's, whose array is written to.
-
-    The layer's `data` event is not emitted and its thumbnail stays: set its data when things have
-    come to rest.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or ViewerModel
-    layer : napari.layers.Layer
-        Whose data are an array that nobody else holds.
-    data : ndarray
-        Copied.
-
-    Returns
-    -------
-    bool
-        Whether they fitted; if not, nothing was done.
-    """
-    shown = layer.data
-    if (shown.shape, shown.dtype) != (data.shape, data.dtype) or not shown.flags.writeable:
-        return False
-    np.copyto(shown, data)
-    # What the list of layers hears of a layer, it paints; nothing of what it shows is new.
-    with viewer.layers.events.blocker_all():
-        layer.refresh(thumbnail=False, highlight=False, extent=False)
-    return True
 
 
 def spare_compiling(viewer: Any, layer: Any) -> None:

@@ -152,7 +152,7 @@ class Puller:
         self.display.stand_on(ground, image, tissues or {})
         self.history.changed.connect(self._on_drawn)
         if self.active:
-            self.display.take_turn()
+            self.display.come_forward()
         self._on_changed(self.history.drawing)
 
     def tool_for(self, number: int) -> Tool:
@@ -177,7 +177,7 @@ class Puller:
         ground = self.ground
         if ground is None:
             return
-        self.display.take_turn()
+        self.display.come_forward()
         with self.display.own_doing():
             self.display.arrows.take(ground.study.grid.place, ground.shape, radius)
         self.draw()
@@ -227,7 +227,7 @@ class Puller:
     # What follows
 
     def _on_drawn(self, drawing: Drawing) -> None:
-        self.display.take_turn()
+        self.display.come_forward()
         self._on_changed(drawing)
 
     def _on_changed(self, drawing: Drawing) -> None:

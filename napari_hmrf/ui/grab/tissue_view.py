@@ -71,6 +71,12 @@ class Seen:
         assert picture is not None
         return cls(ground, drawing or Drawing(), picture)
 
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing is drawn, and nothing has moved."""
+        moved = self.solution is not None and self.solution.displacement.any()
+        return not self.drawing.marks and not moved
+
     def came_from(self, point: Point) -> Point | None:
         """Where the tissue seen at a point was before it moved; None if there is none."""
         before: Point | None = point

@@ -9,7 +9,7 @@ from napari_hmrf.layers.result_layers import ARROWS, arrows_apart
 from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.ui.look.errands import Errands
 from napari_hmrf.ui.look.look_form import LookFace
-from napari_hmrf.ui.look.look_layers import ShownLayers
+from napari_hmrf.ui.look.look_layers import LookedAt
 from napari_hmrf.ui.look.look_messages import FULL
 
 
@@ -19,11 +19,11 @@ class ArrowChoices:
     Parameters
     ----------
     face : LookFace
-    shown : ShownLayers
+    shown : LookedAt
     errands : Errands
     """
 
-    def __init__(self, face: LookFace, shown: ShownLayers, errands: Errands) -> None:
+    def __init__(self, face: LookFace, shown: LookedAt, errands: Errands) -> None:
         self._face, self._shown, self._errands = face, shown, errands
         # How long they are at 100 %, while they are drawn for less.
         self._whole: float | None = None
@@ -41,7 +41,7 @@ class ArrowChoices:
 
     def show(self, percent: int) -> None:
         """Let them end where the tissue is at so much of the deformation; their data stay."""
-        arrows = self._shown.arrows
+        arrows = self._shown.layer("arrows")
         if arrows is None:
             return
         if self._whole is None:
@@ -51,18 +51,23 @@ class ArrowChoices:
 
     def show_whole(self) -> None:
         """Let them be as they were before `show`."""
-        if self._whole is not None and self._shown.arrows is not None:
-            self._shown.arrows.length = self._whole
+        arrows = self._shown.layer("arrows")
+        if self._whole is not None and arrows is not None:
+            arrows.length = self._whole
         self._whole, self._percent = None, FULL
 
     def _on_drawn(self, drawn: bool) -> None:
-        if self._shown.arrows is not None:
-            self._shown.arrows.visible = drawn
-            if drawn:
-                self._shown.take_turn()
+        arrows, layers = self._shown.layer("arrows"), self._shown.layers
+        if arrows is None or layers is None:
+            return
+        if drawn:
+            arrows.visible = True
+            layers.bring()
+        else:
+            layers.hide("arrows")
 
     def _on_count(self, about: int) -> None:
-        result, arrows = self._shown.result, self._shown.arrows
+        result, arrows = self._shown.result, self._shown.layer("arrows")
         if result is not None:
             work = partial(arrows_apart, result.solution, about)
             self._errands.send("arrows", work, partial(self._draw, result, arrows))
@@ -73,6 +78,6 @@ class ArrowChoices:
             arrows.data = result.frame.put_vectors(segments)
 
     def _on_length(self, times: float) -> None:
-        if self._shown.arrows is not None:
+        if self._shown.layer("arrows") is not None:
             self._whole = times
             self.show(self._percent)

@@ -56,13 +56,14 @@ class Errands:
             return bool(self._waiting or self._under_way)
         return kind in self._waiting or kind in self._under_way
 
-    def forget(self) -> None:
-        """Answer nothing of what was sent."""
-        for future, _ in self._under_way.values():
-            future.cancel()
-        self._waiting.clear()
-        self._under_way.clear()
-        self._timer.stop()
+    def forget(self, kind: str | None = None) -> None:
+        """Answer nothing of a kind, or of all, that was sent."""
+        for each in [kind] if kind is not None else [*self._waiting, *self._under_way]:
+            self._waiting.pop(each, None)
+            if each in self._under_way:
+                self._under_way.pop(each)[0].cancel()
+        if not self.busy():
+            self._timer.stop()
 
     def _submit(self) -> None:
         for kind in [kind for kind in self._waiting if kind not in self._under_way]:

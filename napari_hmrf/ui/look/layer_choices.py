@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from napari_hmrf.layers.image_result import Part
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.result_lookup import FoundResult
@@ -13,10 +14,9 @@ from napari_hmrf.layers.strain_layers import FloatArray, Quantity
 from napari_hmrf.ui.look.cursor import UnderCursor
 from napari_hmrf.ui.look.errands import Errands
 from napari_hmrf.ui.look.look_form import LookFace
-from napari_hmrf.ui.look.look_layers import ShownLayers
+from napari_hmrf.ui.look.look_layers import LookedAt
 from napari_hmrf.ui.look.look_messages import NOTHING
 from napari_hmrf.ui.look.look_work import coloured, grid_of
-from napari_hmrf.ui.result_turns import hide
 
 
 class LayerChoices:
@@ -25,7 +25,7 @@ class LayerChoices:
     Parameters
     ----------
     face : LookFace
-    shown : ShownLayers
+    shown : LookedAt
     errands : Errands
     cursor : UnderCursor
         Told what colours show.
@@ -36,7 +36,7 @@ class LayerChoices:
     def __init__(
         self,
         face: LookFace,
-        shown: ShownLayers,
+        shown: LookedAt,
         errands: Errands,
         cursor: UnderCursor,
         moves_anew: Callable[[bool], None],
@@ -56,18 +56,16 @@ class LayerChoices:
         self._errands.send("grid", partial(grid_of, result), partial(self._put, "grid"))
 
     def _on_colours(self, quantity: Any) -> None:
-        result = self._shown.result
-        if result is None:
+        result, layers = self._shown.result, self._shown.layers
+        if result is None or layers is None:
             return
         if quantity == NOTHING:
             self._cursor.coloured = None
-            layer = self._shown.layer("colours")
-            if layer is not None:
-                hide(layer)
+            layers.hide("colours")
             self._moves_anew(False)
             return
+        layers.bring()
         self.make_colours(result, quantity)
-        self._shown.take_turn()
 
     def _show_colours(self, result: FoundResult, found: tuple[LayerData, FloatArray]) -> None:
         if result is not self._shown.result:
@@ -80,18 +78,21 @@ class LayerChoices:
         self._moves_anew(True)
 
     def _on_grid(self, drawn: bool) -> None:
-        result, layer = self._shown.result, self._shown.layer("grid")
-        if result is None:
+        result, layers = self._shown.result, self._shown.layers
+        if result is None or layers is None:
             return
-        if layer is not None:
-            layer.visible = drawn
-        elif drawn:
+        layer = layers.layer("grid")
+        if not drawn:
+            layers.hide("grid")
+        elif layer is None:
             self.make_grid(result)
+        else:
+            layer.visible = True
         if drawn:
-            self._shown.take_turn()
+            layers.bring()
         self._moves_anew(drawn)
 
-    def _put(self, kind: str, made: LayerData) -> None:
-        """Show what was made for this result, now or when it is its turn."""
-        self._shown.put(kind, made)
-        self._shown.give_way()
+    def _put(self, part: Part, made: LayerData) -> None:
+        """Show what was made for this result, now or once it is seen."""
+        if self._shown.layers is not None:
+            self._shown.layers.put(part, made, self._shown.source)

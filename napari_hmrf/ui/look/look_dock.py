@@ -16,7 +16,6 @@ from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.look.look_form import BEFORE_KEY, PAUSE, PLAY, LookFace
-from napari_hmrf.ui.look.look_layers import is_seen, seen_instead
 from napari_hmrf.ui.look.look_messages import LOST, NO_CHOICE, NO_IMAGE, NO_RESULT, NOTHING, POINT
 from napari_hmrf.ui.look.scene import Scene
 from napari_hmrf.ui.timers import single_shot
@@ -49,6 +48,8 @@ class LookAtResult(Dock):
         How much of the deformation is seen, from 0 to 100.
     playing : bool
         Whether it goes back and forth by itself.
+    before : bool
+        Whether the image is seen as it was, and nothing of the result.
     grid, arrows : bool
         Whether the deformation grid is drawn, and whether arrows are.
     arrow_count : int
@@ -67,6 +68,7 @@ class LookAtResult(Dock):
     image = Part[Any]("_face.image.value")
     percent = Part[int]("_face.slider.value")
     playing = Part[bool]("_scene.player.playing")
+    before = Part[bool]("_scene.before")
     grid = Part[bool]("_face.grid.value")
     arrows = Part[bool]("_face.arrows.value")
     arrow_count = Part[int]("_face.count.value")
@@ -79,7 +81,7 @@ class LookAtResult(Dock):
         super().__init__(napari_viewer)
         self._taken: FoundResult | None = None
         self._face = LookFace(self, self._layers, self._is_result, self._is_source)
-        self._scene = Scene(self, self._viewer, self._face)
+        self._scene = Scene(self, self._viewer, self._face, self._results)
         self._settling = single_shot(self.native, _SETTLED, self._on_settled)
         # A layer is known to be the grid of a result only after it has come.
         self._eyes = single_shot(self.native, 0, self._on_eye)
@@ -98,18 +100,6 @@ class LookAtResult(Dock):
         """Whether all that was asked for is seen."""
         waiting = self._settling.isActive() or self._eyes.isActive()
         return not (waiting or self._scene.busy)
-
-    @property
-    def before(self) -> bool:
-        """Whether the image is seen as it was, and nothing of the result."""
-        return self._scene.shown.held
-
-    @before.setter
-    def before(self, hold: bool) -> None:
-        if hold:
-            self._scene.shown.hold_before()
-        else:
-            self._scene.shown.release()
 
     @property
     def colours(self) -> str:
@@ -184,7 +174,7 @@ class LookAtResult(Dock):
         self._face.result.reset_choices()
         offered = self._face.result.offered
         if seen:
-            offered = [each for each in offered if is_seen(self._viewer, each)] or offered
+            offered = [each for each in offered if self._results.of(each).visible] or offered
         if offered and offered[-1] is not self.result:
             with self._face.result.changed.blocked():
                 self._face.result.value = offered[-1]
@@ -309,14 +299,6 @@ class LookAtResult(Dock):
         self._bind_key()
         self._choose(seen=True)
         self._take()
-
-    def _on_front(self) -> None:
-        """What has been seen since, by the work of another dock, is what is looked at."""
-        if self.away or self.result is None:
-            return
-        other = seen_instead(self._viewer, self.result, self._face.result.offered)
-        if other is not None:
-            self.result = other
 
     def _on_closed(self) -> None:
         self._unbind_key()

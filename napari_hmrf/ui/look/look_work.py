@@ -8,8 +8,8 @@ from typing import Any
 import numpy.typing as npt
 
 from napari_hmrf.layers.read import look_of
-from napari_hmrf.layers.result_layers import LayerData, result_layers
-from napari_hmrf.layers.result_lookup import FoundResult, facts_for
+from napari_hmrf.layers.result_layers import LayerData, picture_layer, result_layers
+from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.strain_layers import FloatArray, Quantity, quantity_layer, quantity_of
 from napari_hmrf.study.study import Pictures
 
@@ -36,14 +36,11 @@ def unmoved(result: FoundResult, source: Any, image: npt.NDArray[Any]) -> LayerD
         Of the image; to be asked in the window's thread.
     image : ndarray, shape (H, W) or (H, W, 3 or 4)
     """
-    attributes = {
-        **look_of(source),
-        **result.frame.placement(image=True),
-        "name": f"{source.name} deformed",
-        "rgb": image.ndim == 3,
-        "metadata": facts_for(result, "image", percent=0),
-    }
-    return LayerData(result.frame.put_image(image), attributes, "image")
+    pictures = Pictures(name=source.name, look=look_of(source))
+    facts = {**result.facts, "percent": 0}
+    return picture_layer(
+        result.frame, pictures, image, result.solution.provenance.parameters, facts
+    )
 
 
 def figures_of(result: FoundResult, image: npt.NDArray[Any] | None, folder: Path) -> list[Path]:

@@ -12,6 +12,7 @@ from napari.layers import Labels
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.layers.animation import Moment, Motion
+from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.result_lookup import (
     FoundResult,
     picture_of,
@@ -23,12 +24,13 @@ from napari_hmrf.layers.result_lookup import (
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Points
+from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.ui.look.arrow_choices import ArrowChoices
 from napari_hmrf.ui.look.cursor import UnderCursor
 from napari_hmrf.ui.look.errands import Errands
 from napari_hmrf.ui.look.layer_choices import LayerChoices
 from napari_hmrf.ui.look.look_form import LookFace
-from napari_hmrf.ui.look.look_layers import ShownLayers
+from napari_hmrf.ui.look.look_layers import LookedAt
 from napari_hmrf.ui.look.look_messages import (
     FULL,
     NO_IMAGE,
@@ -45,6 +47,8 @@ from napari_hmrf.ui.look.player import Player
 from napari_hmrf.ui.look.saving import new_folder, save_canvas
 from napari_hmrf.ui.timers import single_shot
 
+#: What takes the pixels of a moment.
+_MOVING: tuple[Part, ...] = ("image", "labels", "colours")
 #: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
 _TURN = 10
 
@@ -58,14 +62,18 @@ class Scene:
         The dock widget.
     viewer : napari.Viewer or ViewerModel
     face : LookFace
+    results : ResultLayers
+        Of the viewer.
     """
 
-    def __init__(self, widget: Any, viewer: Any, face: LookFace) -> None:
+    def __init__(self, widget: Any, viewer: Any, face: LookFace, results: ResultLayers) -> None:
         self._viewer = viewer
         self._face = face
         self.words = ""
         self._errands = Errands(widget.native, self._refuse)
-        self.shown = ShownLayers(viewer)
+        self._results = results
+        results.changed.connect(self._on_changed)
+        self.shown = LookedAt()
         self.player = Player(widget.native, self._errands, self._draw)
         self.cursor = UnderCursor(
             viewer, lambda line: face.point.say(line or POINT), lambda: int(face.slider.value)
@@ -85,10 +93,23 @@ class Scene:
     @property
     def outdated(self) -> bool:
         """Whether the layer holds another result by now."""
-        arrows, result = self.shown.arrows, self.shown.result
+        arrows, result = self.shown.layer("arrows"), self.shown.result
         now = None if arrows is None else result_of(arrows)
         solution = None if result is None else result.solution
         return (None if now is None else now.solution) is not solution
+
+    @property
+    def before(self) -> bool:
+        """Whether the image is seen as it was; never without a result."""
+        return self.shown.layers is not None and self.shown.layers.is_before
+
+    @before.setter
+    def before(self, hold: bool) -> None:
+        layers = self.shown.layers
+        if layers is not None and hold:
+            layers.hold_before(self.shown.source)
+        elif layers is not None:
+            layers.release()
 
     def take(self, arrows: Any, chosen: bool = False) -> None:
         """Look at another result, or at the same layer with another result in it.
@@ -101,23 +122,21 @@ class Scene:
             Whether somebody wants to see it, whichever is seen now.
         """
         face, shown = self._face, self.shown
-        drawn = arrows is not shown.arrows and bool(face.grid.value)
-        if arrows is not shown.arrows:
-            self.put_back()
-            shown.leave()
-        self._draw_whole()
-        shown.release()
-        shown.hide_own_picture()
-        self.player.stop()
-        self._errands.forget()
+        layers = None if arrows is None else self._results.of(arrows)
+        other = layers is not shown.layers
+        drawn = other and bool(face.grid.value)
+        self.put_back()
+        if other and shown.layers is not None:
+            shown.layers.leave()
         self.cursor.coloured = None
         result = None if arrows is None else result_of(arrows)
-        shown.arrows, shown.result = arrows, result
+        shown.layers, shown.result = layers, result
         for part in face.of_result:
             part.enabled = result is not None
         self.cursor.watch(None, None, None, self._fraction)
         self.words = ""
-        if result is None:
+        if result is None or layers is None:
+            shown.layers = None
             face.image.reset_choices()
             self.player.motion = None
             face.how_far.say("")
@@ -128,15 +147,15 @@ class Scene:
             if face.image.value is None or face.image.value.name != result.source:
                 face.image.value = source_of(self._viewer.layers, result)
         with face.colours.changed.blocked():
-            chosen = face.colours.value
+            quantity = face.colours.value
             face.colours.choices = colour_choices(
                 result.unit, Directions.of(result.frame, self._viewer)
             )
-            face.colours.value = chosen
+            face.colours.value = quantity
         self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
         face.energy.show_solution(result.solution)
         if chosen:
-            shown.come_forward()
+            layers.bring()
         self._take_layers(result, drawn)
         self._errands.send(
             "points", partial(Points, result.solution), partial(self._on_points, arrows, result)
@@ -149,25 +168,24 @@ class Scene:
         if drawn:  # as that of the result before
             with face.grid.changed.blocked():
                 face.grid.value = True
-        self._set_slider(FULL)
-        shown.remember()
+        self.say_where()
         self.prepare()
         self._arrows.apply()
         if face.colours.value != NOTHING:
             self._layers.make_colours(result, face.colours.value)
-        if face.grid.value and (drawn or shown.own("grid") is not None):
+        grid = shown.layer("grid")
+        if face.grid.value and (grid is None or not grid.visible):
             self._layers.make_grid(result)
 
     def look_at_eyes(self) -> None:
         """Let the boxes say which layers are seen, whoever has hidden or shown them."""
         face, shown = self._face, self.shown
-        if shown.held or shown.arrows is None:
+        if shown.layers is None or self.before:
             return
-        grid = shown.layer("grid")
         with face.grid.changed.blocked(), face.arrows.changed.blocked():
             if not self._errands.busy("grid"):  # else there is one soon
-                face.grid.value = grid is not None and grid.visible
-            face.arrows.value = shown.arrows.visible
+                face.grid.value = shown.layers.wants("grid")
+            face.arrows.value = shown.layers.wants("arrows")
 
     def prepare(self) -> None:
         """Collect what moves: copies of what is chosen now."""
@@ -192,20 +210,19 @@ class Scene:
 
     def ready_to_move(self) -> bool:
         """Have a layer that can be moved; whether there is one."""
-        shown = self.shown
-        if self.player.motion is None:
+        shown, layers = self.shown, self.shown.layers
+        if self.player.motion is None or layers is None:
             return False
         if self.player.motion.grid != self._face.grid.value:  # its eye was opened or closed since
             self.prepare()
         motion = self.player.motion
-        shown.take_turn()
-        image, own = shown.layer("image"), shown.own("image")
-        if motion.image is not None and (image is None or (image is own and not own.visible)):
-            self._make_image()
-        image = shown.layer("image")
-        if image is not None and not image.visible and motion.image is not None:
+        layers.bring()
+        if motion.image is not None:
+            image = shown.layer("image")
+            if image is None or (layers.is_added("image") and not image.visible):
+                image = self._make_image()
             image.visible = True
-        return any(shown.layer(kind) is not None for kind in ("image", "labels", "colours", "grid"))
+        return any(shown.layer(part) is not None for part in (*_MOVING, "grid"))
 
     def go(self, percent: int) -> None:
         """Show so much of the deformation."""
@@ -216,21 +233,21 @@ class Scene:
         """Leave the layers as they were before they were moved."""
         self.player.stop()
         self._errands.forget()
-        self.shown.release()
-        self.shown.restore()
+        if self.shown.layers is not None:
+            self.shown.layers.release()
+            self.shown.layers.show_whole()
         self._draw_whole()
-        self.shown.hide_own_picture()
-        self._set_slider(FULL)
 
     def rest(self) -> None:
         """Touch nothing any more, until a result is taken again."""
         self.put_back()
         self.cursor.watch(None, None, None, self._fraction)
-        self.shown.arrows = self.shown.result = None
+        self.shown.layers = self.shown.result = None
 
     def release(self) -> None:
         """The window is gone."""
         self._errands.forget()
+        self._results.changed.disconnect(self._on_changed)
         self.cursor.release()
 
     def save(self, folder: Path, done: Callable[[Any], None], own_folder: bool = False) -> None:
@@ -267,7 +284,13 @@ class Scene:
         self._face.status.say(self.words)
 
     def _draw(self, percent: int, moment: Moment) -> None:
-        self.shown.draw(percent, moment)
+        result, layers = self.shown.result, self.shown.layers
+        if result is None or layers is None:
+            return
+        moved = {part: getattr(moment, part) for part in _MOVING}
+        place = result.frame.put_image
+        parts = {part: place(data) for part, data in moved.items() if data is not None}
+        layers.show_part(percent, parts)
         self._drawn = percent, moment
         self._lines.start()
 
@@ -275,13 +298,24 @@ class Scene:
         if self._drawn is not None:
             percent, moment = self._drawn
             self._arrows.show(percent)
-            self.shown.draw_grid(moment)
+            result, layers = self.shown.result, self.shown.layers
+            if result is not None and layers is not None and moment.grid is not None:
+                layers.show_part(percent, {"grid": result.frame.put_vectors(moment.grid)})
 
     def _draw_whole(self) -> None:
         """Arrows of the whole deformation, and no lines of what was seen before."""
         self._lines.stop()
         self._drawn = None
         self._arrows.show_whole()
+        self._set_slider(FULL)
+
+    def _on_changed(self, result: Result) -> None:
+        """What is seen is all of another result, or none."""
+        moving = self._errands.busy("moment") or self._face.slider.value != FULL
+        if result is self.shown.layers and (moving or self.player.playing):
+            self.player.stop()
+            self._errands.forget("moment")
+            self._draw_whole()
 
     # What is shown
 
@@ -291,16 +325,21 @@ class Scene:
         if now:
             self.player.show(self._face.slider.value)
 
-    def _make_image(self) -> None:
-        result, source, motion = self.shown.result, self.shown.source, self.player.motion
+    def _make_image(self) -> Any:
+        result, layers, source, motion = (
+            self.shown.result,
+            self.shown.layers,
+            self.shown.source,
+            self.player.motion,
+        )
         assert result is not None
+        assert layers is not None
         assert motion is not None
         assert motion.image is not None
-        made = unmoved(result, source, motion.image)
-        self.shown.put("image", made)
+        return layers.put("image", unmoved(result, source, motion.image), source)
 
     def _fraction(self) -> float:
-        return self.shown.percent / FULL
+        return 0.0 if self.shown.layers is None else self.shown.layers.percent / FULL
 
     def _set_slider(self, percent: int) -> None:
         with self._face.slider.changed.blocked():
@@ -315,7 +354,7 @@ class Scene:
     def _say_how_far(self, percent: int) -> None:
         result, view = self.shown.result, View.of(self._viewer.dims)
         if result is not None:
-            apart = slices_apart(self.shown.arrows, result, view)
+            apart = slices_apart(self.shown.layer("arrows"), result, view)
             self._face.how_far.say(how_far(result, self._longest, percent, apart))
 
     def _refuse(self, error: Exception) -> None:

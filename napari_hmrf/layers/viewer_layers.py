@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from napari_hmrf.layers.metadata import METADATA
+import numpy as np
+import numpy.typing as npt
+
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.transform import PLACE
 
@@ -25,8 +27,39 @@ def update_layer(layer: Any, made: LayerData) -> None:
     for name in PLACE:
         setattr(layer, name, made.attributes[name])
     layer.metadata = made.attributes["metadata"]
-    if made.attributes["metadata"][METADATA]["kind"] == "magnitude":
-        layer.contrast_limits = made.attributes["contrast_limits"]
+
+
+def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
+    """Show other data in place of a layer's, whose array is written to.
+
+    napari is told of new data as of any others: the viewer's axes are measured anew, a thumbnail is
+    drawn, the list of layers is painted. Of a picture that is moved about none of that changes, and
+    without it an update takes the window's thread a third of the time.
+
+    The layer's `data` event is not emitted and its thumbnail stays: set its data when things have
+    come to rest.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    layer : napari.layers.Layer
+        Whose data are an array that nobody else holds.
+    data : ndarray
+        Copied.
+
+    Returns
+    -------
+    bool
+        Whether they fitted; if not, nothing was done.
+    """
+    shown = layer.data
+    if (shown.shape, shown.dtype) != (data.shape, data.dtype) or not shown.flags.writeable:
+        return False
+    np.copyto(shown, data)
+    # What the list of layers hears of a layer, it paints; nothing of what it shows is new.
+    with viewer.layers.events.blocker_all():
+        layer.refresh(thumbnail=False, highlight=False, extent=False)
+    return True
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Of several docks' results one is seen at a time; a dock that is closed leaves no second one."""
+"""Of an image and a slice there is one result, whoever made it: the newest, which is seen."""
 
 import numpy as np
 import pytest
@@ -51,63 +51,89 @@ def pictures(viewer):
 
 
 DEFORMED = {"MR deformed", "MR arrows"}
+PULLED = {"MR deformed, elastic", "Arrows"}
 
 
-def test_while_tissue_is_pulled_nothing_deformed_before_covers_it(at_hand, run, settle):
+def parts(viewer, kind):
+    """The layers of a kind."""
+    return [layer for layer in viewer.layers if known_of(layer).get("kind") == kind]
+
+
+def test_nothing_deformed_before_covers_the_image_that_is_pulled(at_hand, run, settle):
     person, opened = at_hand
     viewer = person.viewer
     run(opened("Deform tissue"))
     assert seen(viewer) >= DEFORMED
     puller = opened("Grab and pull")
     grab(puller)
-    assert not seen(viewer) & DEFORMED
+    assert seen(viewer) == {"Arrows"}
     person.drag((24, 30), (28, 36))
     settle(puller)
-    assert seen(viewer) == {"Deformed image", "Arrows"}
+    assert seen(viewer) == PULLED
 
 
-def test_what_is_deformed_after_a_pull_is_seen_and_the_pull_again_at_the_next(at_hand, run, settle):
+def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(at_hand, run, settle):
     person, opened = at_hand
     viewer = person.viewer
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
     drag_a_patch(person, puller, settle)
+    picture = viewer.layers["MR deformed, elastic"]
     run(deform)
     assert seen(viewer) == DEFORMED
     person.drag((24, 20), (20, 20))
     settle(puller)
     assert len(puller.drawing.marks) == 2
-    assert seen(viewer) == {"Deformed image", "Arrows"}
-    run(deform)
+    assert seen(viewer) == PULLED
+    assert np.array_equal(picture.data, puller._puller.display.seen.picture)
+    outputs = run(deform)
     assert seen(viewer) == DEFORMED
-    viewer.layers.selection = {viewer.layers["MR"]}
-    viewer.layers.selection = {viewer.layers["Arrows"]}
-    assert seen(viewer) == {"Deformed image", "Arrows"}, "choosing the layer goes on pulling"
+    assert np.array_equal(picture.data, outputs.layers["image"].data)
+    assert parts(viewer, "image") == [picture], "one result takes the place of the other"
+    assert len(parts(viewer, "arrows")) == 1
 
 
-@pytest.fixture
-def pulled_before(at_hand, run, settle):
-    """What was pulled, and then deformed, which is seen; a look that is opened now."""
+def test_choosing_the_layer_goes_on_pulling(at_hand, run, settle):
     person, opened = at_hand
+    viewer = person.viewer
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
     drag_a_patch(person, puller, settle)
+    pulled = viewer.layers["MR deformed, elastic"].data.copy()
     run(deform)
-    return person, puller, deform, opened("Look at the result")
+    viewer.layers.selection = {viewer.layers["MR"]}
+    viewer.layers.selection = {viewer.layers["Arrows"]}
+    assert seen(viewer) == PULLED, "what is taken hold of is what is seen"
+    assert np.array_equal(viewer.layers["MR deformed, elastic"].data, pulled)
 
 
-def test_what_is_looked_at_lies_on_top(pulled_before, wait_for):
-    person, _, _, look = pulled_before
+def test_arrows_of_a_pull_are_seen_when_they_are_asked_for(at_hand, settle):
+    person, opened = at_hand
     viewer = person.viewer
-    look.result = viewer.layers["Displacement"]
-    look.percent = 50
-    wait_for(lambda: look.idle)
-    shown = [name for name in pictures(viewer) if viewer.layers[name].visible]
-    assert shown[-1] == look._scene.shown.layer("image").name
-    assert not seen(viewer) & DEFORMED
-    look.result = viewer.layers["MR arrows"]
-    look.percent = 40
-    wait_for(lambda: look.idle)
-    assert seen(viewer) >= DEFORMED
-    assert "Deformed image" not in seen(viewer)
+    puller = opened("Grab and pull")
+    drag_a_patch(person, puller, settle)
+    arrows = viewer.layers["MR arrows, elastic"]
+    assert not arrows.visible
+    arrows.visible = True
+    person.drag((24, 20), (20, 20))
+    settle(puller)
+    assert arrows.visible, "an eye that is opened stays open"
+
+
+def test_what_was_deformed_is_pulled_on_with_the_value_of_what_is_seen(
+    at_hand, run, settle, wait_for
+):
+    person, opened = at_hand
+    viewer = person.viewer
+    puller, deform = opened("Grab and pull"), opened("Deform tissue")
+    run(deform)
+    look = opened("Look at the result")
+    drag_a_patch(person, puller, settle)
+    wait_for(lambda: look.idle and not look._scene.outdated)
+    assert look.result is viewer.layers["MR arrows, elastic"]
+    moved = puller._puller.display.seen.solution.displacement
+    assert look.at((30.0, 36.0)).displacement == pytest.approx(moved[26, 30], abs=0.6)
+    run(deform)
+    wait_for(lambda: look.idle and not look._scene.outdated)
+    assert look.at((24.0, 40.0)).displacement[0] == pytest.approx(0, abs=0.05)
 
 
 @pytest.fixture
@@ -117,109 +143,97 @@ def two_results(at_hand, run, settle):
     puller, deform = opened("Grab and pull"), opened("Deform tissue")
     run(deform)
     drag_a_patch(person, puller, settle)
-    return person.viewer, opened("Look at the result")
+    return person.viewer, opened("Look at the result"), deform
 
 
-def go_on_pulling(viewer):
-    viewer.layers.selection = {viewer.layers["MR"]}
-    viewer.layers.selection = {viewer.layers["Arrows"]}
-
-
-def colours_seen(viewer):
-    """What the colours that are seen belong to: who made the result."""
-    return [
-        known_of(layer)["by"]
-        for layer in viewer.layers
-        if layer.visible and known_of(layer).get("kind") == "magnitude"
-    ]
-
-
-def test_a_look_begins_with_the_result_that_is_seen_as_it_was_and_in_colours(two_results, wait_for):
-    viewer, look = two_results
-    assert look.result is viewer.layers["Displacement"]
-    assert look.image is viewer.layers["MR"], "which was pulled"
+def test_what_was_pulled_is_seen_as_it_was_too(two_results):
+    viewer, look, _ = two_results
     look.before = True
     assert seen(viewer) <= {"Arrows"}
     look.before = False
-    assert viewer.layers["Deformed image"].visible
+    assert viewer.layers["MR deformed, elastic"].visible
+
+
+def test_colours_of_what_was_pulled_are_named_after_the_image(two_results, wait_for):
+    viewer, look, _ = two_results
     look.colours = "squeeze"
     wait_for(lambda: look.idle)
-    assert "MR largest squeeze (%)" in {layer.name.partition(",")[0] for layer in viewer.layers}
+    assert "MR largest squeeze (%), elastic" in viewer.layers
     assert look.image is viewer.layers["MR"]
 
 
-def test_a_look_that_comes_to_the_front_looks_at_what_is_seen_by_then(
-    pulled_before, settle, wait_for, at_rest
-):
-    person, puller, deform, look = pulled_before
-    viewer = person.viewer
+def test_colours_of_a_result_are_gone_with_it_and_there_for_the_next(two_results, run, wait_for):
+    viewer, look, deform = two_results
+    look.colours = "magnitude"
     wait_for(lambda: look.idle)
-    assert look.result is viewer.layers["MR arrows"]
+    (colours,) = parts(viewer, "magnitude")
+    before = colours.data.copy()
+    run(deform)
+    wait_for(lambda: look.idle and not look._scene.outdated)
+    assert colours.visible
+    assert not np.array_equal(colours.data, before, equal_nan=True)
+    look.colours = "nothing"
+    run(deform)
+    wait_for(lambda: look.idle and not look._scene.outdated)
+    assert not colours.visible
 
-    def bring(dock):
-        dock.native.parent().raise_()
-        at_rest()
 
-    bring(puller)
-    person.drag((24, 20), (20, 20))
+@pytest.fixture
+def two_images(at_hand, settle, wait_for):
+    """Two images that were pulled; a look that is opened now."""
+    person, opened = at_hand
+    viewer = person.viewer
+    puller = opened("Grab and pull")
+    drag_a_patch(person, puller, settle)
+    puller.image = viewer.add_image(viewer.layers["MR"].data // 2, name="CT")
     settle(puller)
-    assert look.result is viewer.layers["MR arrows"]
-    bring(look)
-    assert look.result is viewer.layers["Displacement"]
-    assert viewer.layers["Deformed image"].visible
-    look.result = viewer.layers["MR arrows"]
-    bring(deform)
-    bring(look)
-    assert look.result is viewer.layers["MR arrows"]
+    drag_a_patch(person, puller, settle)
+    return viewer, opened("Look at the result")
 
 
-def test_a_result_that_is_chosen_is_seen_and_its_colours_alone(two_results, wait_for):
-    viewer, look = two_results
-    for choice, by in (("Displacement", "grab"), ("MR arrows", "deform")) * 2:
-        look.result = viewer.layers[choice]
+def test_a_result_that_is_chosen_has_its_colours_alone(two_images, wait_for):
+    viewer, look = two_images
+    for name in ("MR", "CT", "MR"):
+        look.result = viewer.layers[f"{name} arrows, elastic"]
         look.colours, look.grid = "magnitude", True
         wait_for(lambda: look.idle)
-        assert viewer.layers["Deformed image"].visible == (by == "grab")
-        assert viewer.layers["MR deformed"].visible == (by == "deform")
-        assert colours_seen(viewer) == [by]
         assert look.grid
-        grids = [layer for layer in viewer.layers if known_of(layer).get("kind") == "grid"]
-        assert [known_of(layer)["by"] for layer in grids if layer.visible] == [by]
+        for kind in ("magnitude", "grid"):
+            shown = [layer for layer in parts(viewer, kind) if layer.visible]
+            assert [known_of(layer)["source"] for layer in shown] == [name]
     look.result = None
     wait_for(lambda: look.idle)
-    assert colours_seen(viewer) == []
+    assert not any(layer.visible for layer in parts(viewer, "magnitude"))
     assert look.status == "Choose a result above to look at it."
 
 
-def test_colours_of_a_result_are_seen_on_it_and_not_on_another(two_results, wait_for):
-    viewer, look = two_results
-    look.result = viewer.layers["MR arrows"]
+def test_nothing_of_an_image_that_is_deleted_stays(two_images, wait_for):
+    viewer, look = two_images
+    look.colours, look.grid = "magnitude", True
+    wait_for(lambda: look.idle)
+    assert len([layer for layer in viewer.layers if known_of(layer).get("source") == "CT"]) == 4
+    viewer.layers["MR arrows, elastic"].name = "mine"
+    viewer.layers.remove("CT")
+    wait_for(lambda: not any(known_of(layer).get("source") == "CT" for layer in viewer.layers))
+    assert "MR deformed, elastic" in viewer.layers
+    viewer.layers.remove("MR")
+    wait_for(lambda: "MR deformed, elastic" not in viewer.layers)
+    assert "mine" in viewer.layers, "what somebody has named is theirs"
+
+
+def test_all_layers_can_be_deleted_at_once(two_images, wait_for):
+    viewer, look = two_images
     look.colours = "magnitude"
     wait_for(lambda: look.idle)
-    go_on_pulling(viewer)
-    assert viewer.layers["Deformed image"].visible
-    assert colours_seen(viewer) == []
-    look.result.data = look.result.data.copy()  # anew, by a dock that follows in the background
+    viewer.layers.selection = {viewer.layers["MR"], viewer.layers["CT"]}
+    viewer.layers.remove_selected()
+    wait_for(lambda: not any("source" in known_of(layer) for layer in viewer.layers))
+    viewer.layers.clear()
     wait_for(lambda: look.idle)
-    assert colours_seen(viewer) == []
-    look.colours = "jacobian"
-    wait_for(lambda: look.idle)
-    assert viewer.layers["MR deformed"].visible
-    assert not viewer.layers["Deformed image"].visible
-    look.colours = "nothing"
-    go_on_pulling(viewer)
-    look.result = viewer.layers["MR arrows"]
-    wait_for(lambda: look.idle)
-    kinds = {known_of(layer).get("kind") for layer in viewer.layers if layer.visible}
-    assert "jacobian" not in kinds
+    assert look.result is None
 
 
-def topmost(viewer):
-    """The picture that is seen: whatever lies below it is covered."""
-    return [name for name in pictures(viewer) if viewer.layers[name].visible][-1]
-
-
-def test_a_picture_of_a_look_makes_way_for_the_next_pull(at_hand, settle, wait_for):
+def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, settle, wait_for):
     person, opened = at_hand
     viewer = person.viewer
     puller = opened("Grab and pull")
@@ -227,19 +241,21 @@ def test_a_picture_of_a_look_makes_way_for_the_next_pull(at_hand, settle, wait_f
     look = opened("Look at the result")
     wait_for(lambda: look.idle)
     look.percent, look.grid = 50, True
-    wait_for(lambda: look.idle and topmost(viewer) == "MR deformed")
-    before = look._scene.shown.layer("grid").data.copy()
+    picture = viewer.layers["MR deformed, elastic"]
+    wait_for(lambda: look.idle and known_of(picture).get("percent") == 50)
+    before = viewer.layers["MR grid, elastic"].data.copy()
     person.drag((24, 20), (20, 20))
-    wait_for(lambda: topmost(viewer) == "Deformed image")  # while one pulls
+    wait_for(lambda: look.percent == 100)
     settle(puller)
     wait_for(lambda: look.idle and not look._scene.outdated)
-    assert topmost(viewer) == "Deformed image", "and afterwards"
-    grid = look._scene.shown.layer("grid")
+    assert np.array_equal(picture.data, puller._puller.display.seen.picture)
+    grid = viewer.layers["MR grid, elastic"]
+    assert grid.visible
     assert grid.data.shape != before.shape or (grid.data != before).any()
     look.percent = 40
-    wait_for(lambda: look.idle and topmost(viewer) == "MR deformed")
+    wait_for(lambda: look.idle and known_of(picture).get("percent") == 40)
     viewer.window.remove_dock_widget(look.native)
-    assert topmost(viewer) == "Deformed image", "nobody moves the other any more"
+    assert np.array_equal(picture.data, puller._puller.display.seen.picture), "put back"
 
 
 def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
@@ -271,7 +287,7 @@ def test_results_of_another_slice_stay_as_they_are(
     assert seen(viewer) >= before - {"Boundary", "Tissue"}
 
 
-def test_to_go_to_another_slice_is_no_turn_of_the_dock_that_follows(
+def test_a_result_that_only_follows_the_slice_covers_nothing_that_is_pulled(
     make_napari_viewer, small_sample, run, settle, wait_for, at_rest
 ):
     viewer = make_napari_viewer()
@@ -291,14 +307,11 @@ def test_to_go_to_another_slice_is_no_turn_of_the_dock_that_follows(
 
     viewer.dims.set_current_step(0, 2)
     settle_both()
-    of_this = {layer for layer in viewer.layers if known_of(layer).get("slice_seen") == "slice 2"}
-    followed = [layer for layer in of_this if known_of(layer).get("by") == "deform"]
-    assert followed
-    assert not any(layer.visible for layer in followed)
     assert viewer.layers["Arrows"].visible
+    assert not any(", elastic" not in name for name in seen(viewer) if "slice 2" in name)
     deform.rules = (deform.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     settle_both()
-    assert any(layer.visible for layer in followed), "an edit is"
+    assert viewer.layers["MR deformed (slice 2)"].visible, "an edit is seen"
     assert not viewer.layers["Arrows"].visible
 
 
@@ -368,7 +381,7 @@ def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(at_han
     person.paint((24, 12), (24, 20))
     settle(second)
     assert not told
-    assert pictures(viewer) == ["Deformed image"]
+    assert pictures(viewer) == ["MR deformed, elastic"]
     names = [layer.name for layer in viewer.layers]
     assert len(names) == len({name.partition(" [")[0] for name in names}), names
     person.key(Qt.Key.Key_Z, CTRL)
@@ -385,7 +398,7 @@ def test_a_closed_dock_that_looked_leaves_no_second_colours(at_hand, run, wait_f
         look.colours = "magnitude"
         wait_for(lambda look=look: look.idle)
         viewer.window.remove_dock_widget(look.native)
-    assert len([layer for layer in viewer.layers if known_of(layer).get("kind") == "colours"]) <= 1
+    assert len(parts(viewer, "magnitude")) <= 1
     assert np.unique([layer.name for layer in viewer.layers]).size == len(viewer.layers)
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
@@ -432,7 +445,7 @@ def test_folds_are_gone_with_what_folded(folding, run):
     assert "tick" not in folding.status
     pull(folding, 1.0)
     assert not run(folding).folds
-    assert not layer.data.any()
+    assert not layer.visible
     pull(folding, -40.0)
     outputs = run(folding)
     assert layer.visible
@@ -551,7 +564,7 @@ def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, sma
     at_rest()
     assert not widget.active
     assert not widget.busy
-    assert "Deformed image" not in [layer.name for layer in viewer.layers]
+    assert not pictures(viewer)
     assert widget.status == START
 
 
@@ -567,10 +580,10 @@ def test_paint_is_put_on_the_image_as_it_was(at_hand, settle, run):
     assert not any(viewer.layers[name].visible for name in pictures(viewer))
     grab(puller)
     settle(puller)
-    assert viewer.layers["Deformed image"].visible
+    assert viewer.layers["MR deformed, elastic"].visible
     deform._face.boundary.table.picked.emit(1)
     assert "hidden meanwhile" in deform.status
-    assert not viewer.layers["Deformed image"].visible
+    assert not viewer.layers["MR deformed, elastic"].visible
 
 
 def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(open_window, settle):

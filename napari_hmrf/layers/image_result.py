@@ -1,0 +1,361 @@
+"""The layers of one result: of an image and a slice, or of a file."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from napari.layers import Layer
+
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.result_layers import Kind, LayerData
+from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
+
+#: What computes results.
+Maker = Literal["deform", "grab"]
+#: A layer of a result: what was made with it, or the colours that it is looked at with.
+Part = Kind | Literal["colours"]
+#: What fills its pixels, lowest first: directly above the image, so that paint stays above it.
+FILLING: tuple[Part, ...] = ("image", "magnitude", "colours", "labels")
+#: What has a bar of colours, and which of its looks belong to the numbers it shows.
+_BARS: dict[Part, tuple[str, ...]] = {
+    "magnitude": ("contrast_limits",),
+    "colours": ("colormap", "contrast_limits"),
+}
+_WHOLE = 100
+
+
+@dataclass(eq=False)
+class _Held:
+    """A layer of a result.
+
+    Attributes
+    ----------
+    layer : callable
+        Returns it, as long as it is kept anywhere.
+    meant, name : str
+        The name meant for it, and what napari made of that.
+    by : Maker, optional
+        Whose result it shows.
+    hidden : str
+        Why it was hidden, by us and not by hand: somebody paints on the image ("aside"), a newer
+        result does not have it yet ("stale"), or nobody has asked to see it ("unasked").
+    added : bool
+        Whether it was put there to be looked at, and not made with the result.
+    own : ndarray, optional
+        Its data, if nobody else holds them: they can be written to.
+    part, whole : ndarray, optional
+        Its data while it shows a part of the deformation, and those of all of it.
+    """
+
+    layer: Callable[[], Any]
+    meant: str
+    name: str
+    by: Maker | None = None
+    hidden: Literal["", "aside", "stale", "unasked"] = ""
+    added: bool = False
+    own: Any = None
+    part: Any = None
+    whole: Any = None
+
+
+class Result:
+    """The layers of one result.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    anchor : napari.layers.Layer
+        What was deformed; of a result from a file the layer of arrows that holds it.
+    where : str
+        The slice, as in the layers' metadata.
+
+    Attributes
+    ----------
+    by : {"deform", "grab"}, optional
+        Who is at work here.
+    aside : bool
+        Whether the image is to be seen as it was, until there is another result.
+    """
+
+    def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
+        self._viewer_ref, self._anchor = weakref.ref(viewer), weakref.ref(anchor)
+        self.where = where
+        self.by: Maker | None = None
+        self.aside = False
+        self._frame: Frame | None = None
+        self._held: dict[Part, _Held] = {}
+        self._before: list[tuple[weakref.ref[Any], bool]] = []
+
+    @property
+    def _viewer(self) -> Any:
+        return self._viewer_ref()
+
+    # What there is
+
+    def layer(self, part: Part) -> Any:
+        """The layer of a part, if it is in the viewer."""
+        held = self._held.get(part)
+        return still_there(self._viewer, None if held is None else held.layer())
+
+    def holds(self, layer: Any) -> bool:
+        """Whether a layer is one of these."""
+        return any(held.layer() is layer for held in self._held.values())
+
+    def wants(self, part: Part) -> bool:
+        """Whether a part is seen, or will be with what comes next."""
+        layer = self.layer(part)
+        shown = layer is not None and layer.visible
+        return shown or (layer is not None and self._held[part].hidden in ("aside", "stale"))
+
+    @property
+    def maker(self) -> Maker | None:
+        """Who computed the picture that is there; None if there is none."""
+        return None if self.layer("image") is None else self._held["image"].by
+
+    def is_added(self, part: Part) -> bool:
+        """Whether a part was put there to be looked at."""
+        return part in self._held and self._held[part].added
+
+    @property
+    def visible(self) -> bool:
+        """Whether anything of it is seen."""
+        return any(layer.visible for layer, _ in self._there())
+
+    @property
+    def percent(self) -> int:
+        """How much of the deformation is seen."""
+        for part in ("image", "colours"):
+            layer = self.layer(part)
+            if layer is not None and layer.visible:
+                return _percent_of(layer)
+        return 0
+
+    # What is shown
+
+    def take(self, part: Part, layer: Any) -> None:
+        """Have a layer that somebody else made."""
+        self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name)
+
+    def put(self, part: Part, made: LayerData, source: Any = None) -> Any:
+        """Show one more layer of the result there is; returns it.
+
+        Parameters
+        ----------
+        part : Part
+        made : LayerData
+        source : napari.layers.Layer, optional
+            The image that is moved, where that is not what was deformed.
+        """
+        arrows = self._held.get("arrows")
+        held = self._put(part, made, None if arrows is None else arrows.by, source)
+        layer, held.added = held.layer(), True
+        layer.visible = not self.aside
+        held.hidden = "aside" if self.aside else ""
+        return layer
+
+    def show(
+        self,
+        frame: Frame,
+        layers: Mapping[Kind, LayerData],
+        by: Maker,
+        unasked: Collection[Kind] = (),
+        moving: bool = False,
+    ) -> dict[Kind, Any]:
+        """Show another state of the result; as of `ResultLayers.show`."""
+        quick = moving and frame == self._frame
+        self._frame, self.by, self.aside = frame, by, False
+        for kind, held in self._held.items():
+            if kind not in layers:
+                first = kind in unasked and held.by != by
+                self._hide(held, "unasked" if first else "stale")
+        shown: dict[Kind, Any] = {}
+        for kind, made in layers.items():
+            before, layer = self._held.get(kind), self.layer(kind)
+            known = layer is not None and before is not None and before.by == by
+            if before is None or not (quick and known and _same(before, made)):
+                held = self._put(kind, made, by, visible=kind not in unasked)
+            else:
+                held = before
+                if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
+                    layer.data = held.own = np.array(made.data)
+            layer = shown[kind] = held.layer()
+            if kind in unasked and not known:
+                if held is not before or layer.visible or held.hidden:
+                    layer.visible, held.hidden = False, "unasked"
+            elif held.hidden and not (kind in unasked and held.hidden == "unasked"):
+                layer.visible, held.hidden = True, ""
+        return shown
+
+    def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
+        """Show a part of the deformation, until `show_whole` or a newer result."""
+        for part, data in parts.items():
+            layer = self.layer(part)
+            if layer is None:
+                continue
+            held = self._held[part]
+            if _percent_of(layer) == _WHOLE:
+                held.whole = layer.data
+            layer.data = held.part = data
+            held.own = None
+            # Whoever saves the layer now can tell what it is.
+            _know(layer, percent=percent)
+
+    def show_whole(self) -> None:
+        """Put back what was there before a part was shown, where nobody else has drawn since."""
+        for layer, held in self._there():
+            if held.part is not None and layer.data is held.part:
+                if held.whole is not None:
+                    layer.data = held.whole
+                    _know(layer)
+                elif _percent_of(layer) != _WHOLE:
+                    layer.visible = False
+            held.part = held.whole = None
+
+    # What is hidden
+
+    def set_aside(self, parts: Collection[Part] | None = None) -> bool:
+        """Hide some parts, or all, until there is another result, or it is brought back.
+
+        Returns
+        -------
+        bool
+            Whether anything is hidden.
+        """
+        self.aside = True
+        for part, held in self._held.items():
+            if parts is None or part in parts:
+                self._hide(held, "aside")
+        return any(held.hidden == "aside" for _, held in self._there())
+
+    def bring(self, by: Maker | None = None) -> None:
+        """Show what was set aside, or what of it is somebody's."""
+        self.aside = False
+        for layer, held in self._there():
+            if held.hidden == "aside" and by in (None, held.by):
+                layer.visible, held.hidden = True, ""
+
+    def hide(self, part: Part) -> None:
+        """Hide a part that nobody wants to see; no result brings it back."""
+        if (layer := self.layer(part)) is not None:
+            layer.visible, self._held[part].hidden = False, ""
+
+    def leave(self) -> None:
+        """Hide what was added, as another result is looked at."""
+        for part in self._held:
+            if self.is_added(part):
+                self.hide(part)
+
+    def hold_before(self, source: Any) -> None:
+        """Show the image as it was, and nothing of the result, until `release`."""
+        if self._before:
+            return
+        for layer, _ in self._there():
+            self._before.append((weakref.ref(layer), layer.visible))
+            layer.visible = False
+        if still_there(self._viewer, source) is not None:
+            self._before.append((weakref.ref(source), source.visible))
+            source.visible = True
+
+    def release(self) -> None:
+        """Show again what `hold_before` hid."""
+        before, self._before = self._before, []
+        for reference, visible in before:
+            if (layer := reference()) is not None:
+                layer.visible = visible
+
+    @property
+    def is_before(self) -> bool:
+        """Whether the image is seen as it was."""
+        return bool(self._before)
+
+    def remove(self) -> None:
+        """Take the layers out of the viewer, but for those that somebody has named."""
+        for layer, held in self._there():
+            if layer.name == held.name:
+                self._viewer.layers.remove(layer)
+
+    # How it is done
+
+    def _there(self) -> Iterator[tuple[Any, _Held]]:
+        """The layers that are in the viewer."""
+        for part, held in [*self._held.items()]:
+            if (layer := self.layer(part)) is not None:
+                yield layer, held
+
+    def _put(
+        self,
+        part: Part,
+        made: LayerData,
+        by: Maker | None,
+        source: Any = None,
+        visible: bool = True,
+    ) -> _Held:
+        """Have a layer show this: the one that is there, or a new one."""
+        layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
+        name = made.attributes["name"]
+        with same_selection(self._viewer):
+            if held is None or layer is None or not _fits(layer, made):
+                if layer is not None:
+                    layers.remove(layer)
+                layer = Layer.create(made.data, {**made.attributes, "visible": visible}, made.kind)
+                layers.insert(self._index(part, source), layer)
+                if part in _BARS:
+                    layer.colorbar.visible = True
+                held = self._held[part] = _Held(weakref.ref(layer), name, layer.name)
+            else:
+                update_layer(layer, made)
+                for look in _BARS.get(part, ()):
+                    setattr(layer, look, made.attributes[look])
+                if name != held.meant and layer.name == held.name:
+                    layer.name = name
+                    held.meant, held.name = name, layer.name
+        held.by, held.added, held.own, held.part, held.whole = by, False, None, None, None
+        return held
+
+    def _index(self, part: Part, source: Any) -> int:
+        """Pictures go directly above what was deformed and has moved, lines on top."""
+        layers = self._viewer.layers
+        if part not in FILLING:
+            return len(layers)
+        below = [self.layer(lower) for lower in FILLING[: FILLING.index(part)]]
+        if source is None:
+            below.append(self._anchor())
+        else:
+            below += [source, *(each for each in layers if _is_moved(each, self.where))]
+        return max((layers.index(each) + 1 for each in below if each in layers), default=0)
+
+    def _hide(self, held: _Held, why: Literal["aside", "stale", "unasked"]) -> None:
+        layer = held.layer()
+        if layer is not None and (layer.visible or held.hidden == "aside"):
+            layer.visible, held.hidden = False, why
+
+
+def _percent_of(layer: Any) -> int:
+    return int(known_of(layer).get("percent", _WHOLE))
+
+
+def _know(layer: Any, **facts: Any) -> None:
+    """Have a layer's metadata say how much of the deformation it shows; by default all."""
+    known = {key: value for key, value in known_of(layer).items() if key != "percent"}
+    layer.metadata = {**layer.metadata, METADATA: {**known, **facts}}
+
+
+def _fits(layer: Any, made: LayerData) -> bool:
+    axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
+    return bool(layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
+
+
+def _same(held: _Held, made: LayerData) -> bool:
+    """Whether nothing but the pixels of a layer is another."""
+    return held.part is None and _fits(held.layer(), made)
+
+
+def _is_moved(layer: Any, where: str) -> bool:
+    """Whether a layer shows an image of a slice where its tissue has moved to."""
+    known = known_of(layer)
+    return known.get("kind") == "image" and known.get("slice") == where
