@@ -303,10 +303,12 @@ class Result:
                 if layer is not None:
                     layers.remove(layer)
                 layer = Layer.create(made.data, {**made.attributes, "visible": visible}, made.kind)
+                # Who hears that it comes can ask whose it is.
+                held = self._held[part] = _Held(weakref.ref(layer), name, name, by)
                 layers.insert(self._index(part, source), layer)
+                held.name = layer.name
                 if part in _BARS:
                     layer.colorbar.visible = True
-                held = self._held[part] = _Held(weakref.ref(layer), name, layer.name)
             else:
                 update_layer(layer, made)
                 for look in _BARS.get(part, ()):

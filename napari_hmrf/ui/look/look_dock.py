@@ -10,6 +10,7 @@ from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
+from napari_hmrf.layers.image_result import Result
 from napari_hmrf.layers.result_lookup import FoundResult, can_be_source, result_of
 from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.layers.tissue_point import Probe
@@ -22,8 +23,6 @@ from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.viewer_dock import Dock
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
-#: How long a result has to stand still before it is looked at anew, in milliseconds.
-_SETTLED = 150
 
 
 class LookAtResult(Dock):
@@ -82,7 +81,6 @@ class LookAtResult(Dock):
         self._taken: FoundResult | None = None
         self._face = LookFace(self, self._layers, self._is_result, self._is_source)
         self._scene = Scene(self, self._viewer, self._face, self._results)
-        self._settling = single_shot(self.native, _SETTLED, self._on_settled)
         # A layer is known to be the grid of a result only after it has come.
         self._eyes = single_shot(self.native, 0, self._on_eye)
         self._followed: Any = None
@@ -98,8 +96,7 @@ class LookAtResult(Dock):
     @property
     def idle(self) -> bool:
         """Whether all that was asked for is seen."""
-        waiting = self._settling.isActive() or self._eyes.isActive()
-        return not (waiting or self._scene.busy)
+        return not (self._eyes.isActive() or self._scene.busy)
 
     @property
     def colours(self) -> str:
@@ -166,6 +163,7 @@ class LookAtResult(Dock):
             (viewer.dims.events.order, self._on_slice),
             (viewer.dims.events.ndisplay, self._on_slice),
             (viewer.events.theme, self._on_theme),
+            (self._results.changed, self._on_changed),
         )
         self._bind_key()
 
@@ -203,23 +201,22 @@ class LookAtResult(Dock):
             return
         self._heard.release()
         self._followed, self._grid = arrows, grid
-        data = [] if arrows is None else [(arrows.events.data, self._on_arrows)]
         there = [each for each in (arrows, grid) if each is not None]
-        self._heard = Listening(*data, *((each.events.visible, self._on_eye) for each in there))
+        self._heard = Listening(*((each.events.visible, self._on_eye) for each in there))
 
-    def _on_arrows(self, *_: Any) -> None:
-        """Arrows were drawn anew: by whom is seen when their metadata have followed."""
-        if not self.away:
-            self._settling.start()
+    def _on_changed(self, result: Result) -> None:
+        """What is seen in a place is another result, or none."""
+        if self.away or result is not self._scene.shown.layers:
+            return
+        if self._scene.outdated:
+            self._take()
+        else:
+            self._scene.interrupt()
 
     def _on_eye(self, *_: Any) -> None:
         if not self.away:
             self._follow(self._followed, self._scene.shown.layer("grid"))
             self._scene.look_at_eyes()
-
-    def _on_settled(self) -> None:
-        if not self.away and self._scene.outdated:
-            self._take()
 
     def _on_inserted(self, event: Any) -> None:
         if self.away:

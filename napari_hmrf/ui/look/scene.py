@@ -12,7 +12,7 @@ from napari.layers import Labels
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.layers.animation import Moment, Motion
-from napari_hmrf.layers.image_result import Part, Result
+from napari_hmrf.layers.image_result import Part
 from napari_hmrf.layers.result_lookup import (
     FoundResult,
     picture_of,
@@ -72,7 +72,6 @@ class Scene:
         self.words = ""
         self._errands = Errands(widget.native, self._refuse)
         self._results = results
-        results.changed.connect(self._on_changed)
         self.shown = LookedAt()
         self.player = Player(widget.native, self._errands, self._draw)
         self.cursor = UnderCursor(
@@ -238,6 +237,13 @@ class Scene:
             self.shown.layers.show_whole()
         self._draw_whole()
 
+    def interrupt(self) -> None:
+        """What was moved is all there again, by another's doing."""
+        if self.player.playing or self._errands.busy("moment") or self._face.slider.value != FULL:
+            self.player.stop()
+            self._errands.forget("moment")
+            self._draw_whole()
+
     def rest(self) -> None:
         """Touch nothing any more, until a result is taken again."""
         self.put_back()
@@ -247,7 +253,6 @@ class Scene:
     def release(self) -> None:
         """The window is gone."""
         self._errands.forget()
-        self._results.changed.disconnect(self._on_changed)
         self.cursor.release()
 
     def save(self, folder: Path, done: Callable[[Any], None], own_folder: bool = False) -> None:
@@ -308,14 +313,6 @@ class Scene:
         self._drawn = None
         self._arrows.show_whole()
         self._set_slider(FULL)
-
-    def _on_changed(self, result: Result) -> None:
-        """What is seen is all of another result, or none."""
-        moving = self._errands.busy("moment") or self._face.slider.value != FULL
-        if result is self.shown.layers and (moving or self.player.playing):
-            self.player.stop()
-            self._errands.forget("moment")
-            self._draw_whole()
 
     # What is shown
 
