@@ -59,6 +59,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "resample": 3,
     "small_strain": 1,
     "solve": 2,
+    "solve_study": 1,
     "warp": 2,
 }
 
@@ -96,8 +97,10 @@ def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
 
 
 def test_whatever_has_a_choice_is_in_that_list():
-    """But for `phantom(name, size)`, `Material`, which is a row of a table, and results."""
+    """But for `phantom(name, size)`, and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
+    records |= {"Study", "Grid", "Tissue", "Motion", "Landmarks", "Pictures"}
+    records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
     for name in napari_hmrf.__all__:
         found = getattr(napari_hmrf, name)
