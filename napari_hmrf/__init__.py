@@ -51,6 +51,8 @@ from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solver.solve import solve
+from napari_hmrf.study.ground import solve_study, statement_of
+from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
     RIGID,
     BoundaryRule,
@@ -59,6 +61,7 @@ from napari_hmrf.tissue.boundary_rules import (
     poisson_image,
     stiffness_image,
 )
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
 __version__ = "0.1.0"
@@ -68,25 +71,35 @@ __all__ = [
     "PHANTOM_NAMES",
     "RIGID",
     "ArgumentError",
+    "Arrow",
     "BackendError",
     "BoundaryRule",
     "Cancelled",
     "ConvergenceError",
+    "Drawing",
     "ElasticPrior",
     "FileFormatError",
+    "Grid",
     "HmrfError",
+    "Landmark",
+    "Landmarks",
     "LiveSolver",
     "Material",
     "Monitor",
+    "Motion",
     "Multigrid",
     "Phantom",
     "Picture",
+    "Pictures",
     "Problem",
     "ProblemError",
     "Provenance",
     "SeilerPrior",
     "Solution",
     "StiffnessCurve",
+    "Stroke",
+    "Study",
+    "Tissue",
     "Warper",
     "__version__",
     "arrows",
@@ -110,6 +123,8 @@ __all__ = [
     "sample",
     "small_strain",
     "solve",
+    "solve_study",
+    "statement_of",
     "stiffness_image",
     "strain_through_slice",
     "warp",

@@ -96,7 +96,7 @@ def _kept() -> bool:
     """Whether numba could keep what it has compiled."""
     from napari_hmrf.solver.backends.cpu import exact
 
-    folder = exact.measure.stats.cache_path
+    folder = exact.add.stats.cache_path
     return folder is not None and any(Path(folder).glob("*.nbi"))
 
 

@@ -296,7 +296,7 @@ def test_every_file_that_is_linked_exists(page):
 
 
 def test_the_readme_s_python_example_does_what_it_says():
-    (example,) = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
+    example, study = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
     names = {}
     exec(compile(example, "README.md", "exec"), names)
     displacement = names["solution"].displacement
@@ -306,6 +306,10 @@ def test_the_readme_s_python_example_does_what_it_says():
     stretch = np.diff(displacement[32, :, 1])
     assert stretch[26:38].mean() < 0.5 * stretch[8:20].mean(), "the inclusion is stiff"
     assert names["moved"].shape == names["image"].shape
+    exec(compile(study, "README.md", "exec"), names)
+    displacement = names["solution"].displacement
+    assert displacement[32, 40] == pytest.approx((0, 6), abs=1e-3), "it is pulled"
+    assert np.abs(displacement[:, [0, -1]]).max() < 1e-3, "and its edge is held"
 
 
 def read(name: str) -> str:

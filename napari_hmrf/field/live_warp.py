@@ -16,7 +16,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, checked_fill, checked_order, filled_in, resample
-from napari_hmrf.field.warp import checked_sizes, moved_sites, only_read
+from napari_hmrf.field.warp import checked_sizes, moved_sites
 from napari_hmrf.solver.backends import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
@@ -148,10 +148,10 @@ class Warper:
         from napari_hmrf.field.triangle_raster import rasterise_displaced
 
         finite = rasterise_displaced(
-            only_read(d),
+            loops.only_read(d),
             self._spacing,
             float(fraction),
-            only_read(mask),
+            loops.only_read(mask),
             numba.get_num_threads(),
             self._moved,
             self._reach,
@@ -179,8 +179,8 @@ class _Look:
         order = checked_order(picture.order)
         self._order = 0 if image.dtype.kind == "b" else order
         self._fill = checked_fill(picture.fill, image.dtype)
-        loops = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
-        self._kind = loops.get(image.dtype.name, "")
+        known = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
+        self._kind = known.get(image.dtype.name, "")
         # What is only copied may be taken for a number of its size, whatever that would be.
         self._as_bits = self._order == 0 and image.dtype.name in ("int64", "uint64")
         self._slow = not (self._kind or self._as_bits) or not image.dtype.isnative
@@ -210,12 +210,12 @@ class _Look:
 
         moved = np.empty_like(self._values)
         look_up(
-            only_read(self._values),
-            only_read(self._smooth),
+            loops.only_read(self._values),
+            loops.only_read(self._smooth),
             self._gaps,
             source,
             state,
-            only_read(tissue),
+            loops.only_read(tissue),
             self._order == 0,
             self._image.dtype.kind != "f",
             self._taken(self._fill)[()],

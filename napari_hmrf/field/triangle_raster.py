@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 # What only loops call, and what Python calls.
-_callee = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_callee = numba.njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 _kept = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 # How far outside a triangle, in barycentric coordinates, a pixel still counts as on its edge.
@@ -26,7 +26,7 @@ _NEAR = 1.0
 TWICE = 3
 
 
-@numba.njit(inline="always")
+@_callee
 def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, c_row, c_col):
     """Draw the moved triangle of sites a, b, c if its orientation is the one asked for.
 
@@ -66,7 +66,7 @@ def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, 
     return not kept
 
 
-@numba.njit(inline="always")
+@_callee
 def _mark(source, state, value, row, col, from_row, from_col):
     """Say where the tissue on a pixel came from, unless another triangle has come first."""
     if state[row, col] < value:
@@ -80,7 +80,7 @@ def _mark(source, state, value, row, col, from_row, from_col):
             state[row, col] = TWICE
 
 
-@numba.njit(inline="always")
+@_callee
 def _draw_cell(moved, source, state, first, past, row, col):
     """Draw both triangles of a whole cell at once, if neither is turned over nor collapsed.
 
@@ -228,15 +228,16 @@ def _outline(moved, tissue, source, state, reach, first, past):
 
 
 @_callee
-def _reach(moved, tissue, row):
-    """The first and the last row of pixels, as real numbers, that sites of a row moved to."""
+def _note_reach(moved, tissue, row, reach):
+    """Note the first and the last row of pixels, as real numbers, that sites of a row moved to."""
     low = math.inf
     high = -math.inf
     for col in range(tissue.shape[1]):
         if tissue[row, col]:
             low = min(low, moved[row, col, 0])
             high = max(high, moved[row, col, 0])
-    return low, high
+    reach[row, 0] = low
+    reach[row, 1] = high
 
 
 @numba.njit(**_kept)
@@ -268,7 +269,7 @@ def rasterise(moved, tissue):
     state = np.zeros((height, width), np.uint8)
     reach = np.empty((height, 2))
     for row in range(height):
-        reach[row] = _reach(moved, tissue, row)
+        _note_reach(moved, tissue, row, reach)
     first = np.int64(0)  # a plain 0 would make functions of its own
     _triangles(moved, tissue, source, state, reach, first, height)
     _outline(moved, tissue, source, state, reach, first, height)
@@ -319,7 +320,7 @@ def rasterise_displaced(
             if not (math.isfinite(by_row) and math.isfinite(by_col)):
                 fine[row] = False
             state[row, col] = 0
-        reach[row] = _reach(moved, tissue, row)
+        _note_reach(moved, tissue, row, reach)
     if not fine.all():
         return False
     for number in numba.prange(bands):

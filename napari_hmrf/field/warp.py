@@ -147,15 +147,8 @@ def _rasterised(
     # Numba takes half a second to import: only those who warp wait for it.
     from napari_hmrf.field.triangle_raster import rasterise
 
-    coordinates, state = rasterise(moved, only_read(tissue))
+    coordinates, state = rasterise(moved, loops.only_read(tissue))
     return coordinates, state
-
-
-def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A view that nobody writes to, as some images are: one type to the loops that draw."""
-    view = values.view()
-    view.setflags(write=False)
-    return view
 
 
 def moved_sites(

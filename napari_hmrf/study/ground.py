@@ -14,6 +14,8 @@ import numpy.typing as npt
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem, as_stiffness
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.layer_names import Named
 from napari_hmrf.study.reading_warnings import caveats, lacks
@@ -216,6 +218,44 @@ def statement_of(study: Study) -> Statement:
         Naming the part, what is wrong with it and what to do.
     """
     return Ground.of(study).statement()
+
+
+def solve_study(
+    study: Study,
+    *,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Solution:
+    """Solve a study from nothing, as a window does when it is asked to.
+
+    Parameters
+    ----------
+    study : Study
+    backend, progress, cancel
+        As for `solve`.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    ProblemError
+        Naming the part, what is wrong with it and what to do.
+    Cancelled, ConvergenceError, BackendError
+        As for `solve`.
+    """
+    stated = statement_of(study)
+    with study.naming():
+        return solve(
+            stated.problem,
+            stated.prior,
+            optimizer=stated.optimizer,
+            backend=backend,
+            progress=progress,
+            cancel=cancel,
+        )
 
 
 class _Where:

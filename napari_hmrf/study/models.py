@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.model_names import ModelName, converged, model_name, parts
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
@@ -15,8 +16,17 @@ Model = Literal["paper", "elastic"]
 Schedule = Literal["paper", "converged"]
 
 
-def chosen(name: ModelName) -> tuple[Prior, Optimizer]:
-    """The energy of a model, and how it is minimised."""
+def chosen(name: str) -> tuple[Prior, Optimizer]:
+    """The energy of a model, and how it is minimised.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no model of that name.
+    """
+    if name not in get_args(ModelName):
+        listed = ", ".join(f'"{each}"' for each in get_args(ModelName))
+        raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
     if name == "elastic":
         return ElasticPrior(), Multigrid()
     return SeilerPrior(), Multigrid() if name == "paper, converged" else ICM()

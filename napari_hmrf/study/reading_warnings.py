@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
@@ -78,7 +78,7 @@ def _at_rest(
 def _adrift(problem: Problem) -> tuple[str, ...]:
     """Say so where something moves within tissue whose rim nothing holds or moves."""
     seen = problem.known.any(axis=-1)
-    rim = problem.tissue & ~ndimage.binary_erosion(problem.tissue)
+    rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
     if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():
         return ()
     note = (
@@ -131,7 +131,7 @@ def _thin_boundary(problem: Problem) -> tuple[str, ...]:
 
 def _loose_pieces(problem: Problem) -> tuple[str, ...]:
     """Say so where tissue hangs on nothing that was observed."""
-    pieces, count = ndimage.label(problem.tissue, structure=np.ones((3, 3)))
+    pieces, count = scipy.ndimage.label(problem.tissue, structure=np.ones((3, 3)))
     held = np.unique(pieces[problem.known.any(axis=-1)])
     loose = count - int((held > 0).sum())
     if not loose:

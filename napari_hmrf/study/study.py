@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import Named, naming
+from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
@@ -188,6 +190,9 @@ class Study:
     grid : Grid
     tissue : Tissue
     motion : Motion
+    model : {"elastic", "paper", "paper, converged"}, optional
+        What tissue is taken to be, and how far that is solved, in a word; it sets the two that
+        follow. By default elastic. `model_name` says which it is.
     prior : SeilerPrior or ElasticPrior
         The energy; where tissues are labels, Poisson's ratios are those of their table.
     optimizer : ICM or Multigrid
@@ -204,18 +209,40 @@ class Study:
     ------
     ProblemError
         Naming the part that is not of the grid's shape.
+    ArgumentError
+        If there is no such model.
+
+    Examples
+    --------
+    Tissue is pulled by a patch in its middle, and held where it ends.
+
+    >>> import numpy as np
+    >>> from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study
+    >>> pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=2),))
+    >>> study = Study(
+    ...     Grid((20, 24), (0.5, 0.5), "mm"),
+    ...     Tissue(stiffness=np.ones((20, 24))),
+    ...     Motion(hold_edge=True, drawing=pull),
+    ... )
+    >>> solution = solve_study(study)
+    >>> solution.provenance.model, solution.displacement[10, 12].round(2).tolist()
+    ('elastic', [0.0, 3.0])
     """
 
     grid: Grid
     tissue: Tissue = field(default_factory=Tissue)
     motion: Motion = field(default_factory=Motion)
+    model: InitVar[str] = ""
     prior: Prior = field(default_factory=ElasticPrior)
     optimizer: Optimizer = field(default_factory=Multigrid)
     pictures: Pictures = field(default_factory=Pictures)
     names: Mapping[str, Named] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, model: str) -> None:
+        if model:
+            for name, value in zip(("prior", "optimizer"), chosen(model), strict=True):
+                object.__setattr__(self, name, value)
         needed = self.grid.shape
         for what, part in (
             ("image", self.pictures.image),
@@ -229,6 +256,12 @@ class Study:
                 raise ProblemError(
                     what, f"has shape {part.shape}, but the grid is {needed}. Give one of its size."
                 )
+
+    @property
+    def model_name(self) -> str:
+        """The name of the model, as results have it."""
+        parts = {"prior": self.prior.parameters, "optimizer": self.optimizer.parameters}
+        return model_name(parts)
 
     def same_as(self, other: Study) -> bool:
         """Whether a field of the other would be the same, and move the same image."""

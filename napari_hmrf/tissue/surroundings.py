@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
 _APART = 0.35
@@ -112,6 +112,6 @@ def _surroundings(grey: npt.NDArray[Any], threshold: float) -> npt.NDArray[np.bo
     """What is dark and hangs together with the edge."""
     dark = ~(grey > threshold)  # what is no number is dark
     # A ring around the picture joins all that reaches its edge.
-    pieces, _ = ndimage.label(np.pad(dark, 1, constant_values=True))
+    pieces, _ = scipy.ndimage.label(np.pad(dark, 1, constant_values=True))
     found: npt.NDArray[np.bool_] = (pieces == pieces[0, 0])[1:-1, 1:-1]
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,14 +45,13 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
     else:
         _spare.clear()
         d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+    given = [] if start is None else start.weighted
+    terms = [(loops.only_read(values), weight) for values, weight in given]
+    # Where there is no more to begin with, something that counts 0 times.
     about = problem.observed, problem.known, 1 / problem.unit
-    if start is None:
-        exact.prescribe(*about, None, 0.0, None, 0.0, d, held)
-        return d, held
-    first, *more = start.weighted
-    second = more.pop(0) if more else (first[0], 0.0)
+    first, second = [*terms, (problem.observed, 0.0), (problem.observed, 0.0)][:2]
     exact.prescribe(*about, *first, *second, d, held)
-    for values, weight in more:
+    for values, weight in terms[2:]:
         exact.blend(values, weight, held, d)
     return d, held
 
@@ -101,15 +99,6 @@ def planes(values: npt.NDArray[Any]) -> Planes:
     made = np.zeros((2, *(size + 4 for size in values.shape[:2])))
     made[:, 2:-2, 2:-2] = np.moveaxis(values, -1, 0)
     return made
-
-
-def measure(rest: Planes) -> tuple[float, float]:
-    """Return the largest absolute value, and the norm."""
-    exact = _exact()
-
-    most, squares = np.zeros((2, rest.shape[1] - 4))
-    exact.measure(rest, most, squares)
-    return float(most.max()), math.sqrt(squares.sum())
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:

@@ -14,10 +14,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
+
+import numpy.typing as npt
 
 from napari_hmrf.solver.backends import kept, loader
 
-__all__ = ["HERE", "compile_here", "in_use", "ready", "ready_for_pictures", "use"]
+__all__ = ["HERE", "compile_here", "in_use", "only_read", "ready", "ready_for_pictures", "use"]
 
 #: What tells each process to compile for itself, if it is "here".
 HERE = "NAPARI_HMRF_COMPILE"
@@ -88,3 +91,10 @@ def _ready(part: _Part, job: str = "") -> bool:
         part.in_use = kept.compiled(job)
         part.begun_without = not part.in_use
     return part.in_use
+
+
+def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view that nobody writes to, as some arrays are: one type to the loops."""
+    view = values.view()
+    view.setflags(write=False)
+    return view

@@ -196,10 +196,10 @@ class StabilisedGradients:
             level.apply(steepest, second)
             stride = level.quotient(level.product(second, rest), level.product(second, second))
             left = level.advance(found, rest, steepest, second, stride)
-            before, along = along, level.product(shadow, rest)
+            before, (most, along) = along, level.weigh(rest, shadow)
             share = level.quotient(level.times(along, length), level.times(before, stride))
             level.lean(rest, direction, image, share, stride)
-            values = level.read(level.largest(rest), level.largest(found), left, share)
+            values = level.read(most, level.largest(found), left, share)
             if not all(math.isfinite(value) for value in values):
                 raise FloatingPointError
             most, far, square, again = values

@@ -24,20 +24,20 @@ def prescribe(
     y: Values,
     observed: npt.NDArray[np.bool_],
     share: float,
-    first: Values | None,
+    first: Values,
     one: float,
-    second: Values | None,
+    second: Values,
     two: float,
     d: Planes,
     held: HeldPlanes,
 ) -> None:
     """Displace by share * y where tissue is observed, and hold it there.
 
-    The rest by one * first + two * second, both (H, W, 2); by zero, if these are None.
+    The rest by one * first + two * second, both (H, W, 2), one or both of which may count 0 times:
+    then its values need not be numbers.
     """
-    begun: Any = 0.0
-    if first is not None and second is not None:
-        begun = np.float64(one) * first + np.float64(two) * second
+    terms = (one, first), (two, second)
+    begun = sum(np.float64(weight) * values for weight, values in terms if weight != 0)
     _inside(held)[...] = observed
     _inside(d)[...] = np.where(observed, np.float64(share) * y, begun)
 
@@ -53,13 +53,6 @@ def settle(
     """Values *= unit on tissue, 0 elsewhere; whether each row of (H, W, 2) had numbers only."""
     row_finite[...] = np.isfinite(values).all(axis=(1, 2))
     values *= unit * tissue[..., None].astype(values.dtype)
-
-
-def measure(rest: Planes, row_most: Values, row_squares: Values) -> None:
-    """The largest absolute value, and the sum of squares, of each row."""
-    inner = rest[:, 2:-2]
-    row_most[...] = np.abs(inner).max(axis=(0, 2))
-    row_squares[...] = np.einsum("kij,kij->i", inner, inner)
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:

@@ -125,28 +125,15 @@ class CpuBackend:
         sweeps: int,
     ) -> tuple[CpuField, EnergyArray]:
         """Move all sites at once, `sweeps` times."""
-        steps = tuple(np.float32(step) for step in rule.steps) or None
-        even, odd = displacement.planes, self._other_planes(stiffness)
-        share, row_totals = self._share(stiffness), np.empty((sweeps, displacement.shape[0]))
+        even, (odd, share) = displacement.planes, self._scratch(stiffness)
+        row_totals = np.empty((sweeps, displacement.shape[0]))
         # Waking the other threads costs more than a small level does.
         self._numba.set_num_threads(1 if share.size < _SMALL else self._threads)
         batch = max(1, int(BATCH_SECONDS / (_SLOWEST_SITE_SECONDS * share.size)))
         for start in range(0, sweeps, batch):
             self._checkpoint()
             totals = row_totals[start : start + batch]
-            self._kernels.sweeps(
-                even,
-                odd,
-                stiffness.planes,
-                observation.planes,
-                stiffness.spans,
-                _weights(rule),
-                rule.blanket or None,
-                steps,
-                np.float32(rule.relaxation),
-                share,
-                totals,
-            )
+            self._sweep(even, odd, stiffness, observation, rule, share, totals)
             if len(totals) % 2 == 1:
                 even, odd = odd, even
         self._left_over = (stiffness, odd, share)
@@ -155,18 +142,35 @@ class CpuBackend:
     def energy(
         self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
     ) -> float:
-        """U_total."""
-        row_totals = np.empty(displacement.shape[0])
-        self._kernels.energy(
-            displacement.planes,
+        """U_total: what a sweep, whose result nobody wants, begins with."""
+        totals, (odd, share) = np.empty((1, displacement.shape[0])), self._scratch(stiffness)
+        self._sweep(displacement.planes, odd, stiffness, observation, rule, share, totals)
+        return float(totals.sum())
+
+    def _sweep(
+        self,
+        even: FloatArray,
+        odd: FloatArray,
+        stiffness: CpuField,
+        observation: CpuField,
+        rule: SiteRule,
+        share: FloatArray,
+        row_totals: EnergyArray,
+    ) -> None:
+        """One sweep for each row of `row_totals`, from `even` to `odd`, back, and so on."""
+        self._kernels.sweeps(
+            even,
+            odd,
             stiffness.planes,
             observation.planes,
             stiffness.spans,
-            rule.weights.astype(np.float32),
-            self._share(stiffness),
+            _weights(rule),
+            rule.blanket or None,
+            tuple(np.float32(step) for step in rule.steps) or None,
+            np.float32(rule.relaxation),
+            share,
             row_totals,
         )
-        return float(row_totals.sum())
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device, on all levels of multigrid."""
@@ -180,17 +184,15 @@ class CpuBackend:
 
         return the_model(material)
 
-    def _other_planes(self, stiffness: CpuField) -> FloatArray:
-        """Planes to write displacement to, 0 in void; nobody else holds them."""
-        if self._left_over is not None and self._left_over[0] is stiffness:
-            return self._left_over[1]
-        return self._transfer.padded(2, stiffness.shape)
+    def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
+        """Planes to write displacement to, 0 in void, and one for each site's share of the energy.
 
-    def _share(self, stiffness: CpuField) -> FloatArray:
-        """A plane for each site's share of the energy."""
+        Nobody else holds them.
+        """
         if self._left_over is not None and self._left_over[0] is stiffness:
-            return self._left_over[2]
-        return np.empty(stiffness.shape, dtype=np.float32)
+            return self._left_over[1:]
+        shape = stiffness.shape
+        return self._transfer.padded(2, shape), np.empty(shape, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
         """Nothing to do: memory goes with the last reference."""

@@ -8,11 +8,15 @@ among threads as there.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, prange
+from numba import float32, int64, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, contracted_reduction, parallel
+from napari_hmrf.solver.backends.cpu.compiled import (
+    callee,
+    contracted_reduction,
+    inline,
+    parallel,
+)
 from napari_hmrf.solver.backends.cpu.forces import (
-    force,
     left_of,
     moduli_of,
     part,
@@ -23,66 +27,79 @@ from napari_hmrf.solver.backends.cpu.forces import (
 from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
 
 
+@inline
+def _everywhere(d):
+    """A span of all sites."""
+    return int64(0), d.shape[2] - 4
+
+
 @callee
-def _balance_row(d, load, tissue, i, span, carry, share, out_row, out_col):
-    lame, inverse, shape = tissue
+def _pull_row(d, lame, shape, i, span, carry, out_row, out_col):
+    """- A d in row i, within a span."""
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
     left = left_of(rows, moduli, shape, start + 1)
     for k in range(past - start):
         j = start + k + 2
         row, col, left = row_force(rows, moduli, shape, carry, left, j)
-        if load is not None:
-            row, col = row - load[0, i, j], col - load[1, i, j]
-        row, col = float32(-share * row), float32(-share * col)
-        out_row[j] = row if inverse[0, i, j] > float32(0) else row - row
-        out_col[j] = col if inverse[1, i, j] > float32(0) else col - col
+        out_row[j] = -row
+        out_col[j] = -col
 
 
 @callee
-def _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last):
-    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
+def _balance_row(pulls, load, given, inverse, i, span, share, out):
+    start, past = max(span[0], 0), span[1]
+    for component in range(2):
+        for k in range(past - start):
+            j = start + k + 2
+            here = float32(share * (pulls[component, j] + given * load[component, i, j]))
+            moves = inverse[component, i, j] > float32(0)
+            out[component, i, j] = here if moves else here - here
+
+
+@callee
+def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squares, first, last):
+    lame, inverse, shape = tissue
+    carry, pulls = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
-        _balance_row(d, load, tissue, i + 2, reach(spans, i), carry, share, row, col)
+        span = reach(spans, i)
+        _pull_row(d, lame, shape, i + 2, span, carry, pulls[0], pulls[1])
         if i >= first:
+            _balance_row(pulls, load, given, inverse, i + 2, span, share, out)
             row_most[i] = row_largest(out, i + 2)
             row_squares[i] = row_product(out, out, i + 2)
 
 
 @parallel
-def balance(d, load, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
-    """Out = share (load - A d) in single precision, and 0 at sites that do not move.
+def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
+    """Out = share (given load - A d) in single precision, and 0 at sites that do not move.
 
-    Its largest absolute value and its square are returned row by row; a load of None is zero.
+    Its largest absolute value and its square are returned row by row.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue = lame, inverse, shape
-        _balance_part(d, load, tissue, spans, share, out, row_most, row_squares, first, last)
+        _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squares, first, last)
 
 
 @contracted_reduction
-def _work_row(d, lame, shape, i, carry):
+def _row_work(d, pulls, i):
     """A row's product of displacement and forces, and the square of these."""
-    rows, moduli = rows_of(d, i), moduli_of(lame, i)
     product, square = 0.0, 0.0
-    left = left_of(rows, moduli, shape, 1)
-    for k in range(d.shape[2] - 4):
-        j = k + 2
-        row, col, left = row_force(rows, moduli, shape, carry, left, j)
-        product += d[0, i, j] * row + d[1, i, j] * col
-        square += row * row + col * col
+    for k in range(2):
+        for j in range(d.shape[2]):
+            product -= d[k, i, j] * pulls[k, j]
+            square += pulls[k, j] ** 2
     return product, square
 
 
 @callee
 def _work_part(d, lame, shape, row_products, row_squares, first, last):
-    carry = np.zeros_like(d[:, 0])
+    carry, pulls = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
-        product, square = _work_row(d, lame, shape, i + 2, carry)
+        _pull_row(d, lame, shape, i + 2, _everywhere(d), carry, pulls[0], pulls[1])
         if i >= first:
-            row_products[i], row_squares[i] = product, square
+            row_products[i], row_squares[i] = _row_work(d, pulls, i + 2)
 
 
 @parallel
@@ -93,12 +110,17 @@ def work(d, lame, shape, row_products, row_squares, count):
         _work_part(d, lame, shape, row_products, row_squares, first, last)
 
 
+@callee
+def _pull_part(d, lame, shape, out, first, last):
+    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    for i in range(max(first - 1, 0), last):
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        _pull_row(d, lame, shape, i + 2, _everywhere(d), carry, row, col)
+
+
 @parallel
-def pull(d, lame, shape, out):
+def pull(d, lame, shape, out, count):
     """Out = - A d everywhere."""
-    for i in prange(d.shape[1] - 4):
-        for k in range(d.shape[2] - 4):
-            j = k + 2
-            row, col = force(d, lame, shape, i + 2, j)
-            out[0, i + 2, j] = -row
-            out[1, i + 2, j] = -col
+    for number in prange(count):
+        first, last = part(number, count, d.shape[1] - 4)
+        _pull_part(d, lame, shape, out, first, last)

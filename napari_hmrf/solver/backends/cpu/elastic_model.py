@@ -303,9 +303,10 @@ class CpuElasticModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
+        given = (d, 0.0) if load is None else (load, 1.0)
         elastic_exact.balance(
             d,
-            load,
+            *given,
             self._exact_lame,
             finest.moving,
             self._exact_shape,
@@ -320,7 +321,7 @@ class CpuElasticModel(HostModel):
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision; valid until the next call."""
-        elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull)
+        elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull, self.levels[0].parts)
         return self._pull if low is None else self._pull.copy() + self.pull(low)
 
     @cached_property

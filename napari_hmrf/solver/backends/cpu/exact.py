@@ -10,29 +10,24 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from napari_hmrf.solver.backends.cpu.compiled import (
-    contracted_reduction,
-    reduction,
-    strict_parallel,
-)
+from napari_hmrf.solver.backends.cpu.compiled import reduction, strict_parallel
 
 
 @strict_parallel
 def prescribe(y, observed, share, first, one, second, two, d, held):
     """Displace by share * y where tissue is observed, and hold it there.
 
-    The rest by one * first + two * second, both (H, W, 2); by zero, if these are None.
+    The rest by one * first + two * second, both (H, W, 2), one or both of which may count 0 times:
+    then its values need not be numbers.
     """
     for i in prange(y.shape[0]):
         for j in range(y.shape[1]):
             for k in range(2):
                 here = observed[i, j, k]
                 held[k, i + 2, j + 2] = here
-                if first is None:
-                    d[k, i + 2, j + 2] = share * y[i, j, k] if here else 0.0
-                else:
-                    begun = one * first[i, j, k] + two * second[i, j, k]
-                    d[k, i + 2, j + 2] = share * y[i, j, k] if here else begun
+                begun = one * first[i, j, k] if one != 0 else 0.0
+                begun += two * second[i, j, k] if two != 0 else 0.0
+                d[k, i + 2, j + 2] = share * y[i, j, k] if here else begun
 
 
 @strict_parallel
@@ -63,25 +58,6 @@ def settle(values, tissue, unit, row_finite):
     flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
-
-
-@strict_parallel
-def measure(rest, row_most, row_squares):
-    """The largest absolute value, and the sum of squares, of each row."""
-    for i in prange(rest.shape[1] - 4):
-        row_most[i], row_squares[i] = _row_measure(rest, i + 2)
-
-
-@contracted_reduction
-def _row_measure(rest, i):
-    most, square = np.int64(0), 0.0
-    for k in range(2):
-        # In the order of their bits, as in `vectors.row_largest`.
-        bits = rest[k, i].view(np.int64)
-        for j in range(len(bits)):
-            most = max(most, bits[j] & np.int64(0x7FFFFFFFFFFFFFFF))
-            square += rest[k, i, j] ** 2
-    return np.int64(most).view(np.float64), square
 
 
 @strict_parallel

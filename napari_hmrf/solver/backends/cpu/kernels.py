@@ -19,7 +19,7 @@ from typing import Any
 
 from numba import float32, int64, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import inline, parallel, reduction, shared, strict
+from napari_hmrf.solver.backends.cpu.compiled import inline, parallel, reduction, shared
 
 # Below this a displacement is rounded to 0: arithmetic on denormal numbers is many times slower.
 _FLUSH = float32(1e-18)
@@ -261,63 +261,45 @@ def _row_total(values: Any, row: int, start: int, stop: int) -> float:
 
 
 @parallel
-def icm(
-    source, target, stiffness, observation, spans, weights, blanket, steps, relaxation, share,
-    row_totals,
-):  # fmt: skip
-    """Move all sites once, each judging the cliques it is the middle of.
-
-    `spans` says from where to where each row has tissue; `weights` is None for square pixels,
-    `blanket` is None unless each site judges every clique that contains it (`weights` is needed
-    then), and `steps` is None for the closed form: each combination is compiled without the
-    others. `row_totals` gets U_total of `source`, row by row; `share` is scratch.
-    """
-    for number in prange(source.shape[1] - 4):
-        i = int64(number)
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k
-            if blanket is not None:
-                a0, a1, b0, b1, prior = around(source, stiffness, weights, i, j)
-            elif weights is None:
-                a0, a1, b0, b1, prior = square(source, stiffness, i, j)
-            else:
-                a0, a1, b0, b1, prior = weighted(source, stiffness, weights, i, j)
-            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
-            new0, new1 = _moved(
-                source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
-            )
-            target[0, i + 2, j + 2] = new0
-            target[1, i + 2, j + 2] = new1
-        row_totals[i] = _row_total(share, i, start, spans[i, 1])
-
-
-@parallel
-def energy(source, stiffness, observation, spans, weights, share, row_totals):
-    """U_total of `source`, row by row, or of its cliques if nothing is observed (None).
-
-    Square pixels have weights here: nothing waits for an energy.
-    """
-    for number in prange(source.shape[1] - 4):
-        i = int64(number)
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k
-            _, _, _, _, prior = weighted(source, stiffness, weights, i, j)
-            if observation is not None:
-                prior += _observed(source, observation, i + 2, j + 2)
-            share[i, j] = prior
-        row_totals[i] = _row_total(share, i, start, spans[i, 1])
-
-
-@strict
 def sweeps(
     even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
 ):
-    """One sweep per row of `row_totals`, ping-pong: from `even` to `odd`, back, and so on."""
+    """Move all sites once per row of `row_totals`, each judging the cliques it is the middle of.
+
+    Ping-pong: from `even` to `odd`, back, and so on. `spans` says from where to where each row has
+    tissue; `weights` is None for square pixels, `blanket` is None unless each site judges every
+    clique that contains it (`weights` is needed then), and `steps` is None for the closed form:
+    each combination is compiled without the others. `row_totals` gets U_total before each sweep,
+    row by row; `share` is scratch.
+    """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
-        icm(
-            source, target, stiffness, observation, spans, weights, blanket, steps, relaxation,
-            share, row_totals[sweep],
-        )  # fmt: skip
+        for number in prange(source.shape[1] - 4):
+            i = int64(number)
+            start = max(spans[i, 0], 0)
+            for k in range(spans[i, 1] - start):
+                j = start + k
+                if blanket is not None:
+                    a0, a1, b0, b1, prior = around(source, stiffness, weights, i, j)
+                elif weights is None:
+                    a0, a1, b0, b1, prior = square(source, stiffness, i, j)
+                else:
+                    a0, a1, b0, b1, prior = weighted(source, stiffness, weights, i, j)
+                share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+                new0, new1 = _moved(
+                    source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
+                )
+                target[0, i + 2, j + 2] = new0
+                target[1, i + 2, j + 2] = new1
+            row_totals[sweep, i] = _row_total(share, i, start, spans[i, 1])
+
+
+@parallel
+def energy(source, stiffness, spans, weights, share, row_totals):
+    """The energy of the cliques, row by row; square pixels have weights here."""
+    for number in prange(source.shape[1] - 4):
+        i = int64(number)
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            _, _, _, _, share[i, start + k] = weighted(source, stiffness, weights, i, start + k)
+        row_totals[i] = _row_total(share, i, start, spans[i, 1])

@@ -144,8 +144,7 @@ class CpuLevel:
 
     def largest(self, a: Vector) -> float:
         """The largest absolute value."""
-        vectors.largest(a, self._most)
-        return float(self._most.max())
+        return self.weigh(a, a)[0]
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
         """The largest absolute value of `a`, and the scalar product."""
@@ -178,7 +177,7 @@ class CpuLevel:
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
         """Direction = steepest + share direction."""
-        vectors.turn(steepest, direction, np.float32(share))
+        self.lean(steepest, direction, steepest, share, 0.0)
 
     def lean(
         self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float

@@ -54,25 +54,34 @@ def _pull(d, stiffness, lines, blanket, i, j):
 
 
 @inline
-def _rest(d, load, stiffness, weight, springs, lines, blanket, i, j):
-    """Load - (A + W) d at (i + 2, j + 2)."""
+def _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j):
+    """Given load - (A + W) d at (i + 2, j + 2)."""
     row, col = _pull(d, stiffness, lines, blanket, i, j)
-    row += load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
-    col += load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
+    row += given * load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
+    col += given * load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
     return row, col
 
 
 @parallel
-def residual(d, load, stiffness, inverse, weight, springs, lines, blanket, spans, out):
-    """Out = load - (A + W) d, and 0 at sites that do not move."""
+def residual(
+    d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
+    row_totals,
+):  # fmt: skip
+    """Out = share (given load - (A + W) d), and 0 at sites that do not move.
+
+    `row_totals` gets the product of d and out; an empty one is left alone.
+    """
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
-            row, col = _rest(d, load, stiffness, weight, springs, lines, blanket, i, j)
+            row, col = _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j)
+            row, col = share * row, share * col
             out[0, i + 2, j + 2] = row if inverse[0, i + 2, j + 2] > float32(0) else row - row
             out[1, i + 2, j + 2] = col if inverse[1, i + 2, j + 2] > float32(0) else col - col
+        if len(row_totals) > 0:
+            row_totals[i] = row_product(d, out, i + 2)
 
 
 @parallel
@@ -107,20 +116,6 @@ def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
 
 
 @parallel
-def apply(d, stiffness, inverse, lines, blanket, spans, out, row_totals):
-    """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
-    for number in prange(d.shape[1] - 4):
-        i = int64(number)
-        start = max(spans[i, 0], 0)
-        for k in range(spans[i, 1] - start):
-            j = start + k
-            row, col = _pull(d, stiffness, lines, blanket, i, j)
-            out[0, i + 2, j + 2] = -row if inverse[0, i + 2, j + 2] > float32(0) else float32(0)
-            out[1, i + 2, j + 2] = -col if inverse[1, i + 2, j + 2] > float32(0) else float32(0)
-        row_totals[i] = row_product(d, out, i + 2)
-
-
-@parallel
 def smooth(
     d, load, stiffness, inverse, weight, springs, lines, blanket, spans, step, out, scale, momentum
 ):
@@ -130,7 +125,7 @@ def smooth(
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
-            row, col = _rest(d, load, stiffness, weight, springs, lines, blanket, i, j)
+            row, col = _rest(d, load, float32(1), stiffness, weight, springs, lines, blanket, i, j)
             row = scale * inverse[0, i + 2, j + 2] * row + momentum * step[0, i + 2, j + 2]
             col = scale * inverse[1, i + 2, j + 2] * col + momentum * step[1, i + 2, j + 2]
             step[0, i + 2, j + 2] = row

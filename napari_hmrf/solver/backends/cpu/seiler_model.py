@@ -9,7 +9,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside
 from napari_hmrf.solver.backends.host_model import HostModel
@@ -18,6 +17,8 @@ from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING, grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
+# Where nobody wants a product.
+_NO_ROWS = np.zeros(0)
 # Levels of fewer sites are visited by one thread: waking the others costs more.
 _SMALL = 8000
 
@@ -58,7 +59,10 @@ class CpuSeilerLevel(CpuLevel):
 
     def settle(self) -> None:
         """Take in the stiffness."""
-        seiler.curvature(self.stiffness, self._lines, bool(self.blanket), self._curvature)
+        exactly = np.zeros(self.stiffness.shape)
+        stiffness, lines = self.stiffness.astype(np.float64), self._lines.astype(np.float64)
+        seiler.curvature(stiffness, lines, bool(self.blanket), exactly)
+        self._curvature[...] = exactly
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
@@ -125,32 +129,39 @@ class CpuSeilerLevel(CpuLevel):
         )
 
     def _leave(self) -> None:
-        seiler.residual(
-            self.correction,
-            self.load,
-            self.stiffness,
-            self.inverse,
-            *self._springs,
-            self.lines,
-            self.blanket,
-            self.spans,
-            self._rest,
-        )
+        self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
-        seiler.apply(
-            direction,
+        # What counts 0 times are numbers that the kernel reads anyway.
+        nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
+        self._residual(direction, nothing, no_springs, (-1, image), self._rows)
+        with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
+            return float(self._rows.sum())
+
+    def _residual(
+        self,
+        d: Vector,
+        load: tuple[Vector, int],
+        springs: tuple[Vector, np.float32],
+        out: tuple[int, Vector],
+        rows: npt.NDArray[np.float64],
+    ) -> None:
+        """`seiler.residual`, of a load that counts so often, and so often to `out`."""
+        seiler.residual(
+            d,
+            load[0],
+            np.float32(load[1]),
             self.stiffness,
             self.inverse,
+            *springs,
             self.lines,
             self.blanket,
             self.spans,
-            image,
-            self._rows,
+            np.float32(out[0]),
+            out[1],
+            rows,
         )
-        with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
-            return float(self._rows.sum())
 
 
 class CpuSeilerModel(HostModel):
@@ -228,8 +239,9 @@ class CpuSeilerModel(HostModel):
         height, width = self.levels[0].grid
         rows = np.zeros(height)
         share = np.empty((height, width))
-        kernels.energy(d, self._stiffness, None, self._whole, self._lines, share, rows)
-        _, norm = host.measure(self.pull(d))
+        kernels.energy(d, self._stiffness, self._whole, self._lines, share, rows)
+        pulls = self.pull(d)
+        norm = math.sqrt(np.einsum("kij,kij", pulls, pulls))
         return float(rows.sum()) / (2 if self._blanket else 1), norm
 
     def forget(self) -> None:

@@ -111,17 +111,6 @@ def advance(d, rest, direction, image, length, row_totals):
 
 
 @parallel
-def turn(steepest, direction, share):
-    """Direction = steepest + share * direction."""
-    for i in prange(direction.shape[1] - 4):
-        for component in range(2):
-            for j in range(direction.shape[2]):
-                direction[component, i + 2, j] = (
-                    steepest[component, i + 2, j] + share * direction[component, i + 2, j]
-                )
-
-
-@parallel
 def lean(rest, direction, image, share, stride):
     """Direction = rest + share * (direction - stride * image)."""
     for i in prange(direction.shape[1] - 4):
@@ -155,15 +144,8 @@ def row_largest(a: Any, row: int) -> Any:
 
 
 @parallel
-def largest(a, row_most):
-    """The largest absolute value of each row."""
-    for i in prange(a.shape[1] - 4):
-        row_most[i] = row_largest(a, i + 2)
-
-
-@parallel
 def weigh(a, b, row_most, row_totals):
-    """Both of these, in one go."""
+    """The largest absolute value of each row of `a`, and the scalar product."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

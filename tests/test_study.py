@@ -1,0 +1,147 @@
+"""A study is all that a field is computed from, and does not change."""
+
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    ICM,
+    ArgumentError,
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    ElasticPrior,
+    Grid,
+    Material,
+    Motion,
+    Multigrid,
+    Pictures,
+    Problem,
+    ProblemError,
+    SeilerPrior,
+    StiffnessCurve,
+    Study,
+    Tissue,
+    solve,
+    solve_study,
+    statement_of,
+)
+
+SHAPE = (20, 26)
+GRID = Grid(SHAPE, (0.5, 0.8), "mm")
+PULL = Drawing((Arrow((10, 12), (0, 2), 2.0),))
+
+
+def pulled(**more):
+    """Tissue whose edge is held, and whose middle is pulled to the right."""
+    study = Study(GRID, Tissue(stiffness=np.ones(SHAPE)), Motion(hold_edge=True, drawing=PULL))
+    return replace(study, **more)
+
+
+def test_a_study_does_not_change():
+    study = pulled()
+    with pytest.raises(FrozenInstanceError):
+        study.motion = Motion()
+
+
+def test_what_is_pulled_goes_and_what_is_held_stays():
+    found = solve_study(pulled(), backend="cpu").displacement
+    assert found[10, 12] == pytest.approx((0, 2), abs=1e-3)
+    assert np.abs(found[[0, -1]]).max() < 1e-3
+    assert np.abs(found[:, [0, -1]]).max() < 1e-3
+    assert 0.1 < found[10, 18, 1] < 1.9, "and what lies between goes with it"
+
+
+@pytest.mark.parametrize(
+    ("name", "prior", "optimizer"),
+    [
+        ("elastic", ElasticPrior(), Multigrid()),
+        ("paper", SeilerPrior(), ICM()),
+        ("paper, converged", SeilerPrior(), Multigrid()),
+    ],
+)
+def test_a_model_is_chosen_by_its_name_and_named_in_the_result(name, prior, optimizer):
+    study = pulled(model=name)
+    assert (study.prior, study.optimizer, study.model_name) == (prior, optimizer, name)
+    found = solve_study(study, backend="cpu")
+    assert found.provenance.model == name
+    assert found.provenance.parameters["optimizer"] == optimizer.parameters
+
+
+def test_by_default_tissue_is_elastic_and_a_prior_may_be_given_in_detail():
+    assert pulled().model_name == "elastic"
+    in_detail = pulled(prior=ElasticPrior(0.3, plane="strain"))
+    assert in_detail.prior.poisson == 0.3
+    assert replace(in_detail, motion=Motion(hold_edge=True)).prior.poisson == 0.3
+    with pytest.raises(ArgumentError, match="no model 'rubber'"):
+        pulled(model="rubber")
+
+
+def test_a_study_is_the_problem_of_its_arrays():
+    observed, counts = np.zeros((*SHAPE, 2)), np.zeros((*SHAPE, 2))
+    observed[5:9, 3:6] = (1, -1)
+    counts[5:9, 3:6], counts[:, -1] = 1, 1
+    stiffness = np.full(SHAPE, 4.0)
+    study = Study(GRID, Tissue(stiffness=stiffness), Motion(observed=observed, counts=counts))
+    problem = Problem(observed, counts, stiffness, spacing=GRID.spacing)
+    own = statement_of(study).problem
+    for name in ("observed", "confidence", "stiffness"):
+        np.testing.assert_array_equal(getattr(own, name), getattr(problem, name))
+    same = solve(problem, backend="cpu").displacement
+    np.testing.assert_array_equal(solve_study(study, backend="cpu").displacement, same)
+
+
+def test_tissue_is_told_by_labels_by_a_curve_or_by_what_the_image_shows():
+    rows, cols = np.indices(SHAPE)
+    inside = np.hypot(rows - 10, cols - 13) < 8
+    image = np.where(inside, 150, 3).astype(np.uint8)
+    by_labels = Tissue(
+        labels=inside.astype(int), materials=(Material(0, "air", 0.0), Material(1, "gel", 5.0, 0.3))
+    )
+    curve = StiffnessCurve(((100.0, 2.0), (200.0, 4.0)), void_below=50.0)
+
+    def stiffness(tissue):
+        study = pulled(tissue=tissue, pictures=Pictures(image))
+        return statement_of(study).problem.stiffness
+
+    np.testing.assert_array_equal(stiffness(by_labels), np.where(inside, 5.0, 0.0))
+    found = stiffness(Tissue(curve=curve))
+    assert (found[inside] == found[10, 13]).all()
+    assert 2 < found[10, 13] < 4
+    assert not found[~inside].any()
+    np.testing.assert_allclose(stiffness(Tissue()), np.where(inside, 1.0, 0.01))
+
+
+def test_later_parts_of_a_motion_count_over_earlier_ones():
+    labels = np.zeros(SHAPE, int)
+    labels[4:17, 10:15] = 1
+    rules = (BoundaryRule(1, "move", vector=(3.0, 0.0)),)
+    stated = statement_of(pulled(motion=Motion(True, labels, rules, drawing=PULL))).problem
+    assert stated.observed[10, 12].tolist() == [0, 2], "what is drawn lies over what is painted"
+    assert stated.observed[5, 12].tolist() == [3, 0]
+    assert stated.confidence[0].all(), "and the edge is held beneath both"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: pulled(tissue=Tissue(stiffness=np.ones((4, 4)))), r"tissue.*\(4, 4\).*\(20, 26\)"),
+        (lambda: pulled(pictures=Pictures(np.ones((20, 25)))), r"image.*\(20, 25\)"),
+        (lambda: Motion(observed=np.zeros((*SHAPE, 2))), "how sure"),
+        (
+            lambda: Tissue(labels=np.ones(SHAPE), stiffness=np.ones(SHAPE)),
+            "labels and by its stiff",
+        ),
+    ],
+)
+def test_parts_that_do_not_go_together_are_refused(wrong, said):
+    with pytest.raises(ProblemError, match=said):
+        wrong()
+
+
+def test_what_is_wrong_is_said_of_the_part():
+    with pytest.raises(ProblemError, match="There is no tissue in 'tissue'"):
+        statement_of(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
+    with pytest.raises(ProblemError, match=r"observed|confidence"):
+        statement_of(pulled(motion=Motion()))
