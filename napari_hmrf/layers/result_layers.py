@@ -33,8 +33,6 @@ from napari_hmrf.study.study import Pictures
 Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
 #: The layers there can be, in the order they are stacked, lowest first.
 KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "folds", "grid", "arrows")
-#: Those that fill their pixels, and so belong under what is painted.
-FILLING: tuple[Kind, ...] = ("image", "magnitude", "labels")
 
 #: What a file of a solution alone can show.
 RESTORED: tuple[Kind, ...] = ("arrows",)

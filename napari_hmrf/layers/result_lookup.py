@@ -11,7 +11,7 @@ import numpy.typing as npt
 from napari.layers import Image
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
+from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View, unit_factor, unit_symbol
@@ -182,8 +182,3 @@ def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str]
     if shown.plane != frame.plane or shown.index == frame.index:
         return None
     return replace(frame, sliders=shown.sliders).slice_said, shown.slice_seen
-
-
-def facts_for(result: FoundResult, kind: str, **more: Any) -> dict[str, Any]:
-    """Metadata of another layer of a result."""
-    return {METADATA: {"kind": kind, **result.facts, **more}}

@@ -17,8 +17,9 @@ from napari_hmrf.field.strain import (
     principal_strains,
 )
 from napari_hmrf.layers.label_colours import quantity_colours
+from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.result_layers import LayerData, result_name
-from napari_hmrf.layers.result_lookup import FoundResult, facts_for
+from napari_hmrf.layers.result_lookup import FoundResult
 
 Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
@@ -117,7 +118,7 @@ def quantity_layer(
         "contrast_limits": limits,
         "blending": "translucent",
         "opacity": OPACITY,
-        "metadata": facts_for(result, quantity),
+        "metadata": {METADATA: {"kind": quantity, **result.facts}},
     }
     return LayerData(result.frame.put_image(values), attributes, "image")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import Container
@@ -33,14 +32,11 @@ class Tabs(QObject):
     widget : Container
         A dock widget of ours, not docked yet.
     viewer : napari.Viewer or ViewerModel
-    at_front : callable
-        A method of its owner, called when it has come in front of other tabs.
     """
 
-    def __init__(self, widget: Container, viewer: Any, at_front: Callable[[], None]) -> None:
+    def __init__(self, widget: Container, viewer: Any) -> None:
         super().__init__(widget.native)
         self._viewer = weakref.ref(viewer)
-        self._at_front = weakref.WeakMethod(at_front)
         widget.native.setProperty(_OURS, True)
         self._dock: Any = None
         self._behind = self._hidden = False
@@ -109,9 +105,6 @@ class Tabs(QObject):
         """Qt tells of a tab, too, whether it is in front."""
         dock = self._dock
         self._behind = not seen and dock is not None and not dock.isHidden()
-        told = self._at_front() if seen and self._in_sight else None
-        if told is not None:
-            told()
 
     def _fit(self) -> None:
         viewer = self._viewer()

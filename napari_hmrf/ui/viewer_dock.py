@@ -31,7 +31,7 @@ class Dock(Container):
         # napari may be in the middle of removing more layers than the one.
         self._sweeping = single_shot(self.native, 0, self._results.remove_orphans)
         self._results.orphaned.connect(self._on_orphaned)
-        Tabs(self, self._viewer, self._on_front)
+        Tabs(self, self._viewer)
         clear_middle(self._viewer)
 
     @property
@@ -48,9 +48,6 @@ class Dock(Container):
 
     def _on_opened(self) -> None:
         """There is a dock around this."""
-
-    def _on_front(self) -> None:
-        """It is in front of other tabs."""
 
     def _on_closed(self) -> None:
         """The dock was closed."""
