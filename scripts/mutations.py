@@ -52,7 +52,7 @@ MUTATIONS = (
         "study/ground.py",
         "rim = outer_rim(part) & free",
         "rim = outer_rim(part)",
-        "test_recorded.py",
+        "test_study.py",
     ),
     Mutation("study/ground.py", "doubted = c < 1", "doubted = c <= 1", "test_pull.py"),
     Mutation(
@@ -77,7 +77,7 @@ MUTATIONS = (
         "tissue/palette.py",
         "stiffness_image(now, self.materials)[0] / np.float32(self.one)",
         "stiffness_image(now, self.materials)[0] * np.float32(self.one)",
-        "test_grab_tools.py",
+        "test_study.py",
     ),
     Mutation(
         "tissue/drawing/pull.py",

@@ -275,6 +275,13 @@ def test_for_a_large_image_it_is_off_and_the_reason_is_shown(widget, small_sampl
     assert widget.live
 
 
+@pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
+def test_up_to_twelve_hundred_pixels_along_each_side_it_is_on(widget, size, followed):
+    widget._live._wanted = None
+    widget.image = viewer_of(widget).add_image(np.zeros(size, np.uint8))
+    assert widget.live is followed
+
+
 def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(
     living, settle, busy_thread, at_rest
 ):

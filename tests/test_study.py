@@ -21,12 +21,14 @@ from napari_hmrf import (
     ProblemError,
     SeilerPrior,
     StiffnessCurve,
+    Stroke,
     Study,
     Tissue,
     solve,
     solve_study,
     statement_of,
 )
+from napari_hmrf.tissue.material_presets import PRESETS
 
 SHAPE = (20, 26)
 GRID = Grid(SHAPE, (0.5, 0.8), "mm")
@@ -115,12 +117,27 @@ def test_tissue_is_told_by_labels_by_a_curve_or_by_what_the_image_shows():
 
 def test_later_parts_of_a_motion_count_over_earlier_ones():
     labels = np.zeros(SHAPE, int)
-    labels[4:17, 10:15] = 1
+    labels[4:17, 10:15] = labels[0, 5] = 1
     rules = (BoundaryRule(1, "move", vector=(3.0, 0.0)),)
     stated = statement_of(pulled(motion=Motion(True, labels, rules, drawing=PULL))).problem
     assert stated.observed[10, 12].tolist() == [0, 2], "what is drawn lies over what is painted"
     assert stated.observed[5, 12].tolist() == [3, 0]
-    assert stated.confidence[0].all(), "and the edge is held beneath both"
+    assert stated.observed[0, 5].tolist() == [3, 0], (
+        "and what is painted over the edge that is held"
+    )
+    assert stated.confidence[0].all()
+    assert not np.delete(stated.observed[0], 5, axis=0).any()
+
+
+def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
+    tissues = PRESETS[0].materials
+    usual = next(row for row in tissues if row.is_deformable)
+    other = next(row for row in tissues if row.is_deformable and row.stiffness != usual.stiffness)
+    stroke = Stroke("tissue", (((10.0, 12.0),),), 2.0, label=other.label)
+    motion = Motion(hold_edge=True, drawing=Drawing((*PULL.marks, stroke)))
+    found = statement_of(pulled(tissue=Tissue(), motion=motion)).problem.stiffness
+    assert found[10, 12] == pytest.approx(other.stiffness / usual.stiffness)
+    assert found[1, 1] == 1
 
 
 @pytest.mark.parametrize(

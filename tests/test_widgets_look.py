@@ -1,5 +1,7 @@
 """What the user sees of a result with *Look at the result*."""
 
+from functools import partial
+from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
@@ -153,13 +155,17 @@ def test_labels_and_grid_move_along(look, set_to):
 
 
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
-    monkeypatch.setattr("napari_hmrf.ui.look.player.SECONDS", 0.3)
+    # A clock that goes on by a tenth of the way whenever it is looked at, however slow the machine.
+    clock = SimpleNamespace(monotonic=partial(next, count(0.0, 0.1)))
+    monkeypatch.setattr("napari_hmrf.ui.look.player.time", clock)
+    monkeypatch.setattr("napari_hmrf.ui.look.player.SECONDS", 1.0)
     seen = []
     look._scene.player.moved.connect(seen.append)
     look._face.play.native.click()
     assert look.playing
     assert look._face.play.text == "Pause"
     wait_for(lambda: len(seen) > 8 and min(seen) < 30 and max(seen[seen.index(min(seen)) :]) > 60)
+    assert np.abs(np.diff([100, *seen])).max() <= 12, "it turns round at either end"
     look._face.play.native.click()
     assert not look.playing
     assert look._face.play.text == "Play"
