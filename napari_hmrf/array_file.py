@@ -244,10 +244,8 @@ def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
 def _array(
     archive: zipfile.ZipFile, member: str, dtype: np.dtype[Any] | None, ndim: int
 ) -> npt.NDArray[Any]:
-    """One array, read only after its header said that it is what the format holds.
-
-    Without a `dtype` it must be text, of at most a mebibyte.
-    """
+    """One array, read only after its header said that it is what the format holds."""
+    # Without a `dtype` it must be text, of at most a mebibyte.
     info = archive.getinfo(f"{member}.npy")
     cap = MAX_BYTES if dtype is not None else _HEADER_BYTES
     ratio = info.file_size / max(1, info.compress_size)
@@ -275,11 +273,9 @@ def _array(
 
 
 def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:
-    """What an array claims: its dtype, order and shape, and where its values begin.
-
-    NumPy's own reader has Python parse what the file says, which can fail in more ways than it
-    tells, and warns. What NumPy writes of plain arrays is always of one form.
-    """
+    """What an array claims: its dtype, order and shape, and where its values begin."""
+    # NumPy's own reader has Python parse what the file says, which can fail in more ways than it
+    # tells, and warns. What NumPy writes of plain arrays is always of one form.
     start = stream.read(len(_NPY) + 4)
     version = tuple(start[len(_NPY) : -2])
     if start.startswith(_NPY) and version != (1, 0):

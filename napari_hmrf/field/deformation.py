@@ -248,10 +248,8 @@ def _lattice(sites: float, spacing: Sequence[float]) -> tuple[int, int]:
 def _over_quadrants(
     reduced: Callable[[list[Float64Array]], Float64Array], moved: Float64Array, mask: BoolArray
 ) -> FloatArray:
-    """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void.
-
-    Strip by strip, with a row of each neighbour: what lies between stays in the cache.
-    """
+    """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void."""
+    # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
     for begin in range(0, len(mask), _STRIP):
         first, last = max(begin - 1, 0), begin + _STRIP + 1
@@ -262,10 +260,8 @@ def _over_quadrants(
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
-    """The determinant from one-sided differences in each quadrant around a site, (H, W) each.
-
-    In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
-    """
+    """The determinant from one-sided differences in each quadrant around a site, (H, W) each."""
+    # In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
     by_row = one_sided_differences(moved, mask, np.array([1.0, 0.0]))
     by_col = one_sided_differences(moved.swapaxes(0, 1), mask.T, np.array([0.0, 1.0]))
     by_col = [difference.swapaxes(0, 1) for difference in by_col]

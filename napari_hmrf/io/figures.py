@@ -252,11 +252,9 @@ def _map(
     limits: tuple[float, float],
     signed: bool = False,
 ) -> Figure:
-    """Draw one number per site as colours on the image, with their scale, as the viewer does.
-
-    Nothing where there is no tissue. No change is at the lower of the scale's limits, or, if it is
-    `signed`, in their middle.
-    """
+    """Draw one number per site as colours on the image, with their scale, as the viewer does."""
+    # Nothing where there is no tissue. No change is at the lower of the scale's limits, or, if it
+    # is `signed`, in their middle.
     import matplotlib
     from matplotlib.colors import ListedColormap
 

@@ -31,34 +31,23 @@ _WHOLE = 100
 
 @dataclass(eq=False)
 class _Held:
-    """A layer of a result.
+    """A layer of a result."""
 
-    Attributes
-    ----------
-    layer : callable
-        Returns it, as long as it is kept anywhere.
-    meant, name : str
-        The name meant for it, and what napari made of that.
-    by : Maker, optional
-        Whose result it shows.
-    hidden : str
-        Why it was hidden, by us and not by hand: somebody paints on the image ("aside"), a newer
-        result does not have it yet ("stale"), or nobody has asked to see it ("unasked").
-    added : bool
-        Whether it was put there to be looked at, and not made with the result.
-    own : ndarray, optional
-        Its data, if nobody else holds them: they can be written to.
-    part, whole : ndarray, optional
-        Its data while it shows a part of the deformation, and those of all of it.
-    """
-
+    #: Returns it, as long as it is kept anywhere.
     layer: Callable[[], Any]
+    #: The name meant for it, and what napari made of that.
     meant: str
     name: str
+    #: Whose result it shows.
     by: Maker | None = None
+    #: Why it was hidden, by us and not by hand: somebody paints on the image ("aside"), a newer
+    #: result does not have it yet ("stale"), or nobody has asked to see it ("unasked").
     hidden: Literal["", "aside", "stale", "unasked"] = ""
+    #: Whether it was put there to be looked at, and not made with the result.
     added: bool = False
+    #: Its data, if nobody else holds them: they can be written to.
     own: Any = None
+    #: Its data while it shows a part of the deformation, and those of all of it.
     part: Any = None
     whole: Any = None
 

@@ -155,10 +155,8 @@ def _refuse_contradiction(
 def _radii(
     at: FloatArray, radius: float | None, frame: Frame, shape: tuple[int, int]
 ) -> list[float]:
-    """The radius of each patch; where points are close, half of the way to the next one.
-
-    Of two patches that overlap the later would win, and the earlier point not go where it should.
-    """
+    """The radius of each patch; where points are close, half of the way to the next one."""
+    # Of two patches that overlap the later would win, and the earlier point not go where it should.
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
     # Those of one pixel lead to one place: they are one patch, and not in each other's way.
     _, first, which = np.unique(np.rint(at), axis=0, return_index=True, return_inverse=True)

@@ -266,11 +266,9 @@ class LiveSolver:
             self._say(request, problem, error=error)
 
     def _takes_long(self, problem: Problem) -> bool:
-        """Whether this is the first look at some tissue, and a large one.
-
-        With something to begin with, a glance costs nearly as much as the solution, and what comes
-        after it has less to begin with.
-        """
+        """Whether this is the first look at some tissue, and a large one."""
+        # With something to begin with, a glance costs nearly as much as the solution, and what
+        # comes after it has less to begin with.
         return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(

@@ -199,17 +199,9 @@ def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
 def _free_modes(
     pieces: Labels, count: int, held: npt.NDArray[np.bool_]
 ) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
-    """Find how each cluster of pieces that hang together could move.
-
-    Yields
-    ------
-    cluster : ndarray of int
-        The pieces, from 0.
-    strength : ndarray
-        What it costs them to move.
-    modes : ndarray, shape (ways, pieces, 3)
-        The motions that cost nothing.
-    """
+    """Find how each cluster of pieces that hang together could move."""
+    # Yields ------ cluster : ndarray of int The pieces, from 0. strength : ndarray What it costs
+    # them to move. modes : ndarray, shape (ways, pieces, 3) The motions that cost nothing.
     shape = held.shape[:2]
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
     around = np.pad(pieces, 1)
@@ -243,10 +235,8 @@ def _sites(pieces: Labels) -> Labels:
 
 
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
-    """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3).
-
-    A turn moves sites by as much as they are apart the other way.
-    """
+    """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3)."""
+    # A turn moves sites by as much as they are apart the other way.
     i, j = (np.asarray(index) for index in np.indices(modes.shape[:2]))
     each = [_motions(i, j, np.full_like(i, along), i.shape) for along in (0, 1)]
     field = np.stack([(way * modes).sum(axis=-1) for way in each], axis=-1)

@@ -141,10 +141,8 @@ def solve(
 
 
 def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None) -> Monitor | None:
-    """Wait for the next report, but not for long once the work is to stop.
-
-    A loop that is being compiled is compiled to its end, for which nobody has to wait.
-    """
+    """Wait for the next report, but not for long once the work is to stop."""
+    # A loop that is being compiled is compiled to its end, for which nobody has to wait.
     if cancel is None:
         return reports.get()
     for _ in iter(cancel.is_set, True):

@@ -336,10 +336,8 @@ def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
 
 
 def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, FloatArray]:
-    """Have what is less than certain slip where it would take too much, and nothing else.
-
-    Beside rigid tissue nothing may slip, and all is held exactly.
-    """
+    """Have what is less than certain slip where it would take too much, and nothing else."""
+    # Beside rigid tissue nothing may slip, and all is held exactly.
     if not (isinstance(prior, ElasticPrior) and prior.penalty == math.inf):
         return prior, c
     doubted = c < 1

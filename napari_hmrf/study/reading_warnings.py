@@ -103,10 +103,8 @@ def _held_exactly(problem: Problem) -> tuple[str, ...]:
 
 
 def _thin_boundary(problem: Problem) -> tuple[str, ...]:
-    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary.
-
-    There its motion begins; what they miss, the sweeps on the finest level do not make up for.
-    """
+    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary."""
+    # There its motion begins; what they miss, the sweeps on the finest level do not make up for.
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ()

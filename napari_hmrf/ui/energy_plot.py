@@ -101,10 +101,8 @@ def draw_energy(canvas: Any, solution: Solution | None, colour: str) -> None:
 
 
 def _draw_cycles(axes: Any, solution: Solution, colour: str) -> None:
-    """Cycles go over all levels, and there are few: a point for each, and how near they led.
-
-    No energy leads to where the centred update ends: of that, the last is all that is known.
-    """
+    """Cycles go over all levels, and there are few: a point for each, and how near they led."""
+    # No energy leads to where the centred update ends: of that, the last is all that is known.
     energy = solution.energy
     cycles = np.arange(1, len(energy) + 1)
     known = slice(-1, None) if (energy == energy[-1]).all() else slice(None)

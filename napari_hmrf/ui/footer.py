@@ -34,10 +34,9 @@ _SELDOM = 0.5
 
 
 class _WholeLines(QObject):
-    """Keeps an area as high as so many lines of a label, of which none is cut.
+    """Keeps an area as high as so many lines of a label, of which none is cut."""
 
-    How high a line is, is known when the window's style has come to the label.
-    """
+    # How high a line is, is known when the window's style has come to the label.
 
     def __init__(self, label: QLabel, area: QScrollArea, above: int) -> None:
         super().__init__(label)

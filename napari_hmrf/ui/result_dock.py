@@ -204,13 +204,7 @@ class ResultDock(Chooser):
             self.say(NO_FOLDS)
 
     def _take_over(self) -> Any:
-        """Go on with the result of a dock that was closed, if it is still that of the layers.
-
-        Returns
-        -------
-        napari.layers.Layer or None
-            What was deformed.
-        """
+        """Go on with the result of a dock that was closed, if it is still that of the layers."""
         latest, source = self._latest, self._latest.source()
         if latest.done is None:
             return None

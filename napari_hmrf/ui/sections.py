@@ -37,19 +37,7 @@ def _is_tissue(layer: Any) -> bool:
 
 
 class _PaintedSection(Container, Generic[Table]):
-    """A menu of layers; for Labels, their table and a row of buttons below it.
-
-    Attributes
-    ----------
-    choice : LayerChoice
-        The menu.
-    table : LabelTable
-        What the layer's labels mean.
-    seen : LabelTableView
-        The table as it is seen.
-    painted : PaintedLabels
-        What keeps layer and table in step.
-    """
+    """A menu of layers; for Labels, their table and a row of buttons below it."""
 
     edited = Signal()
 

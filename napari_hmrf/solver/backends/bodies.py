@@ -32,11 +32,10 @@ _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """A body's components of flat planes, all its motions there, and those that nothing holds.
+    """A body's components of flat planes, all its motions there, and those that nothing holds."""
 
-    The latter are orthonormal; `single` is the same in single precision, and `ways` is what makes
-    them of steps along rows and columns, and a turn around `centre`.
-    """
+    # The latter are orthonormal; `single` is the same in single precision, and `ways` is what makes
+    # them of steps along rows and columns, and a turn around `centre`.
 
     at: npt.NDArray[np.intp]
     held: npt.NDArray[np.bool_]

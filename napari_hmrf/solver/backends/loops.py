@@ -78,11 +78,9 @@ def ready_for_pictures() -> bool:
 
 
 def _ready(part: _Part, job: str = "") -> bool:
-    """Whether some loops can be computed with.
-
-    To load them takes as long as a few pictures. A process that has not computed yet does it when
-    it needs them; any other shall not stop for it in the middle of a drag.
-    """
+    """Whether some loops can be computed with."""
+    # To load them takes as long as a few pictures. A process that has not computed yet does it when
+    # it needs them; any other shall not stop for it in the middle of a drag.
     if part.in_use or compile_here():
         return True
     if part.begun_without:

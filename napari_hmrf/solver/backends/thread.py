@@ -165,11 +165,9 @@ def in_child_of_fork(forget: Callable[[], object]) -> None:
 
 
 def _launch_numbas_threads() -> None:
-    """Have numba note that it computes in this process, on whose new thread it starts others.
-
-    GNU OpenMP keeps a pool for each thread that uses it, so that a new thread can in a child of a
-    fork. As others cannot, numba ends a process whose parent is the one it was launched in.
-    """
+    """Have numba note that it computes in this process, on whose new thread it starts others."""
+    # GNU OpenMP keeps a pool for each thread that uses it, so that a new thread can in a child of a
+    # fork. As others cannot, numba ends a process whose parent is the one it was launched in.
     numba = sys.modules.get("numba.np.ufunc.parallel")
     if getattr(numba, "_is_initialized", False):
         numba._is_initialized = False  # type: ignore[union-attr]

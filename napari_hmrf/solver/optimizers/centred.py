@@ -112,28 +112,25 @@ def converge(
 
 
 class _CentredStates(States):
-    """Which observed components are held, and which slip: eq. 19 for the centred update.
+    """Which observed components are held, and which slip: eq. 19 for the centred update."""
 
-    A component is held where q is within l = p / 2 A of what was observed, so that everywhere
-
-        d = max(q - l, min(y, q + l)).
-
-    Which ones are is found by exchanging all that contradict their state. Where that leads nowhere,
-    by the improvement of two policies in turn: which components the maximum takes to q - l and, for
-    each such set, which of the others the minimum takes to q + l. Both go one way only, in a system
-    whose weights are positive and sum to one, and so they end (Hoffman and Karp, Management Science
-    12, 1966).
-    """
+    # A component is held where q is within l = p / 2 A of what was observed, so that everywhere
+    #
+    #     d = max(q - l, min(y, q + l)).
+    #
+    # Which ones are is found by exchanging all that contradict their state. Where that leads
+    # nowhere, by the improvement of two policies in turn: which components the maximum takes to
+    # q - l and, for each such set, which of the others the minimum takes to q + l. Both go one way
+    # only, in a system whose weights are positive and sum to one, and so they end (Hoffman and
+    # Karp, Management Science 12, 1966).
 
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
         limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
         super().__init__(candidates, y, limit, y)
 
     def off(self, d: Planes, pull: Planes) -> float:
-        """How far any observed component is from where it would go next.
-
-        That is y + soft(q - y, p / 2A); `pull` is q - d.
-        """
+        """How far any observed component is from where it would go next."""
+        # That is y + soft(q - y, p / 2A); `pull` is q - d.
         if not len(self.at):
             return 0.0
         away = d.ravel()[self.at] - self.y
@@ -142,10 +139,8 @@ class _CentredStates(States):
         return float(np.abs(away - target).max())
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
-        """Let go of what is pulled too far, and hold what has passed its mark.
-
-        `pull` is q - d. Returns whether any state has changed.
-        """
+        """Let go of what is pulled too far, and hold what has passed its mark."""
+        # `pull` is q - d. Returns whether any state has changed.
         off = d.ravel()[self.at] - self.y
         q = off + pull.ravel()[self.at]
         if self.exact:
@@ -174,11 +169,9 @@ class _CentredStates(States):
         self._patience = 0
 
     def firm(self, d: Planes, pull: Planes) -> bool:
-        """Whether all is held with much less than it could be.
-
-        Where stiff tissue slips that might as well be held, a residual that is small for the states
-        found says nothing: with others all may be elsewhere.
-        """
+        """Whether all is held with much less than it could be."""
+        # Where stiff tissue slips that might as well be held, a residual that is small for the
+        # states found says nothing: with others all may be elsewhere.
         q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
         return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
@@ -198,19 +191,7 @@ class _CentredStates(States):
 
 
 class _Refinement:
-    """An iteration in single precision, begun anew from each residual in double, and its proof.
-
-    Attributes
-    ----------
-    cycles : int
-        Steps so far.
-    estimate : float
-        What no site is further from the solution than, in pixels.
-    most : float
-        The largest residual.
-    residual : float
-        The norm of the residual, in double precision.
-    """
+    """An iteration in single precision, begun anew from each residual in double, and its proof."""
 
     def __init__(
         self, tolerance: float, max_iterations: int, model: LinearModel, report: Report
@@ -259,10 +240,8 @@ class _Refinement:
     def _solve(
         self, d: Planes, load: Planes | None, most: float, enough: Any, target: float
     ) -> tuple[float, float]:
-        """Move `d` to where no residual exceeds `most`, or `target` if rounding allows.
-
-        Returns the largest, and the norm.
-        """
+        """Move `d` to where no residual exceeds `most`, or `target` if rounding allows."""
+        # Returns the largest, and the norm.
         balance = self._model.balance(d, load)
         least, last = math.inf, self.cycles + _CYCLES
         while balance.most > target:

@@ -99,12 +99,7 @@ class Slip:
         return None if found is None else host.planes(found.motion)
 
     def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
-        """Solve in place for ever other states, until none is contradicted by more than `near`.
-
-        Raises
-        ------
-        ConvergenceError
-        """
+        """Solve in place for ever other states, until none is contradicted by more than `near`."""
         model, states, bound = self._model, self._states, self._model.bounds[1]
         before = None
         for _ in range(_MOST_EXCHANGES):
@@ -138,12 +133,7 @@ class Slip:
         raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
 
     def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the states that were found, and exchange those that are wrong after all.
-
-        Raises
-        ------
-        ConvergenceError
-        """
+        """Solve for the states that were found, and exchange those that are wrong after all."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
             play = self._play(states.held)
@@ -167,10 +157,8 @@ class Slip:
         refinement.settle(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Of fields of the same energy take that of least motion, in place.
-
-        Returns the norm of its forces.
-        """
+        """Of fields of the same energy take that of least motion, in place."""
+        # Returns the norm of its forces.
         states, pull = self._states, self._refinement.pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             known = self._refinement.estimate, self._refinement.residual

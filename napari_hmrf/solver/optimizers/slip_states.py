@@ -309,10 +309,8 @@ class ActiveSet(States):
         return False
 
     def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
-        """How many times `way` from `d` the energy is least.
-
-        That of the tissue has this slope and bend; that of the observations is added here.
-        """
+        """How many times `way` from `d` the energy is least."""
+        # That of the tissue has this slope and bend; that of the observations is added here.
         off, moves = d.ravel()[self.at] - self.y, way.ravel()[self.at]
         off[self._slips == 0] = 0
         at = np.divide(-off, moves, out=np.full_like(off, -1.0), where=moves != 0)

@@ -114,10 +114,8 @@ class SeilerMaterial:
     def _matrices(
         self, component: int, padded: npt.NDArray[np.float32], rows: slice, cols: slice
     ) -> Float64Array:
-        """The matrices of the cliques whose middles lie between these rows and columns.
-
-        Blanket, the second derivatives of their energies; centred, the middle's d - q(d).
-        """
+        """The matrices of the cliques whose middles lie between these rows and columns."""
+        # Blanket, the second derivatives of their energies; centred, the middle's d - q(d).
         sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
         shape = sites.shape[0] - 2, sites.shape[1] - 2
         total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))

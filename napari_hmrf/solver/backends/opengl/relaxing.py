@@ -175,11 +175,9 @@ class RelaxingLevel(GLLevel):
         self.correction.turn()
 
     def _smoother(self, steps: Steps) -> Float64Array:
-        """What all steps from zero make of a load, as a matrix.
-
-        By products of matrices: a decomposition would wake the threads of LAPACK, which then wait
-        for more on the cores that a software rasteriser renders with.
-        """
+        """What all steps from zero make of a load, as a matrix."""
+        # By products of matrices: a decomposition would wake the threads of LAPACK, which then wait
+        # for more on the cores that a software rasteriser renders with.
         host, matrix = self._host, self._matrix()
         if host.weight is not None:
             matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
