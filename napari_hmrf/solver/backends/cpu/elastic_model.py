@@ -18,7 +18,7 @@ from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
-from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING, grids, smoother_bounds
+from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
     HELD_STAND_IN,
@@ -57,10 +57,6 @@ class CpuElasticLevel(CpuLevel):
     ----------
     lame : ndarray, shape (2, H + 4, W + 4)
         Lame's parameters of the elements; 0 in void.
-    pins : ndarray, shape (2, H + 4, W + 4)
-        How much of what is held counts at each site.
-    spans : ndarray, shape (H, 2)
-        Where each row's moving sites begin and end.
     moving, reach : ndarray
         As `inverse` and `spans`, if bodies that cycles hold move, too.
     """
@@ -89,9 +85,11 @@ class CpuElasticLevel(CpuLevel):
         self.moving, self.reach = self.inverse, self.spans
         if self.bodies is not None and self.bodies.entrain:
             self.moving, self.reach = self._with_bodies
-            assembly.hold(self.lame, self.shape, held, self.moving, self.pins, self.reach)
+            assembly.diagonal(self.lame, self.shape, self.moving)
+            vectors.hold(self.moving, held, self.pins, self.reach)
             held = self.bodies.hold(held)
-        assembly.hold(self.lame, self.shape, held, self.inverse, self.pins, self.spans)
+        assembly.diagonal(self.lame, self.shape, self.inverse)
+        vectors.hold(self.inverse, held, self.pins, self.spans)
         # What moves bodies afterwards changes the correction there: the next cycle must clear it.
         self.spans[:] = self.reach
         self._forget(before)
@@ -104,17 +102,8 @@ class CpuElasticLevel(CpuLevel):
     def hold_as(self, finer: CpuElasticLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
         before = self.spans.copy()
-        vectors.restrict(finer.pins, self.pins)
-        assembly.spring(
-            self.lame,
-            self.shape,
-            self.pins,
-            np.float32(MOST_PINS),
-            np.float32(SPRING),
-            self.inverse,
-            self.weight,
-            self.spans,
-        )
+        assembly.diagonal(self.lame, self.shape, self.inverse)
+        self._spring(finer)
         self._forget(before)
 
     def _forget(self, before: npt.NDArray[np.int64]) -> None:
