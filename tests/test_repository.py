@@ -234,6 +234,25 @@ def test_modules_are_one_sitting_s_reading():
     assert too_long == {}
 
 
+def test_private_code_is_described_in_one_line():
+    """What more there is to say of it is a reason, which a comment gives."""
+    longer = []
+
+    def look(node, private, module):
+        for each in ast.iter_child_nodes(node):
+            if isinstance(each, ast.FunctionDef | ast.ClassDef):
+                inner = private or (each.name[0] == "_" and not each.name.startswith("__"))
+                if inner and "\n" in (ast.get_docstring(each) or ""):
+                    longer.append(f"{part(module)}: {each.name}")
+                look(each, inner, module)
+            else:
+                look(each, private, module)
+
+    for module in MODULES:
+        look(ast.parse(module.read_text(encoding="utf-8")), False, module)
+    assert not longer
+
+
 def test_the_version_is_the_same_everywhere():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == napari_hmrf.__version__

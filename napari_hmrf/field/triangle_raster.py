@@ -28,13 +28,11 @@ TWICE = 3
 
 @_callee
 def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, c_row, c_col):
-    """Draw the moved triangle of sites a, b, c if its orientation is the one asked for.
-
-    `value` is 2 for triangles that kept their orientation and 1 for those that were turned over; a
-    pixel that already holds as much is left alone, but for a mark if what it holds came from
-    elsewhere. Only rows of pixels from `first` to before `past` are drawn on. Returns whether this
-    one was turned over.
-    """
+    """Draw the moved triangle of sites a, b, c if its orientation is the one asked for."""
+    # `value` is 2 for triangles that kept their orientation and 1 for those that were turned over;
+    # a pixel that already holds as much is left alone, but for a mark if what it holds came from
+    # elsewhere. Only rows of pixels from `first` to before `past` are drawn on. Returns whether
+    # this one was turned over.
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
     by = moved[b_row, b_col, 0] - ay
@@ -82,10 +80,8 @@ def _mark(source, state, value, row, col, from_row, from_col):
 
 @_callee
 def _draw_cell(moved, source, state, first, past, row, col):
-    """Draw both triangles of a whole cell at once, if neither is turned over nor collapsed.
-
-    As `_draw` would for the one after the other. Returns whether it could.
-    """
+    """Draw both triangles of a whole cell at once, if neither is turned over nor collapsed."""
+    # As `_draw` would for the one after the other. Returns whether it could.
     ay = moved[row, col, 0]
     ax = moved[row, col, 1]
     by = moved[row, col + 1, 0] - ay

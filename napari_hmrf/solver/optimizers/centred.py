@@ -206,10 +206,8 @@ class _Refinement:
         self._first: float | None = None
 
     def run(self, d: Planes, load: Planes | None, exactly: bool) -> float:
-        """Move `d` in place to where each site is at q plus its load: to the tolerance, or exactly.
-
-        Returns how far a site can be from the solution per unit of the largest residual.
-        """
+        """Move `d` to where each site is at q plus its load: to the tolerance, or exactly."""
+        # Returns how far a site can be from the solution per unit of the largest residual.
         self._begun = self.cycles
         reach = self._reach(d.shape)
 

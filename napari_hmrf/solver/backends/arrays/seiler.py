@@ -57,7 +57,8 @@ class ArraySeilerLevel(ArrayLevel):
         self.even: Vector = even.astype(np.float32)
         found = cliques(np.zeros_like(stiffness), stiffness[0], self._lines, material.blanket)
         self.steep = found.curvature.astype(np.float32)
-        self.diagonal = self.steep if material.blanket else np.ones_like(self.steep)
+        pulled = (self.steep > 0).astype(np.float32)
+        self.diagonal = self.steep if material.blanket else pulled
 
     def _pinned(self, held: HeldPlanes) -> HeldPlanes:
         return np.asarray((self.stiffness[:1] > 0) & ((self.steep == 0) | held))

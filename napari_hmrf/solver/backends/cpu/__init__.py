@@ -185,10 +185,7 @@ class CpuBackend:
         return the_model(material)
 
     def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
-        """Planes to write displacement to, 0 in void, and one for each site's share of the energy.
-
-        Nobody else holds them.
-        """
+        """Find planes for displacement, 0 in void, and for each site's energy, that nobody holds."""
         if self._left_over is not None and self._left_over[0] is stiffness:
             return self._left_over[1:]
         shape = stiffness.shape

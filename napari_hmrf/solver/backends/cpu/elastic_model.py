@@ -18,7 +18,7 @@ from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
-from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING, grids, smoother_bounds
+from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
     HELD_STAND_IN,
@@ -38,11 +38,9 @@ _NO_STEP = np.zeros(3, dtype=np.float32)
 
 @lru_cache(maxsize=16)
 def _paces(steps: Steps, from_zero: bool) -> Vector:
-    """(scale, ahead, back) of each step, for displacements instead of steps.
-
-    A step's momentum takes the difference of the last two displacements; before the first step of
-    all there is none, and if it begins at zero the second takes the first displacement itself.
-    """
+    """(scale, ahead, back) of each step, for displacements instead of steps."""
+    # A step's momentum takes the difference of the last two displacements; before the first step of
+    # all there is none, and if it begins at zero the second takes the first displacement itself.
     made = np.zeros((len(steps), 3), dtype=np.float32)
     made[:, :2] = steps
     begun = 2 if from_zero else 1
@@ -57,10 +55,6 @@ class CpuElasticLevel(CpuLevel):
     ----------
     lame : ndarray, shape (2, H + 4, W + 4)
         Lame's parameters of the elements; 0 in void.
-    pins : ndarray, shape (2, H + 4, W + 4)
-        How much of what is held counts at each site.
-    spans : ndarray, shape (H, 2)
-        Where each row's moving sites begin and end.
     moving, reach : ndarray
         As `inverse` and `spans`, if bodies that cycles hold move, too.
     """
@@ -89,9 +83,11 @@ class CpuElasticLevel(CpuLevel):
         self.moving, self.reach = self.inverse, self.spans
         if self.bodies is not None and self.bodies.entrain:
             self.moving, self.reach = self._with_bodies
-            assembly.hold(self.lame, self.shape, held, self.moving, self.pins, self.reach)
+            assembly.diagonal(self.lame, self.shape, self.moving)
+            vectors.hold(self.moving, held, self.pins, self.reach)
             held = self.bodies.hold(held)
-        assembly.hold(self.lame, self.shape, held, self.inverse, self.pins, self.spans)
+        assembly.diagonal(self.lame, self.shape, self.inverse)
+        vectors.hold(self.inverse, held, self.pins, self.spans)
         # What moves bodies afterwards changes the correction there: the next cycle must clear it.
         self.spans[:] = self.reach
         self._forget(before)
@@ -104,17 +100,8 @@ class CpuElasticLevel(CpuLevel):
     def hold_as(self, finer: CpuElasticLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
         before = self.spans.copy()
-        vectors.restrict(finer.pins, self.pins)
-        assembly.spring(
-            self.lame,
-            self.shape,
-            self.pins,
-            np.float32(MOST_PINS),
-            np.float32(SPRING),
-            self.inverse,
-            self.weight,
-            self.spans,
-        )
+        assembly.diagonal(self.lame, self.shape, self.inverse)
+        self._spring(finer)
         self._forget(before)
 
     def _forget(self, before: npt.NDArray[np.int64]) -> None:
@@ -176,14 +163,7 @@ class CpuElasticLevel(CpuLevel):
 
 
 class _SmallLevels:
-    """The memory of levels that are visited in one go, and that visit.
-
-    Parameters
-    ----------
-    grids : list of tuple of int
-        Of the levels, finest first.
-    shape : ndarray
-    """
+    """The memory of levels that are visited in one go, and that visit."""
 
     def __init__(self, grids: list[tuple[int, ...]], shape: Vector) -> None:
         sizes = [2 * (height + 4) * (width + 4) for height, width in grids]

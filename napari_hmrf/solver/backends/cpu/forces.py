@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from numba import get_num_threads, int64
 
-from napari_hmrf.solver.backends.cpu.compiled import inline
+from napari_hmrf.solver.backends.cpu.compiled import inline, shared
 
 # A thread that gets fewer rows than this makes too much of what it shares with its neighbours.
 _FEW_ROWS = 16
@@ -19,10 +19,8 @@ _FEW_ROWS = 16
 
 @inline
 def _pulls(row, col, first, shear, shape):
-    """What the differences D_r, D_c, D_x of an element pull with, for either component.
-
-    Of each component, the element's sites: here, right, below, below right.
-    """
+    """What the differences D_r, D_c, D_x of an element pull with, for either component."""
+    # Of each component, the element's sites: here, right, below, below right.
     rows, cols, mixed = shape[0], shape[1], shape[2]
     twist_rows, twist_cols, twist_volume = shape[3], shape[4], shape[5]
     left, right = row[2] - row[0], row[3] - row[1]
@@ -77,7 +75,7 @@ def left_over(row, col, d_row, d_col, load, weights, i, j):
     return load[0, i, j] - row, load[1, i, j] - col
 
 
-@inline
+@shared
 def rest(d, load, lame, weight, shape, i, j):
     """Load - (A + W) d at site (i, j), whatever was looked at before."""
     row, col = force(d, lame, shape, i, j)
@@ -86,7 +84,7 @@ def rest(d, load, lame, weight, shape, i, j):
     return load[0, i, j] - row, load[1, i, j] - col
 
 
-@inline
+@shared
 def left_of(rows, lame, shape, j):
     """Of either component of what element j of a row pulls with: D_r, and D_x less and plus D_c.
 
@@ -104,7 +102,7 @@ def left_of(rows, lame, shape, j):
     return rr, xr - cr, xr + cr, rc, xc - cc, xc + cc
 
 
-@inline
+@shared
 def row_force(rows, lame, shape, carry, left, j):
     """`force` at a row's site j, and what is `left` of the next.
 

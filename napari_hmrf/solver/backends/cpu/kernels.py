@@ -180,20 +180,16 @@ def _observed(d, observation, i, j):
 
 @inline
 def _downhill(slope, penalty, off):
-    """The direction, 1 or -1, in which a component's energy falls, if it falls in any.
-
-    `off` is y - d. The energy is convex, so the other direction need not be tried.
-    """
+    """The direction, 1 or -1, in which a component's energy falls, if it falls in any."""
+    # `off` is y - d. The energy is convex, so the other direction need not be tried.
     pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
     return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
 
 
 @inline
 def _change(step, curvature, twice_slope, penalty, off, now):
-    """How much a step downhill changes a component's energy; 0 if it would raise it.
-
-    `now` is p |y - d|; slope and `off` are taken along the direction of the step.
-    """
+    """How much a step downhill changes a component's energy; 0 if it would raise it."""
+    # `now` is p |y - d|; slope and `off` are taken along the direction of the step.
     prior = step * (curvature * step - twice_slope)
     return min(prior + (penalty * abs(off - step) - now), float32(0))
 

@@ -16,6 +16,7 @@ from napari_hmrf.solver.backends.bodies import Bodies
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 
 Vector = npt.NDArray[np.float32]
 
@@ -36,9 +37,15 @@ class CpuLevel:
         Of the diagonal; 0 where a component does not move.
     weight : ndarray, shape (2, H + 4, W + 4), or None
         The springs; the finest level has none.
+    pins : ndarray, shape (2, H + 4, W + 4)
+        How much of what does not move counts at each site.
+    spans : ndarray, shape (H, 2)
+        Where each row's moving sites begin and end.
     """
 
     weight: Vector | None
+    pins: Vector
+    spans: npt.NDArray[np.int64]
     #: Whether `finish` visits all coarser levels, too.
     takes_rest: bool = False
     #: Whether another visit within a cycle gains more than it costs.
@@ -54,12 +61,16 @@ class CpuLevel:
         self.load, self.correction, self._other = (self.vector() for _ in range(3))
         self._rows, self._most = np.zeros((2, grid[0]))
 
+    def _spring(self, finer: Self) -> None:
+        """Put the sites near those that the finer level holds on springs; `inverse` is D."""
+        vectors.restrict(finer.pins, self.pins)
+        most, strength = np.float32(MOST_PINS), np.float32(SPRING)
+        vectors.spring(self.inverse, self.pins, most, strength, self.weight, self.spans)
+
     @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
-        """The springs for kernels, and how often they count.
-
-        Where there are none, 0 times, and they are numbers that a kernel reads anyway.
-        """
+        """The springs for kernels, and how often they count."""
+        # Where there are none, 0 times, and they are numbers that a kernel reads anyway.
         if self.weight is None:
             return self.inverse, np.float32(0)
         return self.weight, np.float32(1)

@@ -25,7 +25,7 @@ from napari_hmrf.solver.backends.cpu.kernels import (
     square,
     weighted,
 )
-from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product, span
+from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
 
 _TINY = float32(1e-30)
 # From a site to the next one on each line.
@@ -33,30 +33,31 @@ _ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 @inline
-def _cliques(d, stiffness, lines, blanket, i, j):
-    """Curvature and slope, per component, of the cliques that pull at (i + 2, j + 2)."""
+def _pull(d, stiffness, lines, blanket, i, j):
+    """What the tissue pulls with at (i + 2, j + 2): - A d."""
     if blanket is not None:
-        a0, a1, b0, b1, _ = around(d, stiffness, lines, i, j)
-    elif lines is None:
-        a0, a1, b0, b1, _ = square(d, stiffness, i, j)
+        _, _, b0, b1, _ = around(d, stiffness, lines, i, j)
     else:
         a0, a1, b0, b1, _ = weighted(d, stiffness, lines, i, j)
-    return a0, a1, b0, b1
+        b0, b1 = b0 / max(a0, _TINY), b1 / max(a1, _TINY)
+    return b0, b1
 
 
 @inline
-def _pull(d, stiffness, lines, blanket, i, j):
-    """What the tissue pulls with at (i + 2, j + 2): - A d."""
-    a0, a1, b0, b1 = _cliques(d, stiffness, lines, blanket, i, j)
-    if blanket is None:
+def _quick_pull(d, stiffness, lines, blanket, i, j):
+    """As `_pull`, with another way for square pixels."""
+    if lines is None:
+        a0, a1, b0, b1, _ = square(d, stiffness, i, j)
         b0, b1 = b0 / max(a0, _TINY), b1 / max(a1, _TINY)
+    else:
+        b0, b1 = _pull(d, stiffness, lines, blanket, i, j)
     return b0, b1
 
 
 @inline
 def _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j):
     """Given load - (A + W) d at (i + 2, j + 2)."""
-    row, col = _pull(d, stiffness, lines, blanket, i, j)
+    row, col = _quick_pull(d, stiffness, lines, blanket, i, j)
     row += given * load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
     col += given * load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
     return row, col
@@ -86,7 +87,7 @@ def residual(
 
 @parallel
 def pull(d, stiffness, lines, blanket, spans, out):
-    """Out = - A d within these spans."""
+    """Out = - A d within these spans; square pixels have lines here."""
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -186,37 +187,3 @@ def even_out(load, even):
         for k in range(2):
             for j in range(load.shape[2]):
                 load[k, i + 2, j] *= even[i + 2, j]
-
-
-@parallel
-def hold(stiffness, curvatures, blanket, held, inverse, pins, spans):
-    """The finest level's inverse diagonal, 0 where held; `pins` counts tissue that cannot move."""
-    for i in prange(inverse.shape[1] - 4):
-        for k in range(2):
-            for j in range(2, inverse.shape[2] - 2):
-                steep = curvatures[k, i + 2, j]
-                moves = steep > float32(0) and not held[k, i + 2, j]
-                diagonal = steep if blanket else float32(1)
-                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
-                pinned = stiffness[0, i + 2, j] > float32(0) and not moves
-                pins[k, i + 2, j] = float32(1) if pinned else float32(0)
-        span(inverse, spans, i)
-
-
-@parallel
-def spring(curvatures, blanket, pins, most, strength, inverse, weight, spans):
-    """A coarser level's springs, and the inverse of the diagonal of model and springs.
-
-    A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
-    """
-    for i in prange(inverse.shape[1] - 4):
-        for k in range(2):
-            for j in range(2, inverse.shape[2] - 2):
-                steep = curvatures[k, i + 2, j]
-                diagonal = steep if blanket else float32(1)
-                pins[k, i + 2, j] = min(pins[k, i + 2, j], most)
-                weight[k, i + 2, j] = strength * pins[k, i + 2, j] * diagonal
-                diagonal += weight[k, i + 2, j]
-                moves = steep > float32(0)
-                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
-        span(inverse, spans, i)

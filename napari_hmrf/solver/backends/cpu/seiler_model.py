@@ -14,7 +14,7 @@ from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
-from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING, grids
+from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 # Where nobody wants a product.
@@ -30,10 +30,6 @@ class CpuSeilerLevel(CpuLevel):
     ----------
     stiffness : ndarray, shape (2, H + 4, W + 4)
         (m, 1/m); 0 in void.
-    pins : ndarray, shape (2, H + 4, W + 4)
-        How much of what does not move counts at each site.
-    spans : ndarray, shape (H, 2)
-        Where each row's moving sites begin and end.
     lines : ndarray, shape (4, 2), or None
         What each line of cliques counts for each component, for the kernels that have another way
         with square pixels.
@@ -47,7 +43,7 @@ class CpuSeilerLevel(CpuLevel):
         super().__init__(grid)
         self.lines, self.blanket = None if square else lines, blanket or None
         self._lines = lines
-        self.stiffness, self.pins, self._curvature = (self.vector() for _ in range(3))
+        self.stiffness, self.pins, self._diagonal = (self.vector() for _ in range(3))
         self.even = self.vector()[0]
         self.weight = None if finest else self.vector()
         self.threads = 1
@@ -57,39 +53,25 @@ class CpuSeilerLevel(CpuLevel):
         """Take the finer level's tissue."""
         seiler.coarsen(finer.stiffness, self.stiffness, self.even)
 
-    def settle(self) -> None:
-        """Take in the stiffness."""
-        exactly = np.zeros(self.stiffness.shape)
-        stiffness, lines = self.stiffness.astype(np.float64), self._lines.astype(np.float64)
+    def settle(self, stiffness: Planes) -> None:
+        """Take in the stiffness, here in double precision."""
+        exactly = np.zeros(stiffness.shape)
+        lines = self._lines.astype(np.float64)
         seiler.curvature(stiffness, lines, bool(self.blanket), exactly)
-        self._curvature[...] = exactly
+        self._diagonal[...] = exactly if self.blanket else exactly > 0
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
-        seiler.hold(
-            self.stiffness,
-            self._curvature,
-            bool(self.blanket),
-            held,
-            self.inverse,
-            self.pins,
-            self.spans,
-        )
+        self.inverse[...] = self._diagonal
+        # What no clique pulls at does not move either.
+        alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
+        vectors.hold(self.inverse, held | alone, self.pins, self.spans)
         self._forget()
 
     def hold_as(self, finer: CpuSeilerLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
-        vectors.restrict(finer.pins, self.pins)
-        seiler.spring(
-            self._curvature,
-            bool(self.blanket),
-            self.pins,
-            np.float32(MOST_PINS),
-            np.float32(SPRING),
-            self.inverse,
-            self.weight,
-            self.spans,
-        )
+        self.inverse[...] = self._diagonal
+        self._spring(finer)
         self._forget()
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
@@ -197,10 +179,10 @@ class CpuSeilerModel(HostModel):
         height, width = finest.grid
         self._rows: npt.NDArray[np.float64] = np.zeros((2, height))
         self._whole = np.tile(np.array([0, width], dtype=np.int64), (height, 1))
-        finest.settle()
+        finest.settle(self._stiffness)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
-            coarse.settle()
+            coarse.settle(coarse.stiffness.astype(np.float64))
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""

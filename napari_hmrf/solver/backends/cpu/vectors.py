@@ -45,6 +45,36 @@ def span(inverse, spans, i):
 
 
 @parallel
+def hold(inverse, held, pins, spans):
+    """Make a diagonal its inverse, 0 where held; `pins` counts what is held: 1 or 0."""
+    for i in prange(inverse.shape[1] - 4):
+        for k in range(2):
+            for j in range(2, inverse.shape[2] - 2):
+                diagonal, here = inverse[k, i + 2, j], held[k, i + 2, j]
+                moves = diagonal > float32(0) and not here
+                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
+                pins[k, i + 2, j] = float32(1) if here else float32(0)
+        span(inverse, spans, i)
+
+
+@parallel
+def spring(inverse, pins, most, strength, weight, spans):
+    """Make a coarser level's diagonal the inverse of that with springs.
+
+    A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
+    """
+    for i in prange(inverse.shape[1] - 4):
+        for k in range(2):
+            for j in range(2, inverse.shape[2] - 2):
+                diagonal = inverse[k, i + 2, j]
+                pins[k, i + 2, j] = min(pins[k, i + 2, j], most)
+                weight[k, i + 2, j] = strength * pins[k, i + 2, j] * diagonal
+                whole = diagonal + weight[k, i + 2, j]
+                inverse[k, i + 2, j] = float32(1) / whole if whole > float32(0) else float32(0)
+        span(inverse, spans, i)
+
+
+@parallel
 def smooth_first(load, inverse, step, d, scale):
     """The first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
     for i in prange(load.shape[1] - 4):
