@@ -185,7 +185,7 @@ class CpuBackend:
         return the_model(material)
 
     def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
-        """Find planes for displacement, 0 in void, and for each site's energy; nobody holds them."""
+        """Find planes for displacement, 0 in void, and for energies; nobody else holds them."""
         if self._left_over is not None and self._left_over[0] is stiffness:
             return self._left_over[1:]
         shape = stiffness.shape
