@@ -129,6 +129,10 @@ class LinearLevel(Protocol):
 class UnsymmetricLevel(LinearLevel, Protocol):
     """One level of a model that is not symmetric: it takes another iteration, with more steps."""
 
+    def multiply(self, direction: Any, image: Any) -> None:
+        """Image = A direction, whose product with it means nothing here."""
+        ...
+
     def quotient(self, a: Any, b: Any) -> Any:
         """A scalar over another of either sign; 0 where that is 0."""
         ...

@@ -16,15 +16,15 @@ LOOPS = {
     "elastic": 22,
     "pictures": 5,
     "schedule": 3,
-    "converged": 21,
+    "converged": 22,
     "slipping": 23,
     "rigid": 26,
     "schedule-oblong": 3,
-    "converged-oblong": 21,
+    "converged-oblong": 22,
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
-    "": 51,
+    "": 52,
 }
 
 

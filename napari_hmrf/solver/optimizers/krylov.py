@@ -189,11 +189,11 @@ class StabilisedGradients:
         level.turn(rest, direction, along)
         while True:
             steepest = self._cycle.run(direction)
-            level.apply(steepest, image)
+            level.multiply(steepest, image)
             length = level.quotient(along, level.product(shadow, image))
             level.advance(found, rest, steepest, image, length)
             steepest = self._cycle.run(rest)
-            level.apply(steepest, second)
+            level.multiply(steepest, second)
             stride = level.quotient(level.product(second, rest), level.product(second, second))
             left = level.advance(found, rest, steepest, second, stride)
             before, (most, along) = along, level.weigh(rest, shadow)

@@ -115,11 +115,17 @@ class CpuSeilerLevel(CpuLevel):
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
-        # What counts 0 times are numbers that the kernel reads anyway.
-        nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
-        self._residual(direction, nothing, no_springs, (-1, image), self._rows)
+        self.multiply(direction, image, self._rows)
         with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
             return float(self._rows.sum())
+
+    def multiply(
+        self, direction: Vector, image: Vector, rows: npt.NDArray[np.float64] = _NO_ROWS
+    ) -> None:
+        """Image = A direction; their scalar product goes to rows, if there are any."""
+        # What counts 0 times are numbers that the kernel reads anyway.
+        nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
+        self._residual(direction, nothing, no_springs, (-1, image), rows)
 
     def _residual(
         self,

@@ -174,8 +174,15 @@ def row_largest(a: Any, row: int) -> Any:
 
 
 @parallel
+def largest(a, row_most):
+    """The largest absolute value of each row."""
+    for i in prange(a.shape[1] - 4):
+        row_most[i] = row_largest(a, i + 2)
+
+
+@parallel
 def weigh(a, b, row_most, row_totals):
-    """The largest absolute value of each row of `a`, and the scalar product."""
+    """Both of these, in one go."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

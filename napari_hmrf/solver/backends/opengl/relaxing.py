@@ -135,6 +135,10 @@ class RelaxingLevel(GLLevel):
         self._run(model.apply, model.defines, inputs, outputs, model.uniforms)
         return self._sum_of_shares()
 
+    def multiply(self, direction: Vector, image: Vector) -> None:
+        """Image = A direction."""
+        self.apply(direction, image)
+
     def _smooth(
         self,
         start: int,
