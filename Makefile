@@ -10,7 +10,7 @@ LOOPS ?= 5000
 SHADERS ?= 500
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report demo test format lint types lines benchmarks live dragging trust hard report screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test format lint types lines benchmarks live dragging trust hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -26,6 +26,7 @@ help:
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
+	@echo "make mutations    break the window's half in two dozen places, one by one, and see a test fail for each"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
@@ -79,6 +80,9 @@ report: setup-for-report
 
 hard: setup-for-report
 	@$(RUN) benchmarks/hard.py --page docs/validation/hard.md
+
+mutations: setup-for-windows
+	@$(HEADLESS) $(RUN) scripts/mutations.py
 
 screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py
