@@ -229,7 +229,11 @@ WRONG = [
     *(None, "a", b"a", 3, -1, 0.5, 1j, math.nan, math.inf, True, object(), {1}, {"a": 1}),
     *([], [[1, 2], [3]], (1, "b"), range(3), np.float32(1), np.zeros(0), np.zeros((3, 3, 3))),
     *(np.zeros((4, 5), complex), np.array(["a"]), np.array([None, 1]), np.full((4, 5), np.nan)),
-    *(np.full((4, 5, 2), np.nan), np.ma.masked_all((4, 5)), np.array(["2020"], "M8[D]")),
+    *(
+        np.full((4, 5, 2), np.nan),
+        np.ma.masked_equal(np.ones((4, 5)), 1),
+        np.array(["2020"], "M8[D]"),
+    ),
     *(PROBLEM, str, ICM(), SeilerPrior(), Material(1, "a", 1.0), lambda *given: None),
 ]
 

@@ -222,7 +222,8 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     """
     tensor = _as_strain(strain)
     across = as_numbers("through", through).astype(np.float64)
-    with np.errstate(invalid="ignore"):  # infinite strains have no distance
+    # Infinite strains have no distance, and those that are too large are infinite.
+    with np.errstate(invalid="ignore", over="ignore"):
         third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
         squares = (
             (tensor[..., 0, 0] - third) ** 2
@@ -230,7 +231,7 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
             + (across - third) ** 2
             + 2 * tensor[..., 0, 1] ** 2
         )
-    equivalent: FloatArray = np.sqrt(2 / 3 * squares).astype(np.float32)
+        equivalent: FloatArray = np.sqrt(2 / 3 * squares).astype(np.float32)
     return equivalent
 
 

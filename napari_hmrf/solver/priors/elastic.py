@@ -186,7 +186,8 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
         right = low <= float(given) <= high
         refuse_unless(right, "poisson", value, f"from {low:g} to {high:g}")
         return float(given)
-    made = np.array(given, dtype=np.float32, order="C")
+    with np.errstate(over="ignore"):  # what is too large is out of range
+        made = np.array(given, dtype=np.float32, order="C")
     if made.ndim != 2:
         raise ArgumentError(
             f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"
