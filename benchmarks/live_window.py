@@ -28,7 +28,7 @@ from napari_hmrf.field.live_warp import Warper
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
-from napari_hmrf.ui.grab.arrows import ArrowsLayer
+from napari_hmrf.ui.motion.arrows import ArrowsLayer
 
 #: What is painted with a brush, instead of pulled.
 BRUSHES = ("pin", "move", "tissue")

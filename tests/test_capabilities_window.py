@@ -14,8 +14,8 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.look.look_dock import LookAtResult
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+from napari_hmrf.ui.result.look_dock import LookAtResult
 
 GEL = "gel"
 

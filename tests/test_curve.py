@@ -20,7 +20,7 @@ from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.axes import CurveAxes
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 from napari_hmrf.ui.material_menu import own_library
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
@@ -559,7 +559,7 @@ def test_a_result_keeps_the_curve_it_was_made_with(widget, run):
 
 
 def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run, qtbot):
-    from napari_hmrf.ui.look.look_dock import LookAtResult
+    from napari_hmrf.ui.result.look_dock import LookAtResult
 
     viewer, _, layer = made(widget)
     widget.make_layers()

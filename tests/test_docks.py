@@ -13,8 +13,8 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.commands import dock
 from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.look.look_dock import LookAtResult
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+from napari_hmrf.ui.result.look_dock import LookAtResult
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 KINDS = [DeformTissue, GrabAndPull, LookAtResult]

@@ -6,8 +6,8 @@ from napari.components import ViewerModel
 
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.grab.grab_messages import START
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+from napari_hmrf.ui.motion.motion_messages import START
 
 DOCKS = [DeformTissue, GrabAndPull]
 GREY = (np.indices((20, 24)).sum(axis=0) % 5 * 50).astype(np.uint8)

@@ -14,7 +14,7 @@ from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.grab.live_tissue import Follower
+from napari_hmrf.ui.motion.live_tissue import Follower
 
 
 def pulled(by):

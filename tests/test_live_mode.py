@@ -542,7 +542,7 @@ def test_a_curve_is_undone_with_its_layer(widget, small_sample):
 def test_what_is_looked_at_is_the_result_that_has_followed(
     living, settle, qtbot, wait_for, at_rest
 ):
-    from napari_hmrf.ui.look.look_dock import LookAtResult
+    from napari_hmrf.ui.result.look_dock import LookAtResult
 
     widget, (_, _, boundary) = living
     look = LookAtResult(viewer_of(widget))

@@ -19,7 +19,7 @@ from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Ti
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 
 SHAPE = (18, 22)
 SPACING = (0.5, 0.8)

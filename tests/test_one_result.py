@@ -10,8 +10,8 @@ from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.grab.grab_messages import START
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+from napari_hmrf.ui.motion.motion_messages import START
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
 def test_how_many_arrows_are_drawn_is_remembered_but_not_that_they_are_longer_than_true(qtbot):
     from napari.components import ViewerModel
 
-    from napari_hmrf.ui.look.look_dock import LookAtResult
+    from napari_hmrf.ui.result.look_dock import LookAtResult
 
     first, second = None, None
     for _ in range(2):

@@ -26,9 +26,9 @@ from napari_hmrf.layers.strain_layers import quantity_layer
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.look.look_dock import LookAtResult
-from napari_hmrf.ui.look.look_messages import at_point, how_far, stiffness_of
-from napari_hmrf.ui.look.saving import save_canvas
+from napari_hmrf.ui.result.look_dock import LookAtResult
+from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
+from napari_hmrf.ui.result.saving import save_canvas
 
 
 def names(viewer):
@@ -157,8 +157,8 @@ def test_labels_and_grid_move_along(look, set_to):
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
     # A clock that goes on by a tenth of the way whenever it is looked at, however slow the machine.
     clock = SimpleNamespace(monotonic=partial(next, count(0.0, 0.1)))
-    monkeypatch.setattr("napari_hmrf.ui.look.player.time", clock)
-    monkeypatch.setattr("napari_hmrf.ui.look.player.SECONDS", 1.0)
+    monkeypatch.setattr("napari_hmrf.ui.result.player.time", clock)
+    monkeypatch.setattr("napari_hmrf.ui.result.player.SECONDS", 1.0)
     seen = []
     look._scene.player.moved.connect(seen.append)
     look._face.play.native.click()

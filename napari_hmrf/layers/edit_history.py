@@ -23,8 +23,6 @@ from napari_hmrf.tissue.drawing.edits import Edits, Step
 DRAWING = "drawing"
 #: And that with the curve of a layer of stiffness.
 CURVE = "curve"
-#: And that with what was painted as no tissue at once, in a slice.
-BACKGROUND = "background"
 #: And that with the points of a Points layer, or the lines of a Shapes layer.
 POINTS = "points"
 
@@ -146,7 +144,7 @@ class ViewerSteps:
         if viewer is None or self._keys is not None:
             return
         go = {"undo": self.undo, "redo": self.redo}
-        self._keys = UndoKeys(viewer, self.edits, _is_paint, go)
+        self._keys = UndoKeys(viewer, self.edits, go)
 
     def unbind_keys(self, owner: Owner) -> None:
         """Leave the viewer's keys alone, unless somebody else still wants them."""
@@ -219,10 +217,6 @@ class ViewerSteps:
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
     return shared(unwrapped(viewer), ViewerSteps)
-
-
-def _is_paint(slot: Any) -> bool:
-    return isinstance(slot, Slot) and slot.what == BACKGROUND
 
 
 def _index_shown(layer: Any, view: View) -> tuple[int, ...]:

@@ -26,8 +26,6 @@ class UndoKeys:
     viewer : napari.Viewer or ViewerModel
     edits : Edits
         Ours.
-    is_paint : callable
-        Whether a slot of `edits` is paint, too, which napari remembers for itself.
     go : mapping of str to callable
         Ours, by "undo" and "redo".
     """
@@ -36,10 +34,9 @@ class UndoKeys:
         self,
         viewer: Any,
         edits: Edits,
-        is_paint: Callable[[Any], bool],
         go: dict[str, Callable[[], None]],
     ) -> None:
-        self._edits, self._is_paint, self._go = edits, is_paint, go
+        self._edits, self._go = edits, go
         self._bound: list[tuple[Any, str]] = []
         self._layer: weakref.ref[Any] | None = None
         #: Whether what was done last was an edit of ours.
@@ -98,7 +95,7 @@ class UndoKeys:
     def _choose(self, owner: Any, name: str) -> None:
         """Take back, or do again, what is ours, or a layer's paint."""
         step = self._edits.next_undo
-        later = name == "undo" and self._ours and step is not None and not self._is_paint(step.slot)
+        later = name == "undo" and self._ours and step is not None
         if paint_steps(owner, name) and not later:
             getattr(owner, name)()
         else:

@@ -1,156 +1,146 @@
-"""Undo and redo in the dock *Deform tissue*."""
+"""Tables, the curve and landmarks among the steps that are undone, by buttons and keys."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
-from napari_hmrf.ui.deform_form import Face
-from napari_hmrf.ui.dock_life import Life
+from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role
+from napari_hmrf.layers.table_state import Table, change
+from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.label_sync import PaintedLabels
 from napari_hmrf.ui.point_steps import PointSteps
-from napari_hmrf.ui.table_steps import CurveSteps, TableSteps
-
-#: Whose drawings are taken back here, too.
-_GRAB = "in 'Grab and pull'"
-
-
-class AskedHere:
-    """The steps of a viewer, as the buttons and keys of one dock have them go back and forth.
-
-    Whatever dock a step was made in, the one it was taken back in says so.
-
-    Parameters
-    ----------
-    steps : ViewerSteps
-    say : callable
-        Called with what was done.
-    """
-
-    def __init__(self, steps: ViewerSteps, say: Callable[[str], None]) -> None:
-        self._steps, self._say = steps, say
-        self.edits = steps.edits
-
-    def undo(self) -> None:
-        """Take back what was done last."""
-        self._ask(self._steps.undo)
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
-        self._ask(self._steps.redo)
-
-    def _ask(self, go: Callable[[], None]) -> None:
-        said: list[tuple[str, Any]] = []
-
-        def hear(sentence: str, slot: Any) -> None:
-            said.append((sentence, slot))
-
-        self._steps.said.connect(hear)
-        try:
-            go()
-        finally:
-            self._steps.said.disconnect(hear)
-        if not said:
-            self._say(f"Took back what was half done, {_GRAB}.")
-        elif _is_drawing(said[-1][1]):
-            self._say(_drawn(said[-1][0]))
+from napari_hmrf.ui.step_buttons import StepKeys
 
 
 class DockSteps:
-    """Has the tables, the curve and the landmarks of the dock undone, by its buttons and keys.
+    """Makes a step of each edit in a dock, and shows there what is undone.
 
     Parameters
     ----------
-    face : Face
+    native : QWidget
+        The dock.
+    form : DockForm
         Of the dock.
     steps : ViewerSteps
     points : PointSteps
         Of the viewer, both.
-    life : Life
-        Of the dock.
-    say : callable
-        Called with what was done.
+    owner : Owner
+        Who may be in the middle of something.
+    away : callable
+        Whether the dock is closed, or gone.
     """
 
     def __init__(
         self,
-        face: Face,
+        native: Any,
+        form: DockForm,
         steps: ViewerSteps,
         points: PointSteps,
-        life: Life,
-        say: Callable[[str], None],
+        owner: Owner,
+        away: Callable[[], bool],
     ) -> None:
-        self._buttons, self._steps, self._life, self._say = face.footer.steps, steps, life, say
-        self.steps = AskedHere(steps, say)
-        tissue, boundary = face.tissue, face.boundary
-        self._tables = (
-            TableSteps(TISSUE, tissue.painted, tissue.table, steps),
-            TableSteps(BOUNDARY, boundary.painted, boundary.table, steps),
-        )
-        self._curve = CurveSteps(tissue.curve, partial(setattr, tissue.choice, "value"), steps)
-        tissue.choice.changed.connect(self._curve.look)
-        self._landmarks = boundary.landmarks
-        self._points = points
-        self._landmarks.edited.connect(self._on_landmarks)
-        self._on_landmarks()
-        self._buttons.undo.changed.connect(self.steps.undo)
-        self._buttons.redo.changed.connect(self.steps.redo)
-        steps.edits.moved.connect(self._show)
-        steps.said.connect(self._on_said)
-        self._listening = Listening()
-        self._listen()
-        self._show()
+        self._form, self._steps, self._points, self._owner = form, steps, points, owner
+        self._away = away
+        self._edits = steps.edits
+        self._undoing = False
+        # Whose table was looked at last.
+        self._layers: dict[Role, Any] = {}
+        tissue, boundary = form.tissue, form.motion.boundary
+        self._painted: dict[Role, PaintedLabels] = {
+            TISSUE: tissue.painted,
+            BOUNDARY: boundary.painted,
+        }
+        tissue.painted.changed.connect(lambda: self._on_table(TISSUE))
+        boundary.painted.changed.connect(lambda: self._on_table(BOUNDARY))
+        tissue.curve.changed.connect(lambda _: self._open_curve())
+        tissue.choice.changed.connect(lambda _: self._open_curve())
+        tissue.curve.settled.connect(self._on_curve)
+        boundary.landmarks.edited.connect(self._on_landmarks)
+        buttons = form.footer.steps
+        buttons.undo.changed.connect(steps.undo)
+        buttons.redo.changed.connect(steps.redo)
+        StepKeys(native, steps)
+        self._heard = Listening()
+        self.come()
 
     def come(self) -> None:
         """The dock is there: have the keys."""
-        self._steps.bind_keys(self)
-        self._listen()
-        self._curve.catch_up()
+        self._heard.release()
+        self._heard = Listening(
+            (self._edits.changed, self._on_undone), (self._edits.moved, self.show)
+        )
+        self._steps.bind_keys(self._owner)
+        for role in self._painted:
+            self._on_table(role)
+        self._open_curve()
         self._on_landmarks()
+        self.show()
 
-    def leave(self) -> None:
-        """The dock is gone."""
-        self._steps.unbind_keys(self)
-        self._listening.release()
-        self._curve.leave()
+    def leave(self, over: bool) -> None:
+        """The dock is closed, or its window is over."""
+        self._steps.unbind_keys(self._owner)
+        self._heard.release()
         # Where a process ends, the timers of what all docks share are gone before its windows.
-        if not self._life.over:
+        if not over:
             self._points.listen(self, ())
 
-    def interrupt(self) -> bool:
-        """Nothing here is ever half done."""
-        return False
+    def show(self) -> None:
+        """Show what there is to take back, and to do again."""
+        if not self._away():
+            self._form.footer.steps.show(self._steps)
 
-    def _listen(self) -> None:
-        """Show what is undone; a dock that is closed leaves that to the others."""
-        self._listening.release()
-        changed = self._steps.edits.changed
-        shown = (*self._tables, self._curve)
-        self._listening = Listening(*((changed, each.show) for each in shown))
+    def _on_table(self, role: Role) -> None:
+        """Keep what is done to a table; rows that come by themselves are no steps."""
+        painted = self._painted[role]
+        layer = painted.layer
+        other, self._layers[role] = layer is not self._layers.get(role), layer
+        if layer is None:
+            return
+        slot, now = Slot(role, layer), Table.of(layer, role)
+        before = self._edits.open(slot, now)
+        if now == before:
+            return
+        if other or painted.by_itself:
+            self._edits.amend(slot, now)
+        else:
+            self._edits.do(slot, now, change(before, now, layer.name))
+
+    def _open_curve(self) -> None:
+        curve = self._form.tissue.curve
+        if curve.layer is not None:
+            self._edits.open(Slot(CURVE, curve.layer), curve.curve)
+
+    def _on_curve(self, now: Any) -> None:
+        layer = self._form.tissue.curve.layer
+        if layer is not None and not self._undoing:
+            self._open_curve()
+            self._edits.do(Slot(CURVE, layer), now, f"changed the curve of '{layer.name}'")
 
     def _on_landmarks(self) -> None:
-        if not self._life.away:
-            self._points.listen(self, self._landmarks.layers)
+        if not self._away():
+            self._points.listen(self, self._form.motion.boundary.landmarks.layers)
 
-    def _show(self) -> None:
-        if not self._life.away:
-            self._buttons.show(self._steps)
-
-    def _on_said(self, sentence: str, slot: Any) -> None:
-        if self._life.away:
+    def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
+        """Show what a slot holds, if it is a table that is shown, or a curve."""
+        if not isinstance(slot, Slot) or self._undoing:
             return
-        if not _is_drawing(slot):
-            self._say(sentence)
-        elif not self._buttons.undo.native.visibleRegion().isEmpty():  # a tab in front
-            self._say(_drawn(sentence))
+        self._undoing = True
+        try:
+            if slot.what == CURVE:
+                self._show_curve(slot.layer, value)
+            elif slot.what in (TISSUE, BOUNDARY):
+                section = self._form.tissue if slot.what == TISSUE else self._form.motion.boundary
+                if section.painted.layer is slot.layer:
+                    section.table.show(value)
+        finally:
+            self._undoing = False
 
-
-def _drawn(sentence: str) -> str:
-    return f"{sentence.rstrip('.')}, {_GRAB}."
-
-
-def _is_drawing(slot: Any) -> bool:
-    return isinstance(slot, Slot) and slot.what == DRAWING
+    def _show_curve(self, layer: Any, value: Any) -> None:
+        curve = self._form.tissue.curve
+        if curve.layer is not layer:
+            self._form.tissue.choice.value = layer
+        if curve.layer is layer and curve.curve != value:
+            curve.curve = value

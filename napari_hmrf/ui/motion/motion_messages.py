@@ -1,0 +1,30 @@
+"""What the tools say."""
+
+from __future__ import annotations
+
+PREPARING = "Getting ready ..."
+OFF = "Paused: press a tool, or choose the layer 'Arrows', to go on."
+FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
+COVERED = "The image is covered by "
+IMAGE_GONE = "There is no image: choose one, or open one (File > Open)."
+NOTHING = "There is no tissue to take hold of there."
+BESIDE = "There is no tissue where you painted, so that nothing changes."
+OUTSIDE = "That is outside the image."
+HALF = "Now click where it should be. Esc: not after all."
+PICKED = "Selected: the fields change it, Delete removes it."
+NOTHING_DRAWN = "Nothing is drawn there: nothing is selected."
+NOTHING_SELECTED = "Nothing is selected: Shift+click what was drawn."
+REMOVED = "Removed; undo brings it back."
+REMOVED_ALL = "Removed all; undo brings it back."
+CANCELLED = "Cancelled; everything is as before."
+OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
+NO_STEP = "That is by 0, so it only holds: say in the fields above how far, and it goes there."
+NO_OUTSIDE = (
+    "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
+    "patch, or take 'Move'."
+)
+
+
+def covered(other: str) -> str:
+    """That nothing of the image is seen, and what can be done."""
+    return f"{COVERED}'{other}': hide that one, or choose it here."
