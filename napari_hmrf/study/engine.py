@@ -66,7 +66,7 @@ class Engine:
         self._doing = doing
         self._overlay = overlay
         self._live: LiveSolver | None = None
-        self._made_with: tuple[Any, ...] = ()
+        self._backend = ""
         self._reached = Monitor("starting", 0.0)
         self._closed = threading.Event()
         self._cancelled = threading.Event()
@@ -107,19 +107,18 @@ class Engine:
         backend : str
             As for `solve`.
         """
-        made_with = (study.optimizer, backend)
         live = self._live
-        if live is None or made_with != self._made_with:
+        if live is None or backend != self._backend:
             if live is not None:
                 live.close()
-            self._made_with = made_with
+            self._backend = backend
             live = self._live = LiveSolver(
                 self._deliver,
-                optimizer=study.optimizer,
                 backend=backend,
                 progress=self.report,
                 doing=self._doing,
             )
+        live.optimizer = study.optimizer
         live.submit(lambda: self._state(study))
 
     def settle(self, study: Study, backend: str = "auto") -> None:
@@ -214,7 +213,7 @@ class Engine:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
         if not (settle or drawing.marks or canvas.observed.any()):
             raise _StillError
-        stated = ground.statement(canvas)
+        stated = replace(ground.statement(canvas), optimizer=study.optimizer)
         self._asked = replace(self._asked, stated=stated)
         return stated.problem, stated.prior
 

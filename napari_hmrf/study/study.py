@@ -278,9 +278,9 @@ class Study:
         )
 
     def lies_as(self, other: Study) -> bool:
-        """Whether the other differs in its drawing, or in nothing."""
+        """Whether the other differs in its drawing, in how it is solved, or in nothing."""
         motion = replace(self.motion, drawing=other.motion.drawing)
-        return replace(self, motion=motion).same_as(other)
+        return replace(self, motion=motion, optimizer=other.optimizer).same_as(other)
 
     @contextmanager
     def naming(self, drawn: bool = True) -> Iterator[None]:

@@ -27,7 +27,7 @@ from napari_hmrf.ui.settings import SolverSettings
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
-_WIDTH = 360
+_WIDTH = 390
 
 
 class DockForm:
@@ -138,7 +138,9 @@ class DockForm:
             ("Advanced", (self.settings, self.energy), False),
         ):
             step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
-            step.layout().setSpacing(2)
+            for inner in (step.layout(), step.content().layout()):
+                inner.setSpacing(2)
+                inner.setContentsMargins(0, 0, 0, 0)
             for part in parts:
                 step.addWidget(getattr(part, "native", part))
             if open_:

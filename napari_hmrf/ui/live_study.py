@@ -18,6 +18,8 @@ from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
@@ -87,6 +89,8 @@ class LiveStudy:
     finished = Signal(object)
     #: What there is to say.
     said = Signal(str)
+    #: What goes on, to be said until it is over; then "".
+    doing = Signal(str)
     #: Another slice or image is worked on.
     moved_on = Signal()
 
@@ -220,6 +224,7 @@ class LiveStudy:
             self.finished.emit(None)
         elif was:
             self._form.footer.following(False)
+            self.doing.emit("")
             self.said.emit(f"{CANCELLED} {STAYS}" if why == CANCELLED and self.latest else why)
 
     def complete(self, *_: Any) -> None:
@@ -228,6 +233,11 @@ class LiveStudy:
             return
         if self._pointer.hand.holding or self._follower.busy:
             self._resting.start()
+            return
+        moved = self._pointer.display.moved
+        if moved is not None and moved.study.optimizer != self.study.optimizer:
+            self._asked = None  # a drag is over
+            self._follow(self.study)
         else:
             self._resting.stop()
             self._pointer.display.arrows.keep(self._pointer.drawing)
@@ -296,9 +306,17 @@ class LiveStudy:
             self._since = time.monotonic()
         self._asked = study
         self._resting.stop()
+        if self._is_hasty(study):
+            study = replace(study, optimizer=Multigrid(TOLERANCE))
         self._follower.follow(study, self._form.settings.backend)
         if not self._poll.isActive():
             self._poll.start()
+
+    def _is_hasty(self, study: Study) -> bool:
+        """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
+        optimizer = study.optimizer
+        near = isinstance(optimizer, Multigrid) and optimizer.tolerance < TOLERANCE
+        return near and self._pointer.hand.holding
 
     def _on_seen(self, seen: Seen) -> None:
         study, moved = self.study, seen.moved
@@ -348,16 +366,17 @@ class LiveStudy:
         if self._away() or not (self._follower.busy or self.settling):
             self._poll.stop()
             self._form.footer.following(False)
+            self.doing.emit("")
             return
         waited, monitor = time.monotonic() - self._since, self._follower.monitor
         if self.settling:
             self._form.footer.progress(monitor.fraction)
             if self.settling:  # Qt may have answered whatever waited, Cancel among it
-                self.said.emit(progress(monitor, waited))
+                self.doing.emit(progress(monitor, waited))
         elif waited > _PATIENCE:
             self._form.footer.following(True)
             doing = progress(monitor, waited)
-            self.said.emit(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
+            self.doing.emit(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
 
     def _cannot(self, error: Exception) -> None:
         """Say why the tissue does not follow, once; the last result stays."""
@@ -386,5 +405,6 @@ class LiveStudy:
     def _end_settling(self, status: str) -> None:
         self.settling = False
         self._form.footer.stop()
+        self.doing.emit("")
         if status:
             self.said.emit(status)

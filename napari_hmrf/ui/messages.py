@@ -34,8 +34,8 @@ DRAWING = "Drawing the result; the first time after the start that takes some se
 COMPILING = "Getting the kernels ready, as for the first time on this machine: some seconds."
 
 MODELS: dict[Model, str] = {
-    "paper": "paper's: Markov random field",
     "elastic": "elastic: as finite elements",
+    "paper": "paper's: Markov random field",
 }
 SCHEDULES: dict[Schedule, str] = {
     "paper": "paper's schedule: 70 sweeps per level",

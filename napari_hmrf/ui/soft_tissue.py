@@ -164,7 +164,7 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._status = ""
+        self._status = self._doing = ""
         self._sized = self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
@@ -214,7 +214,7 @@ class SoftTissue(Dock):
     @property
     def status(self) -> str:
         """The sentence at the bottom: what was done last, or can be done next."""
-        return self._status
+        return self._doing or self._status
 
     @property
     def warning(self) -> str:
@@ -438,7 +438,7 @@ class SoftTissue(Dock):
         """Say something at the bottom."""
         if not self.away:
             self._status = sentence
-            self._form.footer.say(sentence)
+            self._form.footer.say(self.status)
 
     # What happens elsewhere
 
@@ -493,6 +493,7 @@ class SoftTissue(Dock):
         pointer.said.connect(self._on_pointer)
         pointer.changed.connect(self._show_tool)
         live.said.connect(self.say)
+        live.doing.connect(self._on_doing)
         live.moved_on.connect(self._begin_fields)
         self._view.said.connect(self.say)
 
@@ -539,6 +540,11 @@ class SoftTissue(Dock):
             if not self.active:
                 self.start()
         self._show_tool()
+
+    def _on_doing(self, sentence: str) -> None:
+        if not self.away:
+            self._doing = sentence
+            self._form.footer.say(self.status)
 
     def _on_pointer(self, sentence: str) -> None:
         self.say(self._covered or sentence if sentence == self._pointer.tool.how else sentence)

@@ -118,6 +118,6 @@ class ResultForm(Container):
     def of_result(self) -> tuple[Any, ...]:
         """What is of no use without a result."""
         return (
-            self.slider, self.play, self.before, self.colours, self.arrows, self.grid, self.moved_labels,
-            self.count, self.length, self.save,
+            self.slider, self.play, self.before, self.colours, self.arrows, self.grid,
+            self.moved_labels, self.count, self.length, self.save,
         )  # fmt: skip
