@@ -110,7 +110,7 @@ def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pul
     assert not layer.mouse_pan
     assert len(widget.drawing.marks) == 1
     assert layer.cursor == "circle"
-    assert layer.cursor_size == pytest.approx(2 * widget.form.radius.value)
+    assert layer.cursor_size == pytest.approx(2 * widget.fields.radius.value)
 
 
 def test_another_active_layer_pauses_the_tool(pulling):
@@ -121,9 +121,9 @@ def test_another_active_layer_pauses_the_tool(pulling):
     assert "Paused" in widget.status
     person.drag((30, 30), (34, 34))
     assert not widget.drawing.marks
-    widget.form.grab.native.click()
+    Screen(widget).press("Pull")
     assert widget.active
-    widget.form.grab.native.click()
+    Screen(widget).press("Pull")
     assert not widget.active
 
 
@@ -172,7 +172,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     assert not widget.active
     assert "is gone" in widget.status
     settle(widget)
-    widget.form.grab.native.click()
+    Screen(widget).press("Pull")
     assert len(by_name(person.viewer, "Arrows").data) > 10
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
@@ -461,7 +461,7 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
     _, other = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
     assert widget.start()
     settle(widget)
-    before = widget._puller.ground.stiffness.max()
+    before = widget._pointer.ground.stiffness.max()
     rows = other.materials
     other.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
     settle_ground(widget, person, 2 * before)
@@ -474,7 +474,7 @@ def test_a_table_edited_in_the_other_dock_is_taken_over(open_window, settle):
 
 def settle_ground(widget, person, stiffest):
     person._qtbot.waitUntil(
-        lambda: widget._puller.ground.stiffness.max() == stiffest, timeout=LONG_MS
+        lambda: widget._pointer.ground.stiffness.max() == stiffest, timeout=LONG_MS
     )
 
 
@@ -499,13 +499,13 @@ def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, sett
         layer = by_name(person.viewer, name)
         assert layer.units == image.units
         np.testing.assert_array_equal(layer.scale, image.scale)
-    assert "mm" in widget.form.radius.label
+    assert "mm" in widget.fields.radius.label
 
 
 def test_a_drag_may_begin_at_any_edge_of_the_image(pulling, settle):
     person, widget = pulling
     widget.form.edge.value = False
-    widget.form.radius.value = 12.0
+    widget.fields.radius.value = 12.0
     rows, cols = widget.image.data.shape
     for place in ((3, 30), (30, 3), (rows - 4, 30), (30, cols - 4), (3, 3)):
         settle(widget)

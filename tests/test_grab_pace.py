@@ -148,7 +148,7 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     told, thumbnails, seen = [], [], []
     person.press(30, 30)
     person.move(32, 32)
-    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: not widget._pointer.follower.busy, timeout=LONG_MS)
     picture.events.data.connect(lambda event: told.append(event.value))
     picture.events.thumbnail.connect(lambda event: thumbnails.append(event))
     widget.seen.connect(seen.append)
@@ -163,7 +163,7 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     assert np.array_equal(told[-1], seen[-1].picture)
     assert thumbnails
     assert np.array_equal(
-        by_name(person.viewer, "MR").data, widget._puller.ground.study.pictures.image
+        by_name(person.viewer, "MR").data, widget._pointer.ground.study.pictures.image
     )
 
 
@@ -171,7 +171,7 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person, widget = pulling
     person.press(30, 30)
     person.move(32, 32)
-    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: not widget._pointer.follower.busy, timeout=LONG_MS)
     picture = by_name(person.viewer, "MR deformed, elastic")
     theirs = np.zeros_like(picture.data)
     picture.data = theirs
@@ -185,7 +185,7 @@ def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling, qtbot
     person, widget = pulling
     layer, positions = by_name(person.viewer, "Arrows"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
-    for end in (lambda: person.release(34, 34), lambda: widget._puller.answers.cancel()):
+    for end in (lambda: person.release(34, 34), lambda: widget._pointer.answers.cancel()):
         person.press(30, 30)
         assert layer.cursor == "pointing"
         positions.clear()

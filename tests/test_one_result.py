@@ -84,7 +84,7 @@ def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(at_ha
     settle(puller)
     assert len(puller.drawing.marks) == 2
     assert seen(viewer) == PULLED
-    assert np.array_equal(picture.data, puller._puller.display.seen.picture)
+    assert np.array_equal(picture.data, puller._pointer.display.moved.image)
     outputs = run(deform)
     assert seen(viewer) == DEFORMED
     assert np.array_equal(picture.data, outputs.layers["image"].data)
@@ -248,14 +248,14 @@ def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, settle, w
     wait_for(lambda: look.percent == 100)
     settle(puller)
     wait_for(lambda: look.idle and not look._scene.outdated)
-    assert np.array_equal(picture.data, puller._puller.display.seen.picture)
+    assert np.array_equal(picture.data, puller._pointer.display.moved.image)
     grid = viewer.layers["MR grid, elastic"]
     assert grid.visible
     assert grid.data.shape != before.shape or (grid.data != before).any()
     look.percent = 40
     wait_for(lambda: look.idle and known_of(picture).get("percent") == 40)
     viewer.window.remove_dock_widget(look.native)
-    assert np.array_equal(picture.data, puller._puller.display.seen.picture), "put back"
+    assert np.array_equal(picture.data, puller._pointer.display.moved.image), "put back"
 
 
 def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
@@ -558,7 +558,7 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling, settle):
 def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, at_rest):
     viewer = make_napari_viewer(show=True)
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
-    widget.form.grab.native.click()
+    Screen(widget).press("Pull")
     assert "image" in widget.status
     small_sample(viewer)
     at_rest()

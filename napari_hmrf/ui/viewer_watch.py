@@ -219,7 +219,8 @@ class ViewerWatch:
     def _is_painted(self) -> bool:
         """Whether napari's brush paints what the study is read from."""
         active = self._viewer.layers.selection.active
-        return any(active is each for each in self._painted) and active.mode in _BRUSHES
+        painted = isinstance(active, Labels) and active in self._painted
+        return painted and active.mode in _BRUSHES
 
     def _on_mode(self, *_: Any) -> None:
         """A brush that is taken up is to be put on the image as it was."""
