@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+from napari_hmrf.ui.result.look_dock import LookAtResult
 from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -13,9 +16,6 @@ from napari_hmrf.layers.contributions import open_solution, save_solution
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_tables import load_materials
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.motion.grab_dock import GrabAndPull
-from napari_hmrf.ui.result.look_dock import LookAtResult
 
 GEL = "gel"
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.layers import Image
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 from patience import LONG_MS
 from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
 from qtpy.QtGui import QMouseEvent
@@ -20,7 +21,6 @@ from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.axes import CurveAxes
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 from napari_hmrf.ui.material_menu import own_library
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
@@ -303,9 +303,8 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
 
 def test_tissue_from_intensity_is_pulled(qtbot):
     from napari.components import ViewerModel
-    from study_reader import read_ground
-
     from napari_hmrf.ui.deform_dock import DeformTissue
+    from study_reader import read_ground
 
     viewer = ViewerModel()
     widget, grab = DeformTissue(viewer), GrabAndPull(viewer)

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 from napari.components import ViewerModel
+from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+from napari_hmrf.ui.result.look_dock import LookAtResult
 from npe2 import PluginManifest
 from patience import LONG_MS
 from qtpy.QtCore import Qt
@@ -12,9 +15,6 @@ from qtpy.QtWidgets import QDockWidget, QLabel, QTabBar
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.commands import dock
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.motion.grab_dock import GrabAndPull
-from napari_hmrf.ui.result.look_dock import LookAtResult
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 KINDS = [DeformTissue, GrabAndPull, LookAtResult]

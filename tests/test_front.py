@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-
-from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.deform_dock import DeformTissue
 from napari_hmrf.ui.motion.grab_dock import GrabAndPull
+
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
 
 DOCKS = [DeformTissue, GrabAndPull]

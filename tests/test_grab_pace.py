@@ -4,6 +4,7 @@ import threading
 
 import numpy as np
 import pytest
+from napari_hmrf.ui.motion.live_tissue import Follower
 from patience import LONG_MS
 from person import by_name
 from qtpy.QtWidgets import QApplication
@@ -14,7 +15,6 @@ from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.motion.live_tissue import Follower
 
 
 def pulled(by):

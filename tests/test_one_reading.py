@@ -8,6 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as some
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Points, Vectors
+from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 from study_reader import read_ground
 
 from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
@@ -18,8 +20,6 @@ from napari_hmrf.study.ground import Ground, statement_of
 from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 
 SHAPE = (18, 22)
 SPACING = (0.5, 0.8)

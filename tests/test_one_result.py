@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import quick
+from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 
@@ -10,7 +11,6 @@ from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.motion.grab_dock import GrabAndPull
 from napari_hmrf.ui.motion.motion_messages import START
 
 

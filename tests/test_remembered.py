@@ -7,7 +7,6 @@ from napari_hmrf.solver.priors import SeilerPrior
 
 def another(qtbot, viewer=None):
     from napari.components import ViewerModel
-
     from napari_hmrf.ui.deform_dock import DeformTissue
 
     made = DeformTissue(ViewerModel() if viewer is None else viewer)
@@ -53,7 +52,6 @@ def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
 
 def test_how_many_arrows_are_drawn_is_remembered_but_not_that_they_are_longer_than_true(qtbot):
     from napari.components import ViewerModel
-
     from napari_hmrf.ui.result.look_dock import LookAtResult
 
     first, second = None, None

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import quick
 from napari.layers import Image, Labels, Vectors
+from napari_hmrf.ui.result.look_dock import LookAtResult
 from person import SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -26,7 +27,6 @@ from napari_hmrf.layers.strain_layers import quantity_layer
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.result.look_dock import LookAtResult
 from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
 from napari_hmrf.ui.result.saving import save_canvas
 

@@ -17,7 +17,7 @@ from napari_hmrf.layers.slice_view import View, unit_factor
 from napari_hmrf.layers.table_state import Table
 from napari_hmrf.layers.undo_keys import UndoKeys
 from napari_hmrf.layers.viewer_shared import shared
-from napari_hmrf.tissue.drawing.edits import Edits, Step
+from napari_hmrf.study.study_model import Step, StudyModel
 
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
 DRAWING = "drawing"
@@ -90,7 +90,7 @@ class ViewerSteps:
 
     Attributes
     ----------
-    edits : Edits
+    edits : StudyModel
         By `Slot`.
     said : Signal(str, object)
         What was taken back or done again, in words, and the `Slot` it was of, or None.
@@ -99,7 +99,7 @@ class ViewerSteps:
     said = Signal(str, object)
 
     def __init__(self, viewer: Any) -> None:
-        self.edits = Edits()
+        self.edits = StudyModel()
         self._viewer = weakref.ref(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
         self._keys: UndoKeys | None = None

@@ -9,7 +9,7 @@ from typing import Any
 from napari.layers import Labels
 
 from napari_hmrf.layers.compat import paint_steps
-from napari_hmrf.tissue.drawing.edits import Edits
+from napari_hmrf.study.study_model import StudyModel
 
 #: Keys, and what they do.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
@@ -24,7 +24,7 @@ class UndoKeys:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    edits : Edits
+    edits : StudyModel
         Ours.
     go : mapping of str to callable
         Ours, by "undo" and "redo".
@@ -33,7 +33,7 @@ class UndoKeys:
     def __init__(
         self,
         viewer: Any,
-        edits: Edits,
+        edits: StudyModel,
         go: dict[str, Callable[[], None]],
     ) -> None:
         self._edits, self._go = edits, go

@@ -19,8 +19,9 @@ from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Drawing, History
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.material_tables import load_materials, save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve

@@ -9,9 +9,8 @@ from typing import Any
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing.canvas import refuse_open_line
-from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Action, Components, Mark, Point, Stroke
-from napari_hmrf.tissue.drawing.tool import Hand, Origin, unmoved
+from napari_hmrf.tissue.drawing.tool import Hand, History, Origin, unmoved
 
 #: The brush must have moved on by this part of its radius until that is a place of its own.
 _STEP = 0.1

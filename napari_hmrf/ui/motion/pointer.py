@@ -12,7 +12,8 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours, touches
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.drawing import Drawing, History, Stroke
+from napari_hmrf.study.study_model import History
+from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.follower import Seen

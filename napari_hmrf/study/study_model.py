@@ -1,8 +1,8 @@
-"""Going back and forth between the states of several things that are edited in turn.
+"""What a person edits of the studies in a viewer, and the way back to earlier states of it.
 
-There is one order of steps for all of them, as there is one person who made them. What is edited
-has a name, its slot; what it holds is a value that does not change, so that what comes back is
-exactly what was there.
+There is one order of steps for all of it, as there is one person who made them. What is edited, a
+table or the drawing of a slice, has a name, its slot; what it holds is a value that does not
+change, so that what comes back is exactly what was there.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from collections.abc import Callable, Hashable, Iterable
 from typing import Any, NamedTuple
 
 from psygnal import Signal
+
+from napari_hmrf.tissue.drawing import Drawing
 
 #: How many steps are kept.
 DEPTH = 500
@@ -25,7 +27,7 @@ class Step(NamedTuple):
     word: str
 
 
-class Edits:
+class StudyModel:
     """What every slot holds now, and the steps that lead back and on again.
 
     Parameters
@@ -209,3 +211,106 @@ class Edits:
         if value != before:
             self._now[slot] = value
             self.changed.emit(slot, value, before)
+
+
+class History:
+    """A drawing as it is now, among all that is edited in turn.
+
+    Drawings do not change, so that what comes back is exactly what was there.
+
+    Parameters
+    ----------
+    drawing : Drawing, optional
+        To begin with.
+    edits : StudyModel, optional
+        The steps of all that is edited; by default the drawing is all.
+    slot : hashable
+        The drawing's own, among them.
+
+    Attributes
+    ----------
+    changed : Signal(Drawing)
+        Emitted with the drawing whenever it is another.
+    """
+
+    changed = Signal(Drawing)
+
+    def __init__(
+        self,
+        drawing: Drawing | None = None,
+        edits: StudyModel | None = None,
+        slot: Hashable = "drawing",
+    ) -> None:
+        self.edits = StudyModel() if edits is None else edits
+        self.slot = slot
+        self._first = drawing or Drawing()
+        self.edits.open(slot, self._first)
+        self.edits.changed.connect(self._on_changed)
+
+    @property
+    def drawing(self) -> Drawing:
+        """As it is now, an edit in progress included."""
+        drawing: Drawing = self.edits.get(self.slot, self._first)
+        return drawing
+
+    @property
+    def in_progress(self) -> bool:
+        """Whether an edit of this drawing was begun and not ended."""
+        return self.slot in self.edits and self.edits.in_progress == self.slot
+
+    @property
+    def undo_word(self) -> str:
+        """What `undo` would take back, such as "moved an arrow"; empty if nothing."""
+        step = self.edits.next_undo
+        return step.word if step is not None else ""
+
+    def do(self, drawing: Drawing, word: str) -> None:
+        """Make one step; an edit in progress ends before it.
+
+        Parameters
+        ----------
+        drawing : Drawing
+            As it is from now on. If it is the same as before, there is no step.
+        word : str
+            What was done, in the past tense: "removed an arrow".
+        """
+        self.begin(word)
+        self.update(drawing)
+        self.end()
+
+    def begin(self, word: str) -> None:
+        """Begin an edit that takes a while, as a drag does: however it goes on, it is one step."""
+        self.edits.open(self.slot, self._first)
+        self.edits.begin(self.slot, word)
+
+    def update(self, drawing: Drawing) -> None:
+        """Go on with the edit in progress.
+
+        Raises
+        ------
+        RuntimeError
+            If none was begun.
+        """
+        if not self.in_progress:
+            raise RuntimeError("no edit was begun; call begin() first, or do()")
+        self.edits.update(drawing)
+
+    def end(self, word: str = "") -> None:
+        """End the edit in progress, if there is one; it can be undone from now on.
+
+        Parameters
+        ----------
+        word : str, optional
+            What was done, if that turned out to be something else than was begun.
+        """
+        if self.in_progress:
+            self.edits.end(word)
+
+    def cancel(self) -> None:
+        """Drop the edit in progress: the drawing is as before it, and nothing is to be undone."""
+        if self.in_progress:
+            self.edits.cancel()
+
+    def _on_changed(self, slot: Hashable, value: Any) -> None:
+        if slot == self.slot:
+            self.changed.emit(value)
