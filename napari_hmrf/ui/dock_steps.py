@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role
+from napari.layers import Points, Shapes
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf.layers.compat import is_drawn
+from napari_hmrf.layers.edit_history import CURVE, POINTS, Owner, Slot, ViewerSteps
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
+from napari_hmrf.layers.points_state import placed_in
 from napari_hmrf.layers.table_state import Table, change
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
-from napari_hmrf.ui.label_sync import PaintedLabels
-from napari_hmrf.ui.point_steps import PointSteps
 from napari_hmrf.ui.step_buttons import StepKeys
+from napari_hmrf.ui.timers import single_shot
+
+#: How long points, or a curve, must rest until a drag of them is over, in milliseconds.
+_REST = 200
 
 
 class DockSteps:
-    """Makes a step of each edit in a dock, and shows there what is undone.
+    """Makes a step of each edit of what is chosen in a dock, and shows there what is undone.
+
+    Whatever is edited is read as it is now; napari has no undo of points, or of lines.
 
     Parameters
     ----------
@@ -25,8 +35,7 @@ class DockSteps:
     form : DockForm
         Of the dock.
     steps : ViewerSteps
-    points : PointSteps
-        Of the viewer, both.
+        Of the viewer.
     owner : Owner
         Who may be in the middle of something.
     away : callable
@@ -38,27 +47,21 @@ class DockSteps:
         native: Any,
         form: DockForm,
         steps: ViewerSteps,
-        points: PointSteps,
         owner: Owner,
         away: Callable[[], bool],
     ) -> None:
-        self._form, self._steps, self._points, self._owner = form, steps, points, owner
-        self._away = away
-        self._edits = steps.edits
+        self._form, self._steps, self._owner, self._away = form, steps, owner, away
+        self._model = steps.edits
         self._undoing = False
-        # Whose table was looked at last.
-        self._layers: dict[Role, Any] = {}
+        # What was chosen when that was looked at last.
+        self._known: set[Slot] = set()
+        self._resting = single_shot(native, _REST, self._on_rest)
         tissue, boundary = form.tissue, form.motion.boundary
-        self._painted: dict[Role, PaintedLabels] = {
-            TISSUE: tissue.painted,
-            BOUNDARY: boundary.painted,
-        }
-        tissue.painted.changed.connect(lambda: self._on_table(TISSUE))
-        boundary.painted.changed.connect(lambda: self._on_table(BOUNDARY))
-        tissue.curve.changed.connect(lambda _: self._open_curve())
-        tissue.choice.changed.connect(lambda _: self._open_curve())
-        tissue.curve.settled.connect(self._on_curve)
-        boundary.landmarks.edited.connect(self._on_landmarks)
+        for painted in (tissue.painted, boundary.painted):
+            painted.changed.connect(lambda each=painted: self.note(each.by_itself))
+        tissue.choice.changed.connect(lambda _: self.note())
+        tissue.curve.changed.connect(lambda _: self.note())
+        boundary.landmarks.edited.connect(lambda: self.note())
         buttons = form.footer.steps
         buttons.undo.changed.connect(steps.undo)
         buttons.redo.changed.connect(steps.redo)
@@ -70,70 +73,92 @@ class DockSteps:
         """The dock is there: have the keys."""
         self._heard.release()
         self._heard = Listening(
-            (self._edits.changed, self._on_undone), (self._edits.moved, self.show)
+            (self._model.changed, self._on_undone), (self._model.moved, self.show)
         )
         self._steps.bind_keys(self._owner)
-        for role in self._painted:
-            self._on_table(role)
-        self._open_curve()
-        self._on_landmarks()
+        self._known = set()
+        self.note()
         self.show()
 
-    def leave(self, over: bool) -> None:
-        """The dock is closed, or its window is over."""
+    def leave(self) -> None:
+        """The dock is closed, or its window is gone."""
         self._steps.unbind_keys(self._owner)
         self._heard.release()
-        # Where a process ends, the timers of what all docks share are gone before its windows.
-        if not over:
-            self._points.listen(self, ())
 
     def show(self) -> None:
         """Show what there is to take back, and to do again."""
         if not self._away():
             self._form.footer.steps.show(self._steps)
 
-    def _on_table(self, role: Role) -> None:
-        """Keep what is done to a table; rows that come by themselves are no steps."""
-        painted = self._painted[role]
-        layer = painted.layer
-        other, self._layers[role] = layer is not self._layers.get(role), layer
-        if layer is None:
+    def note(self, by_itself: bool = False) -> None:
+        """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
+        if self._undoing or self._away():
             return
-        slot, now = Slot(role, layer), Table.of(layer, role)
-        before = self._edits.open(slot, now)
-        if now == before:
+        known, self._known = self._known, set()
+        for slot, now in self._edited():
+            self._known.add(slot)
+            before = self._model.open(slot, now)
+            if now == before:
+                if slot.what == POINTS:
+                    before.look.update(now.look)
+            elif by_itself or slot not in known:
+                self._model.amend(slot, now)
+            else:
+                self._step(slot, before, now)
+
+    def _edited(self) -> Iterator[tuple[Slot, Any]]:
+        """What is chosen and can be edited, as it is now."""
+        form = self._form
+        for role, section in ((TISSUE, form.tissue), (BOUNDARY, form.motion.boundary)):
+            if (layer := section.painted.layer) is not None:
+                yield Slot(role, layer), Table.of(layer, role)
+        if (layer := form.tissue.curve.layer) is not None:
+            yield Slot(CURVE, layer), form.tissue.curve.curve
+        for layer in form.motion.boundary.landmarks.layers:
+            if isinstance(layer, Points | Shapes):
+                yield Slot(POINTS, layer), placed_in(layer)
+
+    def _step(self, slot: Slot, before: Any, now: Any) -> None:
+        """Make a step, or go on with one: a drag is one, however many times napari tells of it."""
+        model, layer = self._model, slot.layer
+        if slot.what not in (CURVE, POINTS):
+            model.do(slot, now, change(before, now, layer.name))
             return
-        if other or painted.by_itself:
-            self._edits.amend(slot, now)
+        points = slot.what == POINTS
+        counted = points and now.count != before.count
+        if model.in_progress != slot or counted:
+            word = (
+                before.change(now, layer.name) if points else f"changed the curve of '{layer.name}'"
+            )
+            model.begin(slot, word)
+        model.update(now)
+        if counted and not is_drawn(layer):
+            model.end()
         else:
-            self._edits.do(slot, now, change(before, now, layer.name))
+            self._resting.start()
 
-    def _open_curve(self) -> None:
-        curve = self._form.tissue.curve
-        if curve.layer is not None:
-            self._edits.open(Slot(CURVE, curve.layer), curve.curve)
-
-    def _on_curve(self, now: Any) -> None:
-        layer = self._form.tissue.curve.layer
-        if layer is not None and not self._undoing:
-            self._open_curve()
-            self._edits.do(Slot(CURVE, layer), now, f"changed the curve of '{layer.name}'")
-
-    def _on_landmarks(self) -> None:
-        if not self._away():
-            self._points.listen(self, self._form.motion.boundary.landmarks.layers)
+    def _on_rest(self) -> None:
+        slot = self._model.in_progress
+        if not isinstance(slot, Slot) or slot.what not in (CURVE, POINTS):
+            return
+        held = QApplication.mouseButtons() != Qt.MouseButton.NoButton
+        if held or (slot.what == POINTS and is_drawn(slot.layer)):
+            self._resting.start()
+        else:
+            self._model.end()
 
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
-        """Show what a slot holds, if it is a table that is shown, or a curve."""
+        """Put back what a slot holds: a table that is shown, a curve, or points."""
         if not isinstance(slot, Slot) or self._undoing:
             return
         self._undoing = True
         try:
             if slot.what == CURVE:
                 self._show_curve(slot.layer, value)
-            elif slot.what in (TISSUE, BOUNDARY):
-                section = self._form.tissue if slot.what == TISSUE else self._form.motion.boundary
-                if section.painted.layer is slot.layer:
+            elif slot.what == POINTS and placed_in(slot.layer) != value:
+                value.give_to(slot.layer)
+            for section in (self._form.tissue, self._form.motion.boundary):
+                if slot.what in (TISSUE, BOUNDARY) and section.painted.layer is slot.layer:
                     section.table.show(value)
         finally:
             self._undoing = False

@@ -15,7 +15,6 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.layers.viewer_layers import still_there
-from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
@@ -47,7 +46,6 @@ from napari_hmrf.ui.motion.motion_messages import COVERED, FLAT, OFF, covered
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
-from napari_hmrf.ui.point_steps import PointSteps
 from napari_hmrf.ui.remembered_settings import keep
 from napari_hmrf.ui.result.result_messages import NOTHING
 from napari_hmrf.ui.result.result_view import ResultView
@@ -176,9 +174,7 @@ class SoftTissue(Dock):
             self.native, viewer, form, self._choices, self._pointer, lambda: self.away
         )
         self._view = ResultView(self.native, viewer, form.result, self._results, lambda: self.away)
-        self._steps = DockSteps(
-            self.native, form, steps, shared(viewer, PointSteps), self._pointer, lambda: self.away
-        )
+        self._steps = DockSteps(self.native, form, steps, self._pointer, lambda: self.away)
         keep(viewer, form.solved)
         self._connect()
         steps.said.connect(self._on_step)
@@ -574,7 +570,7 @@ class SoftTissue(Dock):
         self._pointer.leave()
         self._view.rest()
         self._watch.leave()
-        self._steps.leave(over=False)
+        self._steps.leave()
         self._form.release()
 
     def _on_end(self) -> None:
@@ -582,5 +578,5 @@ class SoftTissue(Dock):
         self._live_study.release()
         self._pointer.end()
         self._view.release()
-        self._steps.leave(over=True)
+        self._steps.leave()
         self._form.release()
