@@ -57,12 +57,6 @@ class StudyModel:
     def __contains__(self, slot: Hashable) -> bool:
         return slot in self._now
 
-    def has_steps(self, slot: Hashable) -> bool:
-        """Whether anything that was done to a slot can be taken back, or done again."""
-        return slot == self.in_progress or any(
-            step.slot == slot for steps in (self._past, self._future) for step in steps
-        )
-
     def get(self, slot: Hashable, default: Any = None) -> Any:
         """What a slot holds now, an edit in progress included."""
         return self._now.get(slot, default)
