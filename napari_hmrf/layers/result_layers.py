@@ -37,8 +37,10 @@ KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "folds", "grid", "arr
 #: What a file of a solution alone can show.
 RESTORED: tuple[Kind, ...] = ("arrows",)
 
-#: Arrows enough to see the motion, few enough to see the image.
-ARROWS = 500
+#: Arrows enough to see the motion, few enough to see the image and each of them.
+ARROWS = 250
+#: What moves by less than this part of the farthest is not drawn: its arrow would be a dot.
+_LEAST = 0.1
 #: Lines of the deformation grid across the longer side.
 LINES = 30
 
@@ -146,6 +148,8 @@ def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[n
     found = arrows(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=about
     )
+    lengths = np.linalg.norm(found[:, 1], axis=1)
+    found = found[lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)]
     pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
     chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
     return found[chosen], pixels / 8
