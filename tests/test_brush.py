@@ -245,3 +245,20 @@ def test_what_was_painted_has_a_colour_of_its_own_and_is_paler_where_it_is_less_
         assert colour[:3] == pytest.approx(expected, abs=0.01)
     assert layer.get_color(number_of("pin", 0.2))[3] < 0.6 * layer.get_color(number_of("pin"))[3]
     assert layer.get_color(number_of("tissue", label=7))[:3] == pytest.approx(colours[7], abs=0.01)
+
+
+def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, history):
+    drag(brush, Paint("move", 4.0), (20, 20), (24, 20))
+    assert history.drawing.marks[0].moves_nowhere
+    assert (
+        drag(brush, Paint("move", 4.0), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
+    )
+    (stroke,) = history.drawing.marks
+    assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
+    assert stroke.lines == (((20, 20), (24, 20)),), "dragged, and not painted on"
+    drag(brush, Paint("move", 4.0, by=stroke.by), (22, 20), (20, 20))
+    assert history.drawing.marks[0].by == pytest.approx((3 * SPACING[0], 4 * SPACING[1]))
+    history.edits.undo()
+    assert history.drawing.marks == (stroke,)
+    drag(brush, Paint("move", 4.0), (50, 40))
+    assert len(history.drawing.marks) == 2, "elsewhere another region is painted"

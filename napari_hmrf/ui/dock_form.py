@@ -15,7 +15,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.study.study import Grid
 from napari_hmrf.ui.energy_plot import EnergyPlot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import put_scrolled
+from napari_hmrf.ui.forms import put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.material_table import POISSON
 from napari_hmrf.ui.model import TissueModel
@@ -43,8 +43,8 @@ class DockForm:
     Attributes
     ----------
     image : LayerChoice
-    make : PushButton
-        Adds layers to paint on.
+    make, intensity : PushButton
+        Add layers to paint on, and one of stiffness.
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
@@ -64,6 +64,11 @@ class DockForm:
         self.make = PushButton(
             text="Make layers to paint on",
             tooltip="Adds a tissue and a boundary layer on the image's pixels",
+        )
+        self.intensity = PushButton(
+            text="Tissue from brightness",
+            tooltip="Adds a layer of stiffness made from how bright the image is, by a curve that "
+            "you draw",
         )
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
@@ -128,7 +133,8 @@ class DockForm:
 
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image])
-        body = Container(widgets=[first, self.make], labels=False)
+        ways = row(self.make, self.intensity)
+        body = Container(widgets=[first, ways], labels=False)
         layout = body.native.layout()
         for title, parts, open_ in (
             ("1  Tissue", (self.tissue,), True),
@@ -151,7 +157,16 @@ class DockForm:
         put_scrolled(outer, body, _WIDTH)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer.build())
-        for container in (outer, body, first, self.tissue, self.motion, self.result, self.model):
+        for container in (
+            outer,
+            body,
+            first,
+            ways,
+            self.tissue,
+            self.motion,
+            self.result,
+            self.model,
+        ):
             container.margins = (2, 2, 2, 2)
 
     def _on_tissue(self) -> None:

@@ -14,7 +14,7 @@ from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.step_buttons import StepButtons
 
 #: Lines of the status that are seen; its tooltip has all of it.
-_LINES = 4
+_LINES = 3
 #: Work shorter than this is over before anybody has looked at napari's activity panel, in seconds.
 _SHORT = 1.0
 #: How often that panel is told: it has the whole window drawn each time.
@@ -83,7 +83,7 @@ class Footer:
             kept.setSizePolicy(policy)
             kept.hide()
             layout.addWidget(kept)
-        for label, lines in ((self._status, _LINES), (self._details, 2)):
+        for label, lines in ((self._status, _LINES), (self._details, 3)):
             label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)

@@ -474,7 +474,7 @@ class SoftTissue(Dock):
         form, pointer, live = self._form, self._pointer, self._live_study
         form.edited.connect(self.touch)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
-        form.tissue.intensity.clicked.connect(lambda: self._try(self.tissue_from_intensity))
+        form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())

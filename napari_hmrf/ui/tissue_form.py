@@ -95,10 +95,6 @@ class TissueSection(_PaintedSection[MaterialTable]):
             text="the dark border is no tissue",
             tooltip="What is dark around the image and not painted is no tissue, such as air",
         )
-        self.intensity = QPushButton("From brightness")
-        self.intensity.setToolTip(
-            "Adds a layer of stiffness made from how bright the image is, by a curve that you draw"
-        )
         self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
         self._put_below("tissue", self.menu)
         self.curve = TissueCurve(layers, view)

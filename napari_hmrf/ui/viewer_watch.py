@@ -124,7 +124,7 @@ class ViewerWatch:
         self._pixels.listen_to([layer for layer in layers if layer is not None])
         missing = form.image.value is not None and None in self._painted
         form.make.enabled = missing
-        form.tissue.intensity.setEnabled(form.image.value is not None)
+        form.intensity.enabled = form.image.value is not None
         self._mark()
         self._dock.touch()
 

@@ -72,11 +72,17 @@ class ArrowsLayer:
             spare_compiling(self._viewer, self._layer)
         self.place(frame, shape)
         layers = self._viewer.layers
-        layers.move(layers.index(self._layer), len(layers))
+        self.raise_up()
         self._layer.visible = True
         layers.selection = {self._layer}
         self._radius = radius
         self._equip(self._layer)
+
+    def raise_up(self) -> None:
+        """Have the layer lie on top, if there is a layer."""
+        layers, layer = self._viewer.layers, self.layer
+        if layer is not None and layers[-1] is not layer:
+            layers.move(layers.index(layer), len(layers))
 
     def place(self, frame: Frame, shape: tuple[int, int]) -> None:
         """Have the layer lie on another slice, if there is a layer."""

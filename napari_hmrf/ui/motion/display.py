@@ -122,6 +122,7 @@ class Display:
         place = done.moved.study.grid.place
         with self.own_doing():
             self._results.show(self._image, place, done.outputs.layers)
+            self.arrows.raise_up()
 
     def _show_picture(self, moved: Deformation) -> None:
         study, image = moved.study, moved.image

@@ -18,7 +18,7 @@ REMOVED = "Removed; undo brings it back."
 REMOVED_ALL = "Removed all; undo brings it back."
 CANCELLED = "Cancelled; everything is as before."
 OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
-NO_STEP = "That is by 0, so it only holds: say in the fields above how far, and it goes there."
+NO_STEP = "Now drag it to where it goes, or say above how far; till then it is held."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
     "patch, or take 'Move'."

@@ -316,6 +316,7 @@ class Pointer:
             if isinstance(mark, Stroke) and holds and ground is not None:
                 beside = not touches(mark, ground.base, ground.body)
                 self.said.emit(BESIDE if beside else self.tool.how)
+            self._show_how()
             if self.tool.name == "landmark":  # no click is waited for any more
                 self.said.emit(self.tool.how)
             self.draw()

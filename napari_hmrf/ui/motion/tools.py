@@ -78,8 +78,8 @@ TOOLS: tuple[Tool, ...] = (
         "Push",
         "M",
         ("radius", "by_row", "by_col", "confidence", "components"),
-        "Paint what moves by a given step",
-        "Paint what moves by the step given here.",
+        "Paint what moves, then drag it to where it goes; or type how far",
+        "Paint what moves, then drag it to where it goes.",
     ),
     Tool(
         "expand",
