@@ -7,6 +7,9 @@ Every model of the linear solver on every backend has a process of its own, with
 the driver's in new folders. Printed are the seconds to import the package, to the first field and
 to the second, and those of compiling; at the end what each loop cost of all that
 ``python -m napari_hmrf.compiling`` compiles, pictures and rigid bodies among them.
+With ``--takeover`` a patch is dragged by shaders until the loops take over: those of a folder that
+``NUMBA_CACHE_DIR=FOLDER python -m napari_hmrf.compiling`` has filled, after eight seconds, or those
+that the compiler makes meanwhile, which takes minutes.
 Beside it stands how long a plain loop of the interpreter takes here: about a second on a quick
 machine.
 """
@@ -14,14 +17,11 @@ machine.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
-import math
 import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,8 +41,6 @@ _EVERYTHING = "everything"
 #: What all compiling of the linear solver may take on one quiet core, in seconds.
 BUDGET = 60.0
 _TURNS = 20_000_000
-#: Movements of the mouse a second; and for how long a drag goes on before and after.
-_EVENTS, _BEFORE, _AFTER = 60.0, 8.0, 8.0
 
 
 def _paper(conditional: Any, converged: bool) -> tuple[Any, Any]:
@@ -141,45 +139,6 @@ def fresh(model: str, backend: str, size: int) -> Any:
     return json.loads(ran.stdout.splitlines()[-1])
 
 
-def drag(size: int) -> None:
-    """Drag a patch until the loops have taken over, here; print how long pictures stood still."""
-    from live import Drag
-
-    from napari_hmrf.solver.backends import kept, loader
-
-    mark = kept.mark()
-    hidden = mark.with_suffix(".hidden")
-    if mark.exists():  # of an earlier run: show it in a while
-        mark.rename(hidden)
-    hand, begun = Drag(size), time.perf_counter()
-    noticed = taken = 0.0
-    moments: list[float] = []
-    pause = threading.Event()
-    while not taken or time.perf_counter() < taken + _AFTER:
-        now = time.perf_counter()
-        if hidden.exists() and moments and now > moments[0] + _BEFORE:
-            hidden.rename(mark)
-        hand.move(now - begun)
-        pause.wait(1 / _EVENTS)
-        noticed = noticed or (now if loader.begun() else 0.0)
-        for update in hand.shown[len(moments) :]:
-            moments.append(time.perf_counter())
-            if not taken and update.solution.provenance.backend == "cpu":
-                taken = moments[-1]
-    hand.live.close()
-    first = moments.index(taken)
-    loading = next(n for n, moment in enumerate(moments) if moment >= noticed)
-    print(f"{size} x {size}, {len(moments)} pictures in {moments[-1] - begun:.0f} s; each after")
-    for when, part in (
-        ("before", moments[2:loading]),
-        ("loading", moments[loading - 1 : first]),
-        ("take-over", moments[first - 1 : first + 2]),
-        ("after", moments[first + 1 :]),
-    ):
-        gaps = sorted(1e3 * (late - soon) for soon, late in itertools.pairwise(part)) or [math.nan]
-        print(f"{when:10} {gaps[len(gaps) // 2]:6.0f} ms, at most {gaps[-1]:6.0f} ({len(gaps)})")
-
-
 def speed() -> float:
     """Seconds for a loop of the interpreter."""
     begun, total = time.perf_counter(), 0
@@ -196,16 +155,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--size", type=int, default=300)
     parser.add_argument("--child", choices=[*MODELS, _EVERYTHING], help=argparse.SUPPRESS)
     parser.add_argument("--takeover", action="store_true")
-    parser.add_argument("--caches", help="a folder to keep the caches of --takeover in")
+    parser.add_argument("--caches", help="where the loops lie compiled, for --takeover")
     parser.add_argument("--drag", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.drag:
-        drag(options.size)
+        from takeover import drag
+
+        drag(options.size, options.caches is not None)
         return 0
     if options.takeover:
         with tempfile.TemporaryDirectory() as folder:
             caches = options.caches or folder
             given = [sys.executable, __file__, "--drag", "--size", str(options.size)]
+            given += [] if options.caches is None else ["--caches", caches]
             told = {"NUMBA_CACHE_DIR": caches, "MESA_SHADER_CACHE_DIR": caches}
             return subprocess.call(given, env={**os.environ, **told})
     if options.child == _EVERYTHING:
