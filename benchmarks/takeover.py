@@ -92,7 +92,6 @@ def drag(size: int, compiled: bool) -> None:
             print(f"{when:10} {_milliseconds(gaps)}, {lost}")
     print(_change("the last picture by shaders", hand.shown[first - 1], "cpu"))
     print(_change("the first picture by loops", hand.shown[first], "opengl"))
-    print(f"errors: {sum(update.error is not None for update in hand.shown)}")
 
 
 def _milliseconds(seconds: Sequence[float] | npt.NDArray[np.float64]) -> str:
