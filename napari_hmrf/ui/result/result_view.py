@@ -454,8 +454,9 @@ class ResultView:
 
     def _say_how_far(self, percent: int) -> None:
         result, view = self.shown.result, View.of(self._viewer.dims)
+        arrows = self.shown.layer("arrows")
         if result is not None:
-            apart = slices_apart(self.shown.layer("arrows"), result, view)
+            apart = None if arrows is None else slices_apart(arrows, result, view)
             self._form.how_far.say(how_far(result, self._longest, percent, apart))
 
     # What is pressed
