@@ -133,7 +133,8 @@ class LiveStudy:
         """Whether anything that was asked for is not seen yet."""
         # What is drawn at rest waits for as long as a drag is held.
         resting = self._resting.isActive() and not self._pointer.hand.holding
-        return self._looking.isActive() or resting or self._follower.at_work
+        words = self._poll.isActive()
+        return self._looking.isActive() or resting or words or self._follower.at_work
 
     @property
     def fresh(self) -> bool:

@@ -172,7 +172,7 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._status = self._doing = self._step = ""
+        self._status = self._doing = self._step = self._painting = ""
         self._sized = self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
@@ -441,7 +441,8 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self.say(painting(layer))
+            self._painting = painting(layer)
+            self.say(self._painting)
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -466,6 +467,9 @@ class SoftTissue(Dock):
                 self.say(self._paused)
         elif self.active and self._status == OFF:
             self.say(self._pointer.tool.how)
+        paints = isinstance(self._viewer.layers.selection.active, Labels)
+        if not paints and self._status == self._painting:
+            self._say_what_next()
         self._show_tool()
 
     def cover_changed(self) -> None:
@@ -479,6 +483,7 @@ class SoftTissue(Dock):
         live, display = self._live_study, self._pointer.display
         if layer is display.arrows.former and not display.quiet:
             self._pointer.release()
+            self._step = ARROWS_GONE
             self.say(ARROWS_GONE)
         if live.study is not None and layer is live.source:
             live.cancel(f"Cancelled: '{layer.name}' was removed.")

@@ -235,6 +235,7 @@ class ResultView:
         form, shown, arrows = self._form, self.shown, self._form.result.value
         gone = self._followed
         lost = arrows is None and gone is not None and gone not in self._viewer.layers
+        lost = lost and not (shown.layers is not None and shown.layers.leaving)
         if lost and shown.result is not None and shown.source in self._viewer.layers:
             self.said.emit(LOST.format(layer=gone.name))
         layers = None if arrows is None else self._results.of(arrows)
