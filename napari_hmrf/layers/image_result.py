@@ -62,6 +62,8 @@ class Result:
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
         self._viewer_ref, self._anchor = weakref.ref(viewer), weakref.ref(anchor)
         self.where = where
+        #: Whether its layers go by our own doing.
+        self.leaving = False
         self._frame: Frame | None = None
         self._held: dict[Part, _Held] = {}
         self._before: list[tuple[weakref.ref[Any], bool]] = []
@@ -215,9 +217,11 @@ class Result:
 
     def remove(self) -> None:
         """Take the layers out of the viewer, but for those that somebody has named."""
+        self.leaving = True
         for layer, held in self._there():
             if layer.name == held.name:
                 self._viewer.layers.remove(layer)
+        self.leaving = False
 
     # How it is done
 

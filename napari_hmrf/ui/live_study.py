@@ -91,6 +91,8 @@ class LiveStudy:
     said = Signal(str)
     #: What goes on, to be said until it is over; then "".
     doing = Signal(str)
+    #: What could not be read can be again.
+    put_right = Signal()
     #: Another slice or image is worked on.
     moved_on = Signal()
 
@@ -129,7 +131,10 @@ class LiveStudy:
     @property
     def busy(self) -> bool:
         """Whether anything that was asked for is not seen yet."""
-        return self._looking.isActive() or self._resting.isActive() or self._follower.at_work
+        # What is drawn at rest waits for as long as a drag is held.
+        resting = self._resting.isActive() and not self._pointer.hand.holding
+        words = self._poll.isActive()
+        return self._looking.isActive() or resting or words or self._follower.at_work
 
     @property
     def fresh(self) -> bool:
@@ -184,7 +189,9 @@ class LiveStudy:
             self._cannot(error)
             return False
         study = self._stand_on(study, request.layers[0])
-        self._failed = ""
+        if self._failed:
+            self._failed = ""
+            self.put_right.emit()
         if self.live.on or self._pointer.active:
             self._follow(study)
         elif self.latest is not None and self.source is not None and not self.fresh:

@@ -9,7 +9,7 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import steps_of
+from napari_hmrf.layers.edit_history import DRAWING, Slot, steps_of
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.strain_layers import Quantity
@@ -42,7 +42,14 @@ from napari_hmrf.ui.messages import (
     painting,
 )
 from napari_hmrf.ui.model import TissueModel
-from napari_hmrf.ui.motion.motion_messages import COVERED, FLAT, OFF, covered
+from napari_hmrf.ui.motion.motion_messages import (
+    ARROWS_GONE,
+    COVERED,
+    FLAT,
+    OFF,
+    START,
+    covered,
+)
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
@@ -50,6 +57,7 @@ from napari_hmrf.ui.remembered_settings import keep
 from napari_hmrf.ui.result.result_messages import NOTHING
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.settings import SolverSettings
+from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
@@ -163,7 +171,7 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._status = self._doing = ""
+        self._status = self._doing = self._step = self._painting = ""
         self._sized = self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
@@ -175,6 +183,8 @@ class SoftTissue(Dock):
         )
         self._view = ResultView(self.native, viewer, form.result, self._results, lambda: self.away)
         self._steps = DockSteps(self.native, form, steps, self._pointer, lambda: self.away)
+        # napari may be in the middle of removing more layers than the one.
+        self._leaving = single_shot(self.native, 0, self._on_left)
         keep(viewer, form.solved)
         self._connect()
         steps.said.connect(self._on_step)
@@ -283,7 +293,10 @@ class SoftTissue(Dock):
         """What can be done first."""
         if self.image is None:
             return CHOOSE if self._viewer.layers else WELCOME
-        return self._covered or self.model.objection or self._pointer.tool.how
+        if self._covered or self._viewer.dims.ndisplay != 2:
+            return self._covered or FLAT
+        how = self._pointer.tool.how if self.active else START
+        return self._paused or self.model.objection or how
 
     # What can be done
 
@@ -425,7 +438,8 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self.say(painting(layer))
+            self._painting = painting(layer)
+            self.say(self._painting)
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -441,30 +455,41 @@ class SoftTissue(Dock):
 
     def active_changed(self) -> None:
         """Another layer feels the mouse, or ours does again."""
+        if self._pointer.display.quiet:
+            return
         before, self._was_active = self._was_active, self.active
         if before and not self.active:
             self._pointer.release()
-            if self._live_study.study is not None:
-                self.say(OFF)
+            if self._paused:
+                self.say(self._paused)
         elif self.active and self._status == OFF:
             self.say(self._pointer.tool.how)
+        paints = isinstance(self._viewer.layers.selection.active, Labels)
+        if not paints and self._status == self._painting:
+            self._say_what_next()
         self._show_tool()
 
     def cover_changed(self) -> None:
-        """The image may be hidden beneath another, or no more."""
-        how = self._pointer.tool.how
-        if self._status.startswith(COVERED) or self._status == how:
-            self.say(self._covered or how)
+        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
+        invited = self._status in (START, FLAT, OFF, self._pointer.tool.how)
+        if invited or self._status.startswith(COVERED):
+            self._say_what_next()
 
     def layer_gone(self, layer: Any) -> None:
         """A layer was removed: nothing is computed of it any more."""
-        live = self._live_study
+        live, display = self._live_study, self._pointer.display
+        if layer is display.arrows.former and not display.quiet:
+            self._pointer.release()
+            self._step = ARROWS_GONE
+            self.say(ARROWS_GONE)
         if live.study is not None and layer is live.source:
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
             live.forget()
             next_one = "choose or open another image."
             if self.image is not None:
                 next_one = f"'{self.image.name}' is chosen now."
+            else:
+                self._leaving.start()
             self.say(f"'{layer.name}' is gone: {next_one}")
         elif not self.idle and layer in live.request().layers:
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
@@ -489,7 +514,10 @@ class SoftTissue(Dock):
         form.tissue.curve.refused.connect(self.say)
         pointer.said.connect(self._on_pointer)
         pointer.changed.connect(self._show_tool)
-        live.said.connect(self.say)
+        for begun in (form.edited, pointer.drawn, pointer.begun):
+            begun.connect(self._on_edit)
+        live.said.connect(self._on_study)
+        live.put_right.connect(self._say_what_next)
         live.doing.connect(self._on_doing)
         live.moved_on.connect(self._begin_fields)
         self._view.said.connect(self.say)
@@ -500,6 +528,19 @@ class SoftTissue(Dock):
         image = still_there(self._viewer, self.image)
         other = None if image is None else image_covering(self._viewer, image)
         return "" if other is None else covered(other.name)
+
+    @property
+    def _paused(self) -> str:
+        """That a tool was taken up and put down, and how to go on; "" if it was not."""
+        arrows = self._pointer.display.arrows
+        if arrows.former is None or self._live_study.study is None or self.active:
+            return ""
+        return ARROWS_GONE if arrows.layer is None else OFF
+
+    def _say_what_next(self) -> None:
+        """Say what can be done, unless it is still to be read what was taken back."""
+        if not self._step or self._status != self._step:
+            self.say(self.invitation)
 
     def _begin_fields(self) -> None:
         """Have lengths that suit the first image."""
@@ -544,15 +585,36 @@ class SoftTissue(Dock):
             self._form.footer.say(self.status)
 
     def _on_pointer(self, sentence: str) -> None:
-        self.say(self._covered or sentence if sentence == self._pointer.tool.how else sentence)
+        if sentence in (self._pointer.tool.how, OFF):
+            self._say_what_next()
+        else:
+            self.say(sentence)
+
+    def _on_study(self, sentence: str) -> None:
+        """Say it beside what was taken back, which nobody has read yet."""
+        taken_back = self._step and self._status == self._step
+        self.say(f"{self._step} {sentence}" if taken_back else sentence)
 
     def _on_found(self, found: str) -> None:
         """Say what was found in the paint, until the next result."""
         self._live_study.note = found
         self.say(found)
 
-    def _on_step(self, sentence: str, _: object) -> None:
-        self.say(sentence)
+    def _on_edit(self, *_: object) -> None:
+        """Something new is done: what was taken back before has been read."""
+        self._step = ""
+
+    def _on_step(self, sentence: str, slot: object) -> None:
+        """Say what was taken back, on another slice, too; and that the mouse draws no more."""
+        drawn = isinstance(slot, Slot) and slot.what == DRAWING
+        self._step = f"{sentence} {self._paused if drawn else ''}".rstrip()
+        self.say(self._step)
+
+    def _on_left(self) -> None:
+        """There is nothing to draw on."""
+        if not self.away and self.image is None:
+            self._pointer.leave()
+            self.active_changed()
 
     # What the window tells
 
@@ -562,9 +624,14 @@ class SoftTissue(Dock):
         self._steps.come()
         self._watch.come()
         self._view.come()
+        self._step = ""
+        self._show_tool()
+        self.say(self.invitation)
         self.touch()
 
     def _on_closed(self) -> None:
+        self._was_active = False
+        self._leaving.stop()
         self._live_study.cancel()
         self._live_study.forget()
         self._pointer.leave()

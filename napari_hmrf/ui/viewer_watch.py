@@ -37,7 +37,7 @@ class Watched(Protocol):
         """Another layer feels the mouse."""
 
     def cover_changed(self) -> None:
-        """The image may be hidden beneath another, or no more."""
+        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
 
     def layer_gone(self, layer: Any) -> None:
         """A layer was removed."""
@@ -147,6 +147,7 @@ class ViewerWatch:
             self._form.tissue.curve.look()
             self._live.let_go()
             self._dock.touch()
+            self._dock.cover_changed()
 
     def _look_at_eyes(self) -> None:
         """Listen to whether layers are shown: those that there are now."""

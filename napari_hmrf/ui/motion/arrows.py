@@ -258,7 +258,8 @@ class ArrowsLayer:
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
         """Where the mouse is, in pixels of the slice; None in three dimensions."""
-        if self._frame is None or len(event.dims_displayed) != 2:
+        flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
+        if self._frame is None or not flat:
             return None
         at = np.asarray(layer.world_to_data(event.position), dtype=float)
         row, col = at[list(self._frame.plane)]

@@ -59,6 +59,8 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
+        # Whose picture is shown although nothing has moved.
+        self._still: Result | None = None
         self._busy = False
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
@@ -86,9 +88,12 @@ class Display:
     def stand_on(self, study: Study | None, image: Any) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
         self._touches_wait.stop()
+        still, self._still = self._still, None
         self._image = image
         self.seen = None
         with self.own_doing():
+            if still is not None:
+                still.remove()
             self.painted.forget()
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
@@ -115,6 +120,7 @@ class Display:
                 self._show_picture(moved)
             elif not moved.moves and result is not None:
                 result.remove()
+            self._still = None if moved.moves else result
             self.show_painted(seen, hand)
 
     def finish(self, done: Done) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
 OFF = "Paused: press a tool, or choose the layer 'Arrows', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
+ARROWS_GONE = "The layer 'Arrows' is gone: press a tool to have it back."
 COVERED = "The image is covered by "
-IMAGE_GONE = "There is no image: choose one, or open one (File > Open)."
 NOTHING = "There is no tissue to take hold of there."
 BESIDE = "There is no tissue where you painted, so that nothing changes."
 OUTSIDE = "That is outside the image."
@@ -21,7 +22,7 @@ OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch
 NO_STEP = "Now drag it to where it goes, or say above how far; till then it is held."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
-    "patch, or take 'Move'."
+    "patch, or take 'Push'."
 )
 
 

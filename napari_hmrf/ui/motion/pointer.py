@@ -312,10 +312,13 @@ class Pointer:
         if done:
             mark, moved = self.hand.mark, self.display.moved
             ground = None if moved is None else moved.ground
-            holds = isinstance(mark, Stroke) and mark.action != "tissue"
-            if isinstance(mark, Stroke) and holds and ground is not None:
-                beside = not touches(mark, ground.base, ground.body)
-                self.said.emit(BESIDE if beside else self.tool.how)
+            if (
+                isinstance(mark, Stroke)
+                and mark.action != "tissue"
+                and ground is not None
+                and not touches(mark, ground.base, ground.body)
+            ):
+                self.said.emit(BESIDE)
             self._show_how()
             if self.tool.name == "landmark":  # no click is waited for any more
                 self.said.emit(self.tool.how)

@@ -235,6 +235,7 @@ class ResultView:
         form, shown, arrows = self._form, self.shown, self._form.result.value
         gone = self._followed
         lost = arrows is None and gone is not None and gone not in self._viewer.layers
+        lost = lost and not (shown.layers is not None and shown.layers.leaving)
         if lost and shown.result is not None and shown.source in self._viewer.layers:
             self.said.emit(LOST.format(layer=gone.name))
         layers = None if arrows is None else self._results.of(arrows)
@@ -454,8 +455,9 @@ class ResultView:
 
     def _say_how_far(self, percent: int) -> None:
         result, view = self.shown.result, View.of(self._viewer.dims)
+        arrows = self.shown.layer("arrows")
         if result is not None:
-            apart = slices_apart(self.shown.layer("arrows"), result, view)
+            apart = None if arrows is None else slices_apart(arrows, result, view)
             self._form.how_far.say(how_far(result, self._longest, percent, apart))
 
     # What is pressed
