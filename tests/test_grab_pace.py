@@ -202,7 +202,7 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
 
 
 def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling, qtbot):
-    person, widget = pulling
+    person, _widget = pulling
     layer, positions = by_name(person.viewer, "Arrows"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
     for end in (lambda: person.release(34, 34), lambda: person.key(Qt.Key.Key_Escape)):

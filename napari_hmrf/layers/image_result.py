@@ -18,10 +18,11 @@ from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_th
 #: A layer of a result: what was made with it, or the colours that it is looked at with.
 Part = Kind | Literal["colours"]
 #: What fills its pixels, lowest first: directly above the image, so that paint stays above it.
-FILLING: tuple[Part, ...] = ("image", "magnitude", "colours", "labels")
+FILLING: tuple[Part, ...] = ("image", "stiffness", "confidence", "colours", "labels")
 #: What has a bar of colours, and which of its looks belong to the numbers it shows.
 _BARS: dict[Part, tuple[str, ...]] = {
-    "magnitude": ("contrast_limits",),
+    "stiffness": ("contrast_limits",),
+    "confidence": (),
     "colours": ("colormap", "contrast_limits"),
 }
 _WHOLE = 100

@@ -230,7 +230,8 @@ def drawn(
     assert ground is not None
     assert stated is not None
     kept = _to_be_kept(moved, ground)
-    outputs = result_layers(kept, study.grid.place, study.pictures, kinds, checkpoint)
+    place, pictures = study.grid.place, study.pictures
+    outputs = result_layers(kept, place, pictures, kinds, checkpoint, stated.problem)
     notes = ground.notes_on(stated)
     if ground.ignored:
         some = f"{ground.ignored} boundary pixels outside tissue were"

@@ -14,7 +14,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.result_layers import Kind
+from napari_hmrf.layers.result_layers import KINDS, Kind
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.layers.viewer_shared import shared
@@ -123,7 +123,8 @@ class LiveStudy:
         self._poll = repeating(native, _POLL, self._on_poll)
         self.live = LiveChoice(form.footer.live, self.touch)
         pointer.drawn.connect(self._on_drawn)
-        form.result.moved_labels.changed.connect(self.complete)
+        for box in form.result.kinds.values():
+            box.changed.connect(self.complete)
         form.footer.chip.clicked.connect(self._on_chip)
 
     # What there is
@@ -145,12 +146,17 @@ class LiveStudy:
     @property
     def kinds(self) -> tuple[Kind, ...]:
         """The layers that a result makes."""
-        kinds: tuple[Kind, ...] = ("image", "arrows")
-        return (
-            *kinds,
-            *(("labels",) if self._form.result.moved_labels.value else ()),
-            *(("folds",) if self._folds else ()),
-        )
+        ticked = [kind for kind, box in self._form.result.kinds.items() if box.value]
+        return ("image", "arrows", *ticked, *(("folds",) if self._folds else ()))
+
+    @kinds.setter
+    def kinds(self, kinds: tuple[Kind, ...]) -> None:
+        unknown = set(kinds) - set(KINDS)
+        if unknown:
+            raise ValueError(f"there are no layers {sorted(unknown)}; take some of {list(KINDS)}")
+        for kind, box in self._form.result.kinds.items():
+            box.value = kind in kinds
+        self._folds = "folds" in kinds
 
     def request(self) -> Request:
         """All that is chosen, with the slice that is shown and what is drawn on it.

@@ -11,6 +11,7 @@ from napari.utils.notifications import show_warning
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import DRAWING, Slot, steps_of
 from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.layers.tissue_point import Probe
@@ -119,8 +120,8 @@ class SoftTissue(Dock):
         Whether the image is seen as it was, and nothing of the result.
     playing : bool
         Whether the deformation goes back and forth by itself.
-    arrows, grid, moved_labels : bool
-        Whether arrows, a grid and the tissue's labels are drawn, moved with the tissue.
+    arrows, grid : bool
+        Whether arrows are drawn, and a grid that moves with the tissue.
     arrow_count : int
         How many arrows are drawn, roughly.
     arrow_length : float
@@ -159,7 +160,6 @@ class SoftTissue(Dock):
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
     grid = Part[bool]("_form.result.grid.value")
-    moved_labels = Part[bool]("_form.result.moved_labels.value")
     arrow_count = Part[int]("_form.result.count.value")
     arrow_length = Part[float]("_form.result.length.value")
     point = Part[str]("_form.result.point.value")
@@ -283,6 +283,19 @@ class SoftTissue(Dock):
         if quantity not in known:
             raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
         self._form.result.colours.value = quantity
+
+    @property
+    def outputs(self) -> tuple[Kind, ...]:
+        """The layers that a result makes: "image", "arrows" and those that are ticked.
+
+        "labels" are the tissue's, moved with it; "stiffness", "observed" and "confidence" what was
+        given, before it moved; "folds" where tissue is pushed through itself.
+        """
+        return self._live_study.kinds
+
+    @outputs.setter
+    def outputs(self, kinds: tuple[Kind, ...]) -> None:
+        self._live_study.kinds = kinds
 
     def at(self, position: Any) -> Probe | None:
         """Say what happens to the tissue that is seen at a point of the world; None beside it."""

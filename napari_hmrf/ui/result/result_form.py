@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import CheckBox, ComboBox, Container, FloatSlider, PushButton, Slider, SpinBox
+from magicgui.widgets import (
+    CheckBox,
+    ComboBox,
+    Container,
+    FloatSlider,
+    Label,
+    PushButton,
+    Slider,
+    SpinBox,
+)
 
-from napari_hmrf.layers.result_layers import ARROWS
+from napari_hmrf.layers.result_layers import ARROWS, Kind
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.remembered_settings import remember
@@ -16,6 +25,13 @@ from napari_hmrf.ui.result.result_messages import COLOURS_TIP, NOTHING, POINT, c
 Layers = Callable[[], list[Any]]
 Accept = Callable[[Any], bool]
 
+#: What can be drawn of a result beside its image, its arrows and its grid.
+_KINDS: dict[Kind, tuple[str, str]] = {
+    "labels": ("labels", "The tissue labels, moved with the tissue"),
+    "stiffness": ("m", "How stiff tissue was taken to be, before it moved"),
+    "observed": ("y", "How tissue was to move where that is known; what is held has a dot"),
+    "confidence": ("c", "How sure that is, from 0 to 1"),
+}
 #: What is held to see the image as it was.
 BEFORE_KEY = "Shift-B"
 PLAY, PAUSE = "Play", "Pause"
@@ -103,7 +119,8 @@ class ResultForm(Container):
                 self.how_far,
                 row(self.play, self.before),
                 Container(widgets=[self.colours]),
-                row(self.arrows, self.grid, self.moved_labels),
+                row(self.arrows, self.grid, self.kinds["labels"]),
+                row(Label(value="given:"), *list(self.kinds.values())[1:]),
                 Container(widgets=[self.count, self.length]),
                 self.point,
                 self.save,
@@ -118,6 +135,6 @@ class ResultForm(Container):
     def of_result(self) -> tuple[Any, ...]:
         """What is of no use without a result."""
         return (
-            self.slider, self.play, self.before, self.colours, self.arrows, self.grid,
-            self.moved_labels, self.count, self.length, self.save,
+            *self.kinds.values(), self.slider, self.play, self.before, self.colours, self.arrows,
+            self.grid, self.count, self.length, self.save,
         )  # fmt: skip
