@@ -185,7 +185,7 @@ def test_what_is_drawn_is_read_with_what_is_painted(tumour):
     assert drawn.prior.penalty < np.inf
     at = drawn.problem.observed[9, 6], drawn.problem.confidence[9, 6]
     assert np.all(at == np.array([(0.0, 1.0), (1.0, 1.0)]))
-    elsewhere = np.s_[12:]
+    elsewhere = np.s_[13:]
     np.testing.assert_array_equal(
         before.problem.observed[elsewhere], drawn.problem.observed[elsewhere]
     )

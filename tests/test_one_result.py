@@ -551,9 +551,8 @@ def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(open_window, set
 
 
 def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
-    person, opened = at_hand
+    person, puller = at_hand
     viewer = person.viewer
-    puller = opened("Grab and pull")
     drag_a_patch(person, puller, settle)
     puller.tool = "move"
     person.paint((20, 20), (24, 26), (30, 30))

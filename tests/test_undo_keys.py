@@ -27,7 +27,7 @@ def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated)
     screen = Screen(dock)
     screen.click_row("gel")
     assert person.viewer.layers.selection.active is tissue
-    screen.cell("gel", "stiffness").write("33")
+    screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert dock.status == "Took back: changed the stiffness of label 1 in 'Tissue'."
@@ -47,11 +47,11 @@ def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
     person.paint((1, 1), (1, 4), (1, 8))
     painted = tissue.data.copy()
     assert (painted != clean).any()
-    screen.cell("gel", "stiffness").write("33")
+    screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert (tissue.data == painted).all(), "the number came later"
-    screen.cell("gel", "stiffness").write("44")
+    screen.cell("gel", "Stiffness").write("44")
     person.paint((18, 1), (18, 4), (18, 8))
     person.key(Z, CTRL)
     assert (tissue.data == painted).all()
@@ -80,7 +80,7 @@ def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(seated, at
     dock.start()
     at_rest.until(lambda: not dock.busy)
     dock.drawing = dock.drawing.with_mark(Arrow((8, 8), (10, 10), 2.0))
-    Screen(dock).cell("gel", "stiffness").write("33")
+    Screen(dock).cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert dock.drawing.marks, "the number came later"

@@ -47,6 +47,12 @@ class ResultLayers:
     def _viewer(self) -> Any:
         return self._viewer_ref()
 
+    @property
+    def sources(self) -> list[Any]:
+        """The layers of which a result is seen."""
+        known = [*self._results.items()]
+        return [each for each, of in known if any(result.visible for result in of.values())]
+
     def at(self, source: Any, where: str) -> Result:
         """The result of a layer and a slice, which need not be there yet."""
         known = self._results.setdefault(source, {})

@@ -14,6 +14,8 @@ from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.viewer_results import ResultLayers
+from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.messages import CHOOSE, WELCOME
@@ -99,8 +101,17 @@ class Choices:
                 self._choose(images[0])
 
     def choose_first(self) -> None:
-        """Choose among what is there: the image in front, or one drawn on, and what is painted."""
-        self.take(list(self._viewer.layers))
+        """Choose the image in front, or one that is worked on, and what is painted on it."""
+        results = shared(self._viewer, ResultLayers)
+        image = image_in_front(
+            self._viewer, self._form.image.offered, self._drawn_on or results.sources
+        )
+        layers = list(self._viewer.layers)
+        if image is not None:
+            self._choose(image)
+            layers = painted_on(image, layers, self.view)
+        for layer in layers:
+            self._take_painted(layer)
 
     def take(self, layers: list[Any]) -> None:
         """Choose a sample's layers as they come; unless one was chosen, the image in front."""

@@ -273,6 +273,7 @@ class LiveStudy:
         self._looking.stop()
         self._resting.stop()
         self._follower.forget()
+        self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
         self.study = self.source = self.latest = self._asked = None
         self._pointer.stand_on(None)

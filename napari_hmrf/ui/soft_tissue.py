@@ -63,6 +63,10 @@ from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
 
+#: What is said until there is something else to say.
+_INVITATIONS = (WELCOME, CHOOSE, START, FLAT, OFF)
+
+
 class SoftTissue(Dock):
     """Say which tissue is where and how it moves, and see all of it follow.
 
@@ -171,7 +175,7 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._status = self._doing = self._step = self._painting = ""
+        self._status = self._doing = self._step = self._painting = self._gone = ""
         self._sized = self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
@@ -322,6 +326,7 @@ class SoftTissue(Dock):
         elif self._live_study.look():
             self._watch.hide_paint()
             self._pointer.take()
+            self.touch()  # what is drawn on is followed, live or not
         self.active_changed()
         return self.active
 
@@ -484,8 +489,8 @@ class SoftTissue(Dock):
 
     def cover_changed(self) -> None:
         """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-        invited = self._status in (START, FLAT, OFF, self._pointer.tool.how)
-        if invited or self._status.startswith(COVERED):
+        how = self._pointer.tool.how
+        if self._status.startswith(COVERED) or self._status in (*_INVITATIONS, self._gone, how):
             self._say_what_next()
 
     def layer_gone(self, layer: Any) -> None:
@@ -503,7 +508,8 @@ class SoftTissue(Dock):
                 next_one = f"'{self.image.name}' is chosen now."
             else:
                 self._leaving.start()
-            self.say(f"'{layer.name}' is gone: {next_one}")
+            self._gone = f"'{layer.name}' is gone: {next_one}"
+            self.say(self._gone)
         elif not self.idle and layer in live.request().layers:
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
         self.touch()

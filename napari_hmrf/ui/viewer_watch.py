@@ -127,6 +127,7 @@ class ViewerWatch:
         form.intensity.enabled = form.image.value is not None
         self._mark()
         self._dock.touch()
+        self._dock.cover_changed()
 
     def _on_pixels(self) -> None:
         if not self._dock.away:

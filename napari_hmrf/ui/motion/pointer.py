@@ -174,13 +174,16 @@ class Pointer:
 
     def take(self) -> None:
         """Have the mouse draw."""
-        moved = self.display.moved
-        if moved is None:
+        seen = self.display.seen
+        if seen is None:
             return
+        moved = seen.moved
         grid, radius = moved.study.grid, self._fields.radius.value
         rows, cols = grid.shape
         with self.display.own_doing():
             self.display.arrows.take(grid.place, (rows, cols), radius)
+        if moved.ground is not None and not moved.moves:
+            self.display.show(seen, self.hand)
         self.draw()
         self.said.emit(self.tool.how if self._working else PREPARING)
         self.say_tool()
