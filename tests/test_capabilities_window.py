@@ -5,7 +5,7 @@ import pytest
 from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QFileDialog, QTabBar
+from qtpy.QtWidgets import QFileDialog
 from screen import Screen
 
 from napari_hmrf.field.warp import warp
@@ -352,7 +352,7 @@ def test_all_that_is_drawn_is_removed_by_one_press_and_comes_back_by_undo(grab, 
 
 
 def test_points_of_two_layers_lead_tissue_beside_what_is_pulled(grab, pulled, viewer):
-    dock, screen = grab
+    dock, _ = grab
     pulled(dock, Arrow((8, 44), (0, 2), 2.0))
     viewer.add_points([[20, 20], [30, 34]], name="is")
     viewer.add_points([[23, 20], [30, 36]], name="ought")
