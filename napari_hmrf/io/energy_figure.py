@@ -51,8 +51,8 @@ def _draw_cycles(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
 
 
 def _draw_levels(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
-    sweeps = np.arange(1, len(solution.energy) + 1)
-    positive = solution.energy > 0
+    count = len(solution.energy)
+    sweeps, positive = np.arange(1, count + 1), solution.energy > 0
     if positive.any():
         axes.set_yscale("log")
         axes.plot(sweeps[positive], solution.energy[positive], color=_LINE, linewidth=1.2)
@@ -60,9 +60,9 @@ def _draw_levels(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
     for level in solution.levels:
         axes.axvline(begin + 0.5, color=words["color"], alpha=0.25, linewidth=0.6)
         # Narrow levels get a line but no words.
-        if level.iterations >= 0.07 * max(1, solution.iterations):
+        if level.iterations >= 0.07 * count:
             middle = begin + level.iterations / 2
             place = {"transform": above, "ha": "center", "va": "bottom"}
             axes.text(middle, 1.0, str(level.number), **place, **words)
         begin += level.iterations
-    axes.set_xlim(0.5, max(1.5, solution.iterations + 0.5))
+    axes.set_xlim(0.5, max(1.5, count + 0.5))
