@@ -26,9 +26,9 @@ from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import run_here
-from napari_hmrf.study.deformation import Deformation
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
 from napari_hmrf.tissue.drawing.canvas import Box
 

@@ -98,8 +98,8 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
         self._put_below("tissue", self.menu)
         self.curve = TissueCurve(layers, view)
-        self.native.layout().addWidget(self.curve.editor)
-        self.native.layout().addWidget(self.border.native)
+        for part in (self.intensity, self.curve.editor, self.border.native):
+            self.native.layout().addWidget(part)
         self.border.changed.connect(lambda _: self.edited.emit())
         self.curve.changed.connect(lambda _: self.edited.emit())
         self.choice.changed.connect(self._show_curve)

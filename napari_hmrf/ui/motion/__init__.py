@@ -1,1 +1,1 @@
-"""*Grab and pull*: tissue that follows the mouse."""
+"""Tools of the mouse, and tissue that follows them."""

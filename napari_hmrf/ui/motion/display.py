@@ -16,8 +16,8 @@ from napari_hmrf.layers.result_layers import picture_layer
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
-from napari_hmrf.study.deformation import Deformation
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand

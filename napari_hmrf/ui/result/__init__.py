@@ -1,1 +1,1 @@
-"""The dock widget *Look at the result*."""
+"""The part of the dock that shows the result."""

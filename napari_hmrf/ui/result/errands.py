@@ -13,7 +13,7 @@ from napari_hmrf.ui.timers import repeating
 #: How often the thread is asked whether it is done, in milliseconds.
 _POLL = 8
 # What those who wait for it are told.
-_DOING = "a picture for 'Look at the result', which takes a moment; closing that dock ends them"
+_DOING = "what shows a result in 'Soft tissue', which takes a moment; closing that dock ends them"
 _log = logging.getLogger("napari_hmrf")
 
 

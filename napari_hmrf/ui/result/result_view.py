@@ -18,6 +18,7 @@ from napari_hmrf.layers.animation import Moment, Motion
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.result_lookup import (
     FoundResult,
+    can_be_source,
     picture_of,
     result_of,
     slices_apart,
@@ -226,10 +227,7 @@ class ResultView:
             self._take()
 
     def _take(self, chosen: bool = False) -> None:
-        """Look at the result that is chosen, as it is now.
-
-        With `chosen` somebody wants to see it, whichever is seen now.
-        """
+        """Look at the result that is chosen, as it is now; `chosen`: whichever is seen now."""
         if self._away():
             return
         form, shown, arrows = self._form, self.shown, self._form.result.value
@@ -316,9 +314,12 @@ class ResultView:
 
     def _on_inserted(self, event: Any) -> None:
         if not self._away():
+            result, source = self.shown.result, self.shown.source
             if result_of(event.value) is not None:
                 self._form.result.reset_choices()
                 self._choose()
+            elif source not in self._viewer.layers and _may_move(event.value, result):
+                self._take()
             self._on_layers()
 
     def _on_layers(self, *_: Any) -> None:
@@ -494,3 +495,8 @@ class ResultView:
 
     def _refuse(self, error: Exception) -> None:
         self.said.emit(str(error) or type(error).__name__)
+
+
+def _may_move(layer: Any, result: FoundResult | None) -> bool:
+    """Whether a layer may be the image that a result was made from: of a file, or opened again."""
+    return result is not None and can_be_source(layer, result)

@@ -1,4 +1,4 @@
-"""What *Look at the result* has computed; without Qt, so that any thread may."""
+"""What is computed to show a result; without Qt, so that any thread may."""
 
 from __future__ import annotations
 
