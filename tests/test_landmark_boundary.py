@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import quick
+from conftest import dock_in, quick
 from napari.layers import Image, Labels, Points, Shapes
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
@@ -155,7 +155,7 @@ def chosen_in_window(docked, small_sample):
 
 
 def menus(widget):
-    return widget._face.boundary.landmarks
+    return widget._form.motion.boundary.landmarks
 
 
 def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
@@ -186,7 +186,7 @@ def test_a_radius_is_typed_as_slowly_as_one_likes(chosen, wait_for):
 
 def test_without_points_there_are_no_menus_for_them(make_napari_viewer, wait_for):
     viewer = make_napari_viewer(show=True)
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    widget = dock_in(viewer)
     wait_for(widget.native.isVisible)
     assert not menus(widget).native.isVisible()
     viewer.add_points([[1.0, 2.0]])
@@ -309,7 +309,7 @@ def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen_in_window,
 
 def test_moved_added_and_removed_points_are_taken_back_in_their_order(chosen, wait_for):
     widget, where, should = chosen
-    undo = widget.footer.steps.undo
+    undo = widget._form.footer.steps.undo
     widget.landmarks = (where, should)
     for column in (8.5, 9.0, 10.0):  # one drag
         should._move({0}, (10.0, column))
@@ -340,7 +340,7 @@ def test_points_added_when_they_are_no_landmarks_any_more_survive_undo(chosen_in
     widget.landmarks = (where, should)
     for column in (8.5, 9.0):
         should._move({0}, (10.0, column))
-    wait_for(lambda: widget.footer.steps.undo.enabled)
+    wait_for(lambda: widget._form.footer.steps.undo.enabled)
     moved = should.data.copy()
     widget.landmarks = None
     should.add(np.full((20, 2), 3.0))
@@ -362,14 +362,14 @@ def test_points_that_are_no_landmarks_are_nothing_to_be_undone(chosen):
     widget.landmarks = (where, should)
     widget.landmarks = None
     should.add([4.0, 4.0])
-    assert not widget.footer.steps.undo.enabled
+    assert not widget._form.footer.steps.undo.enabled
 
 
 def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
     make_napari_viewer, small_sample, run, wait_for, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    widget = dock_in(viewer)
     quick(widget)
     small_sample(viewer)
     where = viewer.add_points([[8.0, 8.0]], name="is", size=1)
@@ -386,10 +386,10 @@ def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
     assert should.data[0] == pytest.approx((11, 11), abs=0.3), should.data
     to = should.data[0] - where.data[0]
     wait_for(lambda: np.abs(widget.solution.displacement[8, 8] - to).max() < 0.1)
-    wait_for(lambda: widget.footer.steps.undo.enabled)
+    wait_for(lambda: widget._form.footer.steps.undo.enabled)
     person.key(Qt.Key.Key_Z, CTRL)
     np.testing.assert_array_equal(should.data, [[10, 8]])
-    assert not widget.footer.steps.undo.enabled, "a drag is one step"
+    assert not widget._form.footer.steps.undo.enabled, "a drag is one step"
     wait_for(lambda: abs(widget.solution.displacement[8, 8] - (2, 0)).max() < 0.1)
 
 
@@ -442,7 +442,7 @@ def test_lines_are_chosen_alone_previewed_and_followed(docked, small_sample, run
     viewer = docked._viewer
     small_sample(viewer)
     drawn = viewer.add_layer(lines(("line", [(8, 8), (10, 8)])))
-    docked._face.boundary.landmarks.where.value = drawn
+    docked._form.motion.boundary.landmarks.where.value = drawn
     assert docked.landmarks == LandmarkLayers(drawn)
     assert not menus(docked).should.visible
     wait_for(lambda: "landmark preview" in viewer.layers)
@@ -459,13 +459,13 @@ def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
     make_napari_viewer, small_sample, wait_for, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    widget = dock_in(viewer)
     quick(widget)
     small_sample(viewer)
     drawn = viewer.add_layer(lines(("path", [(8, 8), (9, 9), (10, 8)])))
     drawn.edge_color, drawn.edge_width = "red", 0.5
     menus(widget).where.value = drawn
-    undo = widget.footer.steps.undo
+    undo = widget._form.footer.steps.undo
     viewer.layers.selection.active = drawn
     drawn.mode = "add_line"
     person = Person(viewer, qtbot)
@@ -476,7 +476,7 @@ def test_lines_that_were_drawn_moved_and_removed_are_taken_back_in_their_order(
     assert "added a line to 'drawn'" in undo.tooltip
     both = [line.copy() for line in drawn.data]
     np.testing.assert_allclose(both[1], [(14, 8), (14, 13)], atol=0.3)
-    wait_for(lambda: widget._steps.steps.edits.in_progress is None)
+    wait_for(lambda: widget.history.edits.edits.in_progress is None)
     drawn.data = [both[0] + 1, both[1]]
     wait_for(lambda: "moved lines" in undo.tooltip)
     drawn.selected_data = {0}

@@ -11,7 +11,7 @@ from napari_hmrf.tissue.surroundings import (
     background_of,
     between_air_and_tissue,
 )
-from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
 def head(dtype=np.float32, low=0.0, high=1.0):
@@ -80,7 +80,7 @@ def test_one_press_of_the_button_is_one_undo(widget, wait_for):
     tissue, rows = widget.tissue, widget.materials
     tissue.data_setitem((np.array([0]), np.array([0])), 1)
     before = tissue.data.copy()
-    assert "Undo at the bottom takes it back" in widget._face.tissue.background.toolTip()
+    assert "Undo at the bottom takes it back" in widget._form.tissue.background.toolTip()
     widget.mark_background()
     (void,) = set(widget.materials) - set(rows)
     assert void.stiffness == 0
@@ -89,17 +89,17 @@ def test_one_press_of_the_button_is_one_undo(widget, wait_for):
     tissue.data[1, 1] = 2
     widget.undo()
     before[1, 1] = 2
-    wait_for(lambda: not widget._face.tissue.painted._timer.isActive())
+    wait_for(lambda: not widget._form.tissue.painted._timer.isActive())
     np.testing.assert_array_equal(tissue.data, before, "what was painted since stays")
     assert widget.materials == rows, "and no row comes back for paint that is gone"
     widget.redo()
-    wait_for(lambda: not widget._face.tissue.painted._timer.isActive())
+    wait_for(lambda: not widget._form.tissue.painted._timer.isActive())
     assert widget.materials == (*rows, void)
     assert (tissue.data == void.label).sum() > 500
     assert tissue.data[1, 1] == 2
     widget.undo()
     assert widget.materials == rows
-    assert widget._steps.steps.edits.next_undo is None
+    assert widget.history.edits.edits.next_undo is None
 
 
 def tissue_rows(layer):
@@ -122,7 +122,7 @@ def test_no_tissue_that_was_painted_elsewhere_stays_no_tissue(scanned):
     (void,) = set(scanned.materials) - set(rows)
     tissue.data_setitem((np.array([15]), np.array([15])), void.label)
     scanned.undo()
-    scanned._face.tissue.painted.look()
+    scanned._form.tissue.painted.look()
     assert (tissue.data == void.label).sum() == 1
     assert void in scanned.materials, "its label is still used"
     tissue.data_setitem((np.array([15]), np.array([15])), 0)
@@ -130,7 +130,7 @@ def test_no_tissue_that_was_painted_elsewhere_stays_no_tissue(scanned):
     scanned.undo()
     assert scanned.materials == rows
     tissue.data_setitem((np.array([15]), np.array([15])), void.label)
-    scanned._face.tissue.painted.look()
+    scanned._form.tissue.painted.look()
     assert void not in scanned.materials, "a tissue of its own by then"
     scanned.redo()
     assert void in scanned.materials
@@ -146,7 +146,7 @@ def test_a_background_is_taken_back_whatever_is_chosen_or_closed(scanned):
     assert scanned.materials == rows
     scanned.redo()
     scanned._on_closed()
-    other = DeformTissue(scanned._viewer)
+    other = SoftTissue(scanned._viewer)
     other.tissue = tissue
     assert other.materials == tissue_rows(tissue) != rows
     other.undo()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import dock_in, quick
 from patience import LONG_MS
 from person import CTRL, Person
 from qtpy.QtCore import Qt
@@ -142,7 +143,7 @@ def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkey
     popups, said = [], []
     for kind in ("show_error", "show_warning"):
         monkeypatch.setattr(f"napari_hmrf.ui.deform_dock.{kind}", popups.append)
-    footer = widget.footer
+    footer = widget._form.footer
     say = footer.say
     monkeypatch.setattr(footer, "say", lambda *words: (said.append(words[0]), say(*words)))
     before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
@@ -178,11 +179,11 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     widget, (_, _, boundary) = living
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    qtbot.waitUntil(lambda: widget.footer.cancel.enabled, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
     assert widget.status.startswith("Following the last edit")
     widget.cancel()
     assert widget.status == "Cancelled; the last result stays."
-    assert not widget.footer.cancel.enabled
+    assert not widget._form.footer.cancel.enabled
     busy_thread.set()
     settle(widget)
     assert widget.solution is before
@@ -208,7 +209,7 @@ def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
 ):
     _, _, boundary = small_sample(viewer_of(widget))
     widget._live._wanted = None
-    widget.footer.live.native.setChecked(False)
+    widget._form.footer.live.native.setChecked(False)
     widget._live._wanted = None
     widget._live.choose()
     assert widget.live, "by itself, for a small image"
@@ -265,7 +266,7 @@ def test_for_a_large_image_it_is_off_and_the_reason_is_shown(widget, small_sampl
     monkeypatch.setattr(live_mode, "LARGEST", 300)
     widget._live._wanted = None
     small_sample(viewer_of(widget))
-    check = widget.footer.live
+    check = widget._form.footer.live
     assert not widget.live
     assert check.text == "Live: off, slow at 20 x 24"
     check.native.click()
@@ -357,13 +358,11 @@ def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
 
 
 def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, run):
-    from conftest import quick
-
     docks = []
     for _ in range(2):
         viewer = make_napari_viewer()
         small_sample(viewer)
-        _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+        dock = dock_in(viewer)
         quick(dock).model.energy.value = "elastic"
         run(dock)
         dock.live = True
@@ -397,11 +396,9 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_res
 @pytest.fixture
 def at_work(make_napari_viewer, small_sample, run, qtbot, at_rest):
     """A person with a brush before a real window, and a result that follows."""
-    from conftest import quick
-
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
-    _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    dock = dock_in(viewer)
     quick(dock).model.energy.value = "elastic"
     run(dock)
     dock.live = True
@@ -413,7 +410,7 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     person, dock = at_work
     viewer = person.viewer
     boundary = viewer.layers["Boundary"]
-    Cell(dock._face.boundary.seen, 0).click()
+    Cell(dock._form.motion.boundary.seen, 0).click()
     assert viewer.layers.selection.active is boundary
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
@@ -443,14 +440,14 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
 
 def test_tables_are_undone_and_followed(living, settle):
     widget, (_, _, boundary) = living
-    footer = widget.footer
+    footer = widget._form.footer
     assert not footer.steps.undo.enabled
     rules, materials = widget.rules, widget.materials
-    Cell(widget._face.boundary.seen, 1, 4).write("5")
+    Cell(widget._form.motion.boundary.seen, 1, 4).write("5")
     assert footer.steps.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
-    Cell(widget._face.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.seen, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.steps.undo.native.click()
@@ -472,18 +469,18 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     widget, (_, tissue, _) = living
     paint(tissue, [(8, 8)], 5)
     settle(widget)
-    widget._face.tissue.painted.look()
+    widget._form.tissue.painted.look()
     assert 5 in [row.label for row in widget.materials]
-    assert not widget.footer.steps.undo.enabled
-    widget._face.tissue.table.add()
-    assert "added label 6 to 'Tissue'" in widget.footer.steps.undo.tooltip
+    assert not widget._form.footer.steps.undo.enabled
+    widget._form.tissue.table.add()
+    assert "added label 6 to 'Tissue'" in widget._form.footer.steps.undo.tooltip
     widget.undo()
     assert [row.label for row in widget.materials] == [0, 1, 5]
 
 
 def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
     widget, (_, _, boundary) = living
-    table = widget._face.boundary.seen
+    table = widget._form.motion.boundary.seen
     before = widget.rules
     Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
@@ -491,13 +488,13 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
     QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
     assert widget.rules != before
     viewer_of(widget).layers.remove(boundary)
-    assert not widget.footer.steps.undo.enabled
+    assert not widget._form.footer.steps.undo.enabled
 
 
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
-    Cell(widget._face.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.seen, 1, 2).write("33")
     widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness
@@ -510,7 +507,7 @@ def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opene
 ):
     small_sample(viewer_of(widget))
     widget.make_from_intensity()
-    curve, steps = widget._face.tissue.curve, widget._steps
+    curve, steps = widget._form.tissue.curve, widget._steps
     before = curve.curve
     curve.editor.plot.select(1)
     curve.editor.stiffness.setValue(curve.editor.stiffness.value() * 3)
@@ -525,13 +522,13 @@ def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opene
 def test_a_curve_is_undone_with_its_layer(widget, small_sample):
     small_sample(viewer_of(widget))
     widget.make_from_intensity()
-    curve = widget._face.tissue.curve
+    curve = widget._form.tissue.curve
     before, stiff = curve.curve, widget.tissue.data.copy()
     editor = curve.editor
     editor.plot.select(1)
     editor.stiffness.setValue(editor.stiffness.value() * 3)
     assert curve.curve != before
-    assert "changed the curve" in widget.footer.steps.undo.tooltip
+    assert "changed the curve" in widget._form.footer.steps.undo.tooltip
     widget.undo()
     assert curve.curve == before
     assert np.array_equal(widget.tissue.data, stiff)

@@ -15,7 +15,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
 def block_and_specks(size=24):
@@ -88,8 +88,8 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     person, widget = open_window(picture)
     person.viewer.add_layer(stiffness)
     widget.tissue = stiffness
-    widget.form.edge.value = False
-    widget.form.grab.native.click()
+    widget._form.edge.value = False
+    widget._form.grab.native.click()
     widget.drawing = Drawing((Arrow((10, 10), (0, 2), 3.0),))
     settle(widget)
     field = widget._puller.display.seen.solution.displacement
@@ -127,7 +127,7 @@ def painted(qtbot, wall=True, moves=True):
         labels[9:12, 12:15] = 2
     rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
     viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
-    widget = quick(DeformTissue(viewer))
+    widget = quick(SoftTissue(viewer))
     qtbot.addWidget(widget.native)
     return widget
 

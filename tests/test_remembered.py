@@ -8,9 +8,9 @@ from napari_hmrf.solver.priors import SeilerPrior
 def another(qtbot, viewer=None):
     from napari.components import ViewerModel
 
-    from napari_hmrf.ui.deform_dock import DeformTissue
+    from napari_hmrf.ui.soft_tissue import SoftTissue
 
-    made = DeformTissue(ViewerModel() if viewer is None else viewer)
+    made = SoftTissue(ViewerModel() if viewer is None else viewer)
     qtbot.addWidget(made.native)
     return made
 
@@ -62,9 +62,9 @@ def test_how_many_arrows_are_drawn_is_remembered_but_not_that_they_are_longer_th
         qtbot.addWidget(made.native)
         first, second = second, made
         if first is None:
-            made._face.count.value, made._face.length.value, made._face.grid.value = 50, 2.5, True
-    assert (second._face.count.value, second._face.length.value) == (50, 1.0)
-    assert second._face.grid.value is False
+            made._form.count.value, made._form.length.value, made._form.grid.value = 50, 2.5, True
+    assert (second._form.count.value, second._form.length.value) == (50, 1.0)
+    assert second._form.grid.value is False
 
 
 def test_nonsense_in_the_file_is_left_alone(qtbot):

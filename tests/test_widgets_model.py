@@ -101,7 +101,7 @@ RIGID_AND_PAPER = (
 
 
 def be_rigid(widget):
-    Cell(widget._face.tissue.seen, 1, 2).write("rigid")
+    Cell(widget._form.tissue.seen, 1, 2).write("rigid")
 
 
 def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
@@ -118,7 +118,7 @@ def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sa
     wait_for(lambda: widget.status == READY)
     model.energy.value = "paper"
     wait_for(lambda: widget.status == RIGID_AND_PAPER)
-    Cell(widget._face.tissue.seen, 1, 2).write("900")
+    Cell(widget._form.tissue.seen, 1, 2).write("900")
     assert not model.objection
     wait_for(lambda: widget.status == READY)
 
@@ -138,7 +138,7 @@ def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
 def paint_bone(widget, *place):
     tissue = widget.tissue
     painted = np.array(tissue.data)
-    painted[place] = widget._face.tissue.table.add_rigid()
+    painted[place] = widget._form.tissue.table.add_rigid()
     tissue.data = painted
 
 
@@ -230,7 +230,7 @@ def test_every_choice_has_a_sentence_with_what_was_measured(plane):
 
 def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._face.tissue.seen
+    table = widget._form.tissue.seen
     assert table.isColumnHidden(POISSON)
     elastic(widget)
     assert not table.isColumnHidden(POISSON)
@@ -242,7 +242,7 @@ def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sam
 def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     elastic(widget)
-    table = widget._face.tissue.seen
+    table = widget._form.tissue.seen
     Cell(table, 1, POISSON).write("0,3")
     assert widget.materials[1].poisson == 0.3
     assert tissue.metadata[METADATA]["materials"][1]["poisson"] == 0.3
@@ -306,7 +306,7 @@ def test_each_tissue_has_its_own_poisson_ratio(widget, small_sample, run):
 def test_a_preset_brings_its_poisson_ratios(widget, small_sample):
     small_sample(viewer_of(widget))
     glia = PRESETS[1]
-    widget._face.tissue.table.apply_preset(glia)
+    widget._form.tissue.table.apply_preset(glia)
     found = {material.label: material.poisson for material in widget.materials}
     assert (found[1], found[2], found[3]) == (0.4, 0.1, 0.45)
     for preset in PRESETS:
@@ -316,7 +316,7 @@ def test_a_preset_brings_its_poisson_ratios(widget, small_sample):
 def test_a_new_tissue_is_as_the_first_in_all_but_its_name(widget, small_sample):
     small_sample(viewer_of(widget))
     widget.materials = (widget.materials[0], Material(1, "gel", 33.0, 0.2))
-    widget._face.tissue.table.add()
+    widget._form.tissue.table.add()
     assert widget.materials[-1] == Material(2, "tissue 2", 33.0, 0.2)
 
 
@@ -380,7 +380,7 @@ def test_another_model_means_that_the_result_is_old(widget, small_sample, run, w
 
 def test_the_plot_copes_with_cycles(widget, small_sample, run):
     small_sample(viewer_of(widget))
-    plot = widget._face.energy
+    plot = widget._form.energy
     plot.expand(animate=False)
     run(widget)
     axes = plot._canvas.figure.axes[0]

@@ -45,7 +45,10 @@ class Choices:
         self._beginning = {name: field.value for name, field in self._fields.items()}
         self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
         self._image: weakref.ref[Any] | None = None
-        self._by_hand = False
+        # Whether somebody chose an image, or something that goes with the one that is chosen.
+        self._by_hand = self._begun = self._taking = False
+        for name in ("tissue", "boundary", "confidence", "where", "should"):
+            self._fields[name].changed.connect(self._on_chosen)
         form.image.changed.connect(self._on_image)
 
     @property
@@ -107,7 +110,7 @@ class Choices:
         form = self._form
         by_role = {role_of(layer): layer for layer in layers}
         stays = self._image is not None and bool(self._drawn_on)
-        if not (self._by_hand or stays):
+        if not (self._by_hand or stays or (self._begun and form.image.value is not None)):
             offered = [layer for layer in form.image.offered if layer in layers]
             image = image_in_front(self._viewer, offered, self._drawn_on)
             if image is not None:
@@ -119,6 +122,7 @@ class Choices:
             self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
+        before, self._taking = self._taking, True
         role = role_of(layer)
         if role == TISSUE:
             self._form.tissue.choice.value = layer
@@ -127,6 +131,7 @@ class Choices:
             if layer.data.any():
                 self._form.motion.edge.value = False
             self._form.motion.boundary.choice.value = layer
+        self._taking = before
 
     def _choose(self, image: Any) -> None:
         by_hand = self._by_hand
@@ -139,6 +144,9 @@ class Choices:
         edits = steps_of(self._viewer).edits
         slots = [slot for slot in edits.slots if isinstance(slot, Slot) and slot.what == DRAWING]
         return [slot.layer for slot in slots if edits.get(slot).marks]
+
+    def _on_chosen(self, layer: Any) -> None:
+        self._begun = self._begun or (layer is not None and not self._taking)
 
     def _on_image(self, image: Any) -> None:
         """Keep what was chosen for the image before, and choose what goes with this one."""
@@ -161,4 +169,5 @@ class Choices:
         if known is None:
             for layer in painted_on(image, self._viewer.layers, self.view):
                 self._take_painted(layer)
+        self._begun = known is not None
         self._changed()

@@ -35,7 +35,9 @@ from napari_hmrf.ui.messages import (
     CANCELLED,
     CHOOSE,
     CURVE,
+    MEANWHILE,
     PAINT,
+    READY,
     WELCOME,
     details,
     in_short,
@@ -286,7 +288,9 @@ class SoftTissue(Dock):
         """What can be done first."""
         if self.image is None:
             return CHOOSE if self._viewer.layers else WELCOME
-        return self._covered or self.model.objection or self._pointer.tool.how
+        begun = self.boundary is not None or bool(self.landmark_layers)
+        how = self._pointer.tool.how if self.live or not begun else READY
+        return self._covered or self.model.objection or how
 
     # What can be done
 
@@ -428,7 +432,7 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self.say(painting(layer))
+            self.say(f"{painting(layer)} {MEANWHILE if self.before else ''}".rstrip())
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -469,7 +473,7 @@ class SoftTissue(Dock):
             if self.image is not None:
                 next_one = f"'{self.image.name}' is chosen now."
             self.say(f"'{layer.name}' is gone: {next_one}")
-        elif not self.idle and layer in live.request().layers:
+        elif live.is_solving(layer):
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
         self.touch()
 
@@ -492,9 +496,10 @@ class SoftTissue(Dock):
         form.tissue.curve.refused.connect(self.say)
         pointer.said.connect(self._on_pointer)
         pointer.changed.connect(self._show_tool)
-        live.said.connect(self.say)
+        live.said.connect(lambda sentence: self.say(sentence or self.invitation))
         live.doing.connect(self._on_doing)
-        live.moved_on.connect(self._begin_fields)
+        live.moved_on.connect(self._on_other)
+        live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
 
     @property
@@ -504,8 +509,10 @@ class SoftTissue(Dock):
         other = None if image is None else image_covering(self._viewer, image)
         return "" if other is None else covered(other.name)
 
-    def _begin_fields(self) -> None:
-        """Have lengths that suit the first image."""
+    def _on_other(self) -> None:
+        """Another slice or image is worked on: say how to go on, with lengths that suit it."""
+        if self._status in (WELCOME, CHOOSE):
+            self.say(self.invitation)
         study = self._live_study.study
         if not self._sized and study is not None:
             rows, cols = study.grid.shape
@@ -540,6 +547,12 @@ class SoftTissue(Dock):
             if not self.active:
                 self.start()
         self._show_tool()
+
+    def _on_finished(self, outputs: object) -> None:
+        """Have the result be seen that was asked for, and not what was painted on it."""
+        if outputs is not None and self.image is not None and self.tissue is not None:
+            self._live_study.show_before(False)
+            self.tissue.visible = False  # it would tint what was deformed
 
     def _on_doing(self, sentence: str) -> None:
         if not self.away:
