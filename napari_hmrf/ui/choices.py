@@ -47,6 +47,8 @@ class Choices:
         self._image: weakref.ref[Any] | None = None
         # Whether somebody chose an image, or something that goes with the one that is chosen.
         self._by_hand = self._begun = self._taking = False
+        # Whether there is no image as the one that was worked on is gone.
+        self._lost = False
         for name in ("tissue", "boundary", "confidence", "where", "should"):
             self._fields[name].changed.connect(self._on_chosen)
         form.image.changed.connect(self._on_image)
@@ -67,7 +69,7 @@ class Choices:
         """
         form, boundary = self._form, self._form.motion.boundary
         image, tissue = form.image.value, form.tissue.choice.value
-        if image is None and (tissue is None or not isinstance(tissue, Labels)):
+        if image is None and (self._lost or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
         labelled = isinstance(tissue, Labels)
         arrows = isinstance(boundary.choice.value, Vectors)
@@ -98,12 +100,17 @@ class Choices:
             others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
             images = [layer for layer in form.image.offered if layer not in others]
             self._by_hand = self._by_hand and bool(images)
+            self._lost = not images
             if images:
                 self._choose(images[0])
 
     def choose_first(self) -> None:
         """Choose among what is there: the image in front, or one drawn on, and what is painted."""
         self.take(list(self._viewer.layers))
+
+    def begin(self) -> None:
+        """Work has begun with the image that is chosen: no other takes its place by itself."""
+        self._begun = True
 
     def take(self, layers: list[Any]) -> None:
         """Choose a sample's layers as they come; unless one was chosen, the image in front."""
@@ -151,6 +158,7 @@ class Choices:
     def _on_image(self, image: Any) -> None:
         """Keep what was chosen for the image before, and choose what goes with this one."""
         self._by_hand = True
+        self._lost = self._lost and image is None
         before = None if self._image is None else self._image()
         if before is image:
             return

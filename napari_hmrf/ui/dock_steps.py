@@ -76,6 +76,10 @@ class DockSteps:
         for role in self._painted:
             self._on_table(role)
         self._open_curve()
+        curve = self._form.tissue.curve
+        if curve.layer is not None:  # it may have been undone while there was no dock
+            slot = Slot(CURVE, curve.layer)
+            self._on_undone(slot, self._edits.get(slot))
         self._on_landmarks()
         self.show()
 

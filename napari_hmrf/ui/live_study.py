@@ -354,14 +354,12 @@ class LiveStudy:
         self._pointer.show(seen)
         if moved.error is not None:
             self._asked = None
-            self._cannot(moved.error)
+            if not self._pointer.active:  # else it has said so
+                self._cannot(moved.error)
             return
         self.seen.emit(moved)
         if moved.solution is None:
-            self.latest = None
-            self._succeed()
-            self._form.energy.show_solution(None)
-            self._form.footer.warn("")
+            self._come_to_rest()
         self._resting.start(0 if moved.settled else _REST)
 
     def _on_done(self, done: Done) -> None:
@@ -414,6 +412,16 @@ class LiveStudy:
             self._failed = sentence
             stays = f" {STAYS}" if self.latest is not None else ""
             self.said.emit(f"The tissue does not follow yet. {sentence}{stays}")
+
+    def _come_to_rest(self) -> None:
+        """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
+        before, self.latest = self.latest, None
+        self._succeed()
+        self._form.energy.show_solution(None)
+        self._form.footer.warn("")
+        self._form.footer.tell("")
+        if before is not None and not self._pointer.active:
+            self.said.emit(STILL)
 
     def _succeed(self) -> None:
         """What was wrong no longer is."""

@@ -20,7 +20,7 @@ from napari_hmrf.ui.follower import Done
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
 READY = "Press Deform."
-STILL = "Nothing is held or moved yet: take a tool and drag tissue, or paint."
+STILL = "Nothing moves yet: take a tool and drag tissue, or paint what moves."
 PAINT = (
     "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
     "paint with its label."

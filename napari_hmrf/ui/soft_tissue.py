@@ -345,6 +345,7 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for section in (self._form.tissue, self._form.motion.boundary):
                 section.painted.look()
+            self._choices.begin()
             self._live_study.settle()
 
     def cancel(self, why: str = CANCELLED) -> None:
