@@ -89,7 +89,7 @@ def air_and_block(inside=False):
 def of_labels(labels, without_border=True, picture=None):
     """A study of what is painted on a block in air."""
     return Study(
-        Grid(labels.shape),
+        Grid(labels.shape, (1.0, 1.0)),
         Tissue(
             labels=labels,
             materials=(Material(0, "everything unpainted", 20.0), Material(2, "fat", 5.0)),
@@ -115,7 +115,7 @@ def test_what_is_painted_in_the_dark_is_tissue():
 
 
 def test_what_is_dark_inside_is_tissue():
-    picture, block = air_and_block(inside=True)
+    picture, _ = air_and_block(inside=True)
     found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
     assert (found[13:16, 18:22] == 20).all()
     assert not found[0].any()

@@ -215,7 +215,7 @@ def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, se
 
 def test_what_comes_painted_is_followed_at_once(widget, small_sample, settle):
     widget.live = True
-    _, _, boundary = small_sample(viewer_of(widget))
+    small_sample(viewer_of(widget))
     settle(widget)
     assert_newest(widget)
     assert "MR deformed" in names(widget)

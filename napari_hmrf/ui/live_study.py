@@ -378,8 +378,7 @@ class LiveStudy:
         if settled:
             self._end_settling("")
         if settled or not self._pointer.active:
-            moves = done.outputs.solution.displacement.any()
-            self.said.emit(f"{report(done) if moves else STILL} {self.note}".rstrip())
+            self.said.emit(f"{report(done)} {self.note}".rstrip())
         self.note = ""
         self.followed.emit(done.outputs)
         if settled:

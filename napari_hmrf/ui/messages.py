@@ -71,6 +71,8 @@ ABOUT_POISSON = (
 PAPERS = "Back to the paper's"
 ELASTIC = "Take the elastic model"
 
+#: What moves by less than this part of a pixel has not moved, but for rounding.
+_UNSEEN = 1e-3
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
 
@@ -97,6 +99,9 @@ def report(done: Done) -> str:
     """What came out, in a sentence."""
     place = done.moved.study.grid.place
     where = f"S{place.slice_said[1:]}: tissue" if place.slice_said else "Tissue"
+    solution = done.outputs.solution
+    if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
+        return STILL
     return f"{where} moved up to {_farthest(done)}."
 
 
