@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from conftest import dock_in, quick
 from napari.layers import Image, Labels, Vectors
-from napari_hmrf.ui.result.look_dock import LookAtResult
 from person import SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest

@@ -47,7 +47,12 @@ class Choices:
         self._beginning = {name: field.value for name, field in self._fields.items()}
         self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
         self._image: weakref.ref[Any] | None = None
-        self._by_hand = False
+        # Whether somebody chose an image, or something that goes with the one that is chosen.
+        self._by_hand = self._begun = self._taking = False
+        # Whether there is no image as the one that was worked on is gone.
+        self._lost = False
+        for name in ("tissue", "boundary", "confidence", "where", "should"):
+            self._fields[name].changed.connect(self._on_chosen)
         form.image.changed.connect(self._on_image)
 
     @property
@@ -66,7 +71,7 @@ class Choices:
         """
         form, boundary = self._form, self._form.motion.boundary
         image, tissue = form.image.value, form.tissue.choice.value
-        if image is None and (tissue is None or not isinstance(tissue, Labels)):
+        if image is None and (self._lost or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
         labelled = isinstance(tissue, Labels)
         arrows = isinstance(boundary.choice.value, Vectors)
@@ -97,6 +102,7 @@ class Choices:
             others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
             images = [layer for layer in form.image.offered if layer not in others]
             self._by_hand = self._by_hand and bool(images)
+            self._lost = not images
             if images:
                 self._choose(images[0])
 
@@ -113,12 +119,16 @@ class Choices:
         for layer in layers:
             self._take_painted(layer)
 
+    def begin(self) -> None:
+        """Work has begun with the image that is chosen: no other takes its place by itself."""
+        self._begun = True
+
     def take(self, layers: list[Any]) -> None:
         """Choose a sample's layers as they come; unless one was chosen, the image in front."""
         form = self._form
         by_role = {role_of(layer): layer for layer in layers}
         stays = self._image is not None and bool(self._drawn_on)
-        if not (self._by_hand or stays):
+        if not (self._by_hand or stays or (self._begun and form.image.value is not None)):
             offered = [layer for layer in form.image.offered if layer in layers]
             image = image_in_front(self._viewer, offered, self._drawn_on)
             if image is not None:
@@ -130,6 +140,7 @@ class Choices:
             self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
+        before, self._taking = self._taking, True
         role = role_of(layer)
         if role == TISSUE:
             self._form.tissue.choice.value = layer
@@ -138,6 +149,7 @@ class Choices:
             if layer.data.any():
                 self._form.motion.edge.value = False
             self._form.motion.boundary.choice.value = layer
+        self._taking = before
 
     def _choose(self, image: Any) -> None:
         by_hand = self._by_hand
@@ -151,9 +163,13 @@ class Choices:
         slots = [slot for slot in edits.slots if isinstance(slot, Slot) and slot.what == DRAWING]
         return [slot.layer for slot in slots if edits.get(slot).marks]
 
+    def _on_chosen(self, layer: Any) -> None:
+        self._begun = self._begun or (layer is not None and not self._taking)
+
     def _on_image(self, image: Any) -> None:
         """Keep what was chosen for the image before, and choose what goes with this one."""
         self._by_hand = True
+        self._lost = self._lost and image is None
         before = None if self._image is None else self._image()
         if before is image:
             return
@@ -172,4 +188,5 @@ class Choices:
         if known is None:
             for layer in painted_on(image, self._viewer.layers, self.view):
                 self._take_painted(layer)
+        self._begun = known is not None
         self._changed()

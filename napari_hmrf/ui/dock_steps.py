@@ -76,6 +76,11 @@ class DockSteps:
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
         )
         self._steps.bind_keys(self._owner)
+        curve = self._form.tissue.curve
+        if curve.layer is not None:  # it may have been undone while there was no dock
+            slot = Slot(CURVE, curve.layer)
+            if slot in self._model:
+                self._on_undone(slot, self._model.get(slot))
         self._known = set()
         self.note()
         self.show()

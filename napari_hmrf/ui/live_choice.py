@@ -31,8 +31,9 @@ class LiveChoice:
         self._check, self._turned = check, turned
         #: Whether somebody ticked or unticked the box; None while the size decides.
         self._wanted: bool | None = None
+        self._shape = (0, 0)
         check.changed.connect(self._on_check)
-        self.judge((0, 0))
+        self.judge(self._shape)
 
     @property
     def on(self) -> bool:
@@ -48,7 +49,7 @@ class LiveChoice:
 
     def judge(self, shape: tuple[int, int]) -> None:
         """Decide by the size, unless somebody else has decided; say why it is off."""
-        rows, cols = shape
+        self._shape = rows, cols = shape
         large = rows * cols > LARGEST
         if self._wanted is None and self._check.value == large:
             with self._check.changed.blocked():
@@ -59,5 +60,6 @@ class LiveChoice:
 
     def _on_check(self, on: bool) -> None:
         self._wanted = bool(on)
+        self.judge(self._shape)
         if on:
             self._turned()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,9 +31,11 @@ from napari_hmrf.ui.live_choice import LiveChoice
 from napari_hmrf.ui.messages import (
     CANCELLED,
     CHANGED,
+    CHOOSE,
     OTHER_SLICE,
     STAYS,
     STILL,
+    WELCOME,
     details,
     in_short,
     progress,
@@ -43,6 +46,7 @@ from napari_hmrf.ui.messages import (
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.timers import repeating, single_shot
 
+_log = logging.getLogger("napari_hmrf")
 #: How often it is asked how far a solve is, in milliseconds.
 _POLL = 30
 #: How long there must be no answer until it is said that there is none yet, in seconds.
@@ -87,12 +91,10 @@ class LiveStudy:
     followed = Signal(object)
     #: Solving from nothing has ended: `Outputs`, or None if it was cancelled or failed.
     finished = Signal(object)
-    #: What there is to say.
+    #: What there is to say; "" if what was said is over.
     said = Signal(str)
     #: What goes on, to be said until it is over; then "".
     doing = Signal(str)
-    #: What could not be read can be again.
-    put_right = Signal()
     #: Another slice or image is worked on.
     moved_on = Signal()
 
@@ -112,6 +114,8 @@ class LiveStudy:
         self.latest: Done | None = None
         self.settling = False
         self.note = ""
+        self._layers: tuple[Any, ...] = ()
+        self._outdated = False
         self._copies = shared(viewer, LayerCopies)
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
@@ -191,18 +195,18 @@ class LiveStudy:
             request = self.request()
             study = self.read(request)
             refuse_rigid(study)
-        except (HmrfError, ValueError) as error:
+        except Exception as error:  # noqa: BLE001 - a layer may raise anything
+            if not isinstance(error, HmrfError | ValueError):
+                _log.exception("what is chosen could not be read")
+            self._asked, self._outdated = None, True
             self._cannot(error)
             return False
         study = self._stand_on(study, request.layers[0])
-        if self._failed:
-            self._failed = ""
-            self.put_right.emit()
         if self.live.on or self._pointer.active:
             self._follow(study)
-        elif self.latest is not None and self.source is not None and not self.fresh:
-            here = study.grid.place == self.latest.moved.study.grid.place
-            self.said.emit(CHANGED if here else OTHER_SLICE)
+        else:
+            self._compare(study)
+            self._succeed()
         return True
 
     def settle(self) -> None:
@@ -223,9 +227,14 @@ class LiveStudy:
             return
         study = self._stand_on(study, request.layers[0])
         self.settling, self._since, self._asked = True, time.monotonic(), study
+        self._layers = request.layers
         self.note = ""
         self._follower.settle(study, self._form.settings.backend)
         self._poll.start()
+
+    def is_solving(self, layer: Any) -> bool:
+        """Whether a layer is among those of which something is solved from nothing."""
+        return self.settling and any(layer is each for each in self._layers)
 
     def cancel(self, why: str = CANCELLED) -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
@@ -289,11 +298,11 @@ class LiveStudy:
     def _stand_on(self, study: Study, source: Any) -> Study:
         """Work on a study; returns it, with what is drawn on its slice."""
         before = self.study
+        self._pointer.tissue = self._form.tissue.choice.value
         place, self.study = study.grid, study
         if before is None or source is not self.source or before.grid != place:
             self.source = source
             self._asked = None
-            self._pointer.tissue = self._form.tissue.choice.value
             self._pointer.stand_on(study, source)
             self._form.footer.warn("")
             rows, cols = study.grid.shape
@@ -305,6 +314,18 @@ class LiveStudy:
         motion = replace(study.motion, drawing=self._pointer.drawing)
         self.study = study = replace(study, motion=motion)
         return study
+
+    def _compare(self, study: Study) -> None:
+        """Say that the latest result is of something else, and when it is true again."""
+        latest, before = self.latest, self._outdated
+        if latest is None:
+            return
+        self._outdated = not self.fresh
+        if self._outdated:
+            here = study.grid.place == latest.moved.study.grid.place
+            self.said.emit(f"{CHANGED if here else OTHER_SLICE} {self.note}".rstrip())
+        elif before:
+            self.said.emit(report(latest))
 
     def _on_drawn(self) -> None:
         """The drawing is another: nothing else has to be read."""
@@ -343,21 +364,20 @@ class LiveStudy:
         self._pointer.show(seen)
         if moved.error is not None:
             self._asked = None
-            self._cannot(moved.error)
+            if not self._pointer.active:  # else it has said so
+                self._cannot(moved.error)
             return
-        self._failed = ""
         self.seen.emit(moved)
         if moved.solution is None:
-            self.latest = None
-            self._form.energy.show_solution(None)
-            self._form.footer.warn("")
+            self._come_to_rest()
         self._resting.start(0 if moved.settled else _REST)
 
     def _on_done(self, done: Done) -> None:
         study = self.study
         if study is None or done.moved.study.grid != study.grid or self._away():
             return
-        self.latest = done
+        failed, self._failed = self._failed, ""
+        self.latest, self._outdated = done, not self.fresh
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
@@ -369,8 +389,9 @@ class LiveStudy:
         if settled:
             self._end_settling("")
         if settled or not self._pointer.active:
-            moves = done.outputs.solution.displacement.any()
-            self.said.emit(f"{report(done) if moves else STILL} {self.note}".rstrip())
+            self.said.emit(f"{report(done)} {self.note}".rstrip())
+        elif failed:
+            self.said.emit("")
         self.note = ""
         self.followed.emit(done.outputs)
         if settled:
@@ -394,13 +415,31 @@ class LiveStudy:
 
     def _cannot(self, error: Exception) -> None:
         """Say why the tissue does not follow, once; the last result stays."""
-        if self.latest is None and self.study is None and not self._pointer.active:
-            return  # nobody has done anything yet
         sentence = in_short(error)
+        if sentence in (WELCOME, CHOOSE):
+            if sentence == WELCOME:
+                self.said.emit(WELCOME)
+            return  # nobody has done anything yet
         if sentence != self._failed:
             self._failed = sentence
             stays = f" {STAYS}" if self.latest is not None else ""
             self.said.emit(f"The tissue does not follow yet. {sentence}{stays}")
+
+    def _come_to_rest(self) -> None:
+        """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
+        before, self.latest = self.latest, None
+        self._succeed()
+        self._form.energy.show_solution(None)
+        self._form.footer.warn("")
+        self._form.footer.tell("")
+        if before is not None and not self._pointer.active:
+            self.said.emit(STILL)
+
+    def _succeed(self) -> None:
+        """What was wrong no longer is."""
+        failed, self._failed = self._failed, ""
+        if failed and (self.latest is None or self._pointer.active):
+            self.said.emit("")
 
     def _refuse(self, error: Exception) -> None:
         self._end_settling(in_short(error))

@@ -20,12 +20,13 @@ from napari_hmrf.ui.follower import Done
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
 READY = "Press Deform."
-STILL = "Nothing is held or moved yet: take a tool and drag tissue, or paint."
+STILL = "Nothing moves yet: take a tool and drag tissue, or paint what moves."
 PAINT = (
     "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
     "paint with its label."
 )
 CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
+MEANWHILE = "What was deformed is hidden meanwhile."
 CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 CANCELLED = "Cancelled; nothing was changed."
@@ -70,6 +71,8 @@ ABOUT_POISSON = (
 PAPERS = "Back to the paper's"
 ELASTIC = "Take the elastic model"
 
+#: What moves by less than this part of a pixel has not moved, but for rounding.
+_UNSEEN = 1e-3
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
 
@@ -96,6 +99,9 @@ def report(done: Done) -> str:
     """What came out, in a sentence."""
     place = done.moved.study.grid.place
     where = f"S{place.slice_said[1:]}: tissue" if place.slice_said else "Tissue"
+    solution = done.outputs.solution
+    if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
+        return STILL
     return f"{where} moved up to {_farthest(done)}."
 
 

@@ -36,7 +36,9 @@ from napari_hmrf.ui.messages import (
     CANCELLED,
     CHOOSE,
     CURVE,
+    MEANWHILE,
     PAINT,
+    READY,
     WELCOME,
     details,
     in_short,
@@ -61,7 +63,6 @@ from napari_hmrf.ui.settings import SolverSettings
 from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
-
 
 #: What is said until there is something else to say.
 _INVITATIONS = (WELCOME, CHOOSE, START, FLAT, OFF)
@@ -312,8 +313,11 @@ class SoftTissue(Dock):
             return CHOOSE if self._viewer.layers else WELCOME
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or FLAT
-        how = self._pointer.tool.how if self.active else START
-        return self._paused or self.model.objection or how
+        begun = self.boundary is not None or bool(self.landmark_layers)
+        how = START if self.live or not begun else READY
+        return (
+            self._paused or self.model.objection or (self._pointer.tool.how if self.active else how)
+        )
 
     # What can be done
 
@@ -369,6 +373,7 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for section in (self._form.tissue, self._form.motion.boundary):
                 section.painted.look()
+            self._choices.begin()
             self._live_study.settle()
 
     def cancel(self, why: str = CANCELLED) -> None:
@@ -456,7 +461,7 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self._painting = painting(layer)
+            self._painting = f"{painting(layer)} {MEANWHILE if self.before else ''}".rstrip()
             self.say(self._painting)
 
     def touch(self) -> None:
@@ -510,7 +515,7 @@ class SoftTissue(Dock):
                 self._leaving.start()
             self._gone = f"'{layer.name}' is gone: {next_one}"
             self.say(self._gone)
-        elif not self.idle and layer in live.request().layers:
+        elif live.is_solving(layer):
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
         self.touch()
 
@@ -536,9 +541,9 @@ class SoftTissue(Dock):
         for begun in (form.edited, pointer.drawn, pointer.begun):
             begun.connect(self._on_edit)
         live.said.connect(self._on_study)
-        live.put_right.connect(self._say_what_next)
         live.doing.connect(self._on_doing)
-        live.moved_on.connect(self._begin_fields)
+        live.moved_on.connect(self._on_other)
+        live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
 
     @property
@@ -561,8 +566,10 @@ class SoftTissue(Dock):
         if not self._step or self._status != self._step:
             self.say(self.invitation)
 
-    def _begin_fields(self) -> None:
-        """Have lengths that suit the first image."""
+    def _on_other(self) -> None:
+        """Another slice or image is worked on: say how to go on, with lengths that suit it."""
+        if self._status in (WELCOME, CHOOSE):
+            self.say(self.invitation)
         study = self._live_study.study
         if not self._sized and study is not None:
             rows, cols = study.grid.shape
@@ -598,6 +605,12 @@ class SoftTissue(Dock):
                 self.start()
         self._show_tool()
 
+    def _on_finished(self, outputs: object) -> None:
+        """Have the result be seen that was asked for, and not what was painted on it."""
+        if outputs is not None and self.image is not None and self.tissue is not None:
+            self._live_study.show_before(False)
+            self.tissue.visible = False  # it would tint what was deformed
+
     def _on_doing(self, sentence: str) -> None:
         if not self.away:
             self._doing = sentence
@@ -612,6 +625,9 @@ class SoftTissue(Dock):
     def _on_study(self, sentence: str) -> None:
         """Say it beside what was taken back, which nobody has read yet."""
         taken_back = self._step and self._status == self._step
+        if not sentence:
+            self._say_what_next()
+            return
         self.say(f"{self._step} {sentence}" if taken_back else sentence)
 
     def _on_found(self, found: str) -> None:

@@ -403,4 +403,5 @@ class Pointer:
             self.said.emit(OPEN if hand.mark.action == "expand" else in_short(error))
             return
         self.display.show_painted(seen, hand)
-        self.said.emit(in_short(error))
+        if self.active:
+            self.said.emit(in_short(error))

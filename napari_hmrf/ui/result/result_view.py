@@ -238,7 +238,7 @@ class ResultView:
             self.said.emit(LOST.format(layer=gone.name))
         layers = None if arrows is None else self._results.of(arrows)
         other = layers is not shown.layers
-        drawn = other and bool(form.grid.value)
+        drawn = (other or self._errands.busy("grid")) and bool(form.grid.value)
         self._put_back()
         if other and shown.layers is not None:
             shown.layers.leave()
