@@ -91,7 +91,7 @@ def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(make_napari_vie
     screen = Screen(dock)
     for words in (
         "1  Tissue",
-        "From brightness",
+        "Tissue from brightness",
         "2  Motion",
         "Pull",
         "3  Result",
@@ -165,7 +165,7 @@ def test_tissue_comes_from_brightness_by_one_button(deform, viewer):
     rows, cols = np.indices((24, 30))
     inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
     viewer.add_image(np.where(inside, 60 + 5 * cols, 2).astype(np.uint8), name="MR")
-    screen.press("From brightness")
+    screen.press("Tissue from brightness")
     stiffness = layer(viewer, "MR stiffness")
     assert dock.tissue is stiffness
     np.testing.assert_array_equal(stiffness.data > 0, inside)

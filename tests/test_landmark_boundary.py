@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from conftest import dock_in, quick
 from napari.layers import Image, Labels, Points, Shapes
-from napari_hmrf.ui.point_steps import PointSteps
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -15,7 +14,6 @@ from study_reader import read_layers
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.read import Request
-from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 SHAPE = (40, 48)
@@ -284,7 +282,7 @@ def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen_in_window,
         def stop(self):
             raise RuntimeError("wrapped C/C++ object of type QTimer has been deleted")
 
-    monkeypatch.setattr(shared(widget._viewer, PointSteps), "_resting", Gone())
+    monkeypatch.setattr(widget._steps, "_resting", Gone())
     widget._life.end()
     assert widget.away
 

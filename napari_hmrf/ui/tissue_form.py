@@ -98,7 +98,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
         self._put_below("tissue", self.menu)
         self.curve = TissueCurve(layers, view)
-        for part in (self.intensity, self.curve.editor, self.border.native):
+        for part in (self.curve.editor, self.border.native):
             self.native.layout().addWidget(part)
         self.border.changed.connect(lambda _: self.edited.emit())
         self.curve.changed.connect(lambda _: self.edited.emit())

@@ -76,9 +76,9 @@ class ResultForm(Container):
             value=True, text="arrows", tooltip="From where tissue was to where it is"
         )
         self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
-        self.moved_labels = CheckBox(
-            text="labels", tooltip="The tissue labels, moved with the tissue"
-        )
+        self.kinds: dict[Kind, CheckBox] = {
+            kind: CheckBox(text=words, tooltip=about) for kind, (words, about) in _KINDS.items()
+        }
         self.count = SpinBox(
             value=ARROWS,
             min=10,
