@@ -293,7 +293,7 @@ def grey(shape=(24, 30)):
 def made(widget, pixels=None, **place):
     viewer = widget._viewer
     image = viewer.add_image(grey() if pixels is None else pixels, name="MR", **place)
-    widget._form.tissue.intensity.click()
+    widget._form.intensity.native.click()
     return viewer, image, widget.tissue
 
 
@@ -306,7 +306,7 @@ def test_one_button_makes_tissue_of_an_image_and_chooses_it(widget):
     assert (layer.data[0] == 0).all(), "air"
     assert (layer.data[12, 10:20] > 0).all()
     assert "Drag the points" in widget.status
-    widget._form.tissue.intensity.click()
+    widget._form.intensity.native.click()
     assert len(viewer.layers) == 2, "there is one already"
 
 
@@ -422,9 +422,9 @@ def test_start_anew_is_a_step_of_its_own(widget):
 def test_without_an_image_a_sentence_says_what_to_do(widget):
     with pytest.raises(HmrfError, match=r"[Oo]pen an image"):
         widget.tissue_from_intensity()
-    assert not widget._form.tissue.intensity.isEnabled()
+    assert not widget._form.intensity.enabled
     widget._viewer.add_image(np.zeros((9, 9)), name="flat")
-    widget._form.tissue.intensity.click()
+    widget._form.intensity.native.click()
     assert "flat" in widget.status
     assert not [layer for layer in widget._viewer.layers if layer.name != "flat"]
 

@@ -136,20 +136,21 @@ def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, at_rest):
 
 def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkeypatch):
     widget, _ = living
-    popups, said = [], []
+    popups = []
     for kind in ("show_error", "show_warning"):
         monkeypatch.setattr(f"napari_hmrf.ui.live_study.{kind}", popups.append)
-    widget._live_study.said.connect(said.append)
     before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
-    rules = widget.rules
+    rules, why = widget.rules, "The tissue does not follow yet. 'Boundary' lets label 2 expand, but"
     for amount in (1.0, 2.0, 3.0):
         widget.rules = (rules[0], BoundaryRule(2, "expand", amount=amount))
         settle(widget)
+        assert (widget.status == "Heard.") == (amount > 1), "once is enough"
+        if amount == 1:
+            assert widget.status.startswith(why)
+            assert widget.status.endswith("The last result stays.")
+        widget.say("Heard.")
     assert widget.solution is before
     assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
-    why = "The tissue does not follow yet. 'Boundary' lets label 2 expand, but"
-    assert sum(sentence.startswith(why) for sentence in said) == 1
-    assert widget.status.endswith("The last result stays.")
     assert not popups, "nobody asked for anything"
     widget.rules = rules
     settle(widget)
@@ -545,3 +546,19 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     assert widget.result is by_name(widget, "MR arrows, elastic")
     assert widget._view.shown.result.solution.displacement is widget.solution.displacement
     assert_newest(widget)
+
+
+def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling, settle):
+    _, widget = pulling
+    viewer = viewer_of(widget)
+    how = widget.status
+    widget.make_layers()
+    widget.start()
+    widget.tissue.scale = (2, 1)
+    settle(widget)
+    assert "'Tissue' lies elsewhere" in widget.status
+    widget.tissue.scale = (1, 1)
+    settle(widget)
+    assert widget.active
+    assert widget.status == how
+    assert viewer.layers.selection.active.name == "Arrows"

@@ -583,17 +583,45 @@ def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
 # Errors
 
 
+def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.layers.remove("Boundary")
+    widget.hold_edge = False
+    assert run(widget) is None
+    assert widget.status.startswith("Nothing is held or moved yet")
+    widget.hold_edge = True
+    assert not run(widget).solution.displacement.any()
+    assert widget.status.startswith("Nothing moves yet")
+
+
+def test_the_edge_is_let_go_for_a_boundary_that_comes_painted_and_held_for_the_next(
+    widget, small_sample
+):
+    viewer = viewer_of(widget)
+    viewer.add_image(np.ones((20, 24)), name="T1")
+    assert widget.hold_edge
+    small_sample(viewer)
+    assert not widget.hold_edge
+    viewer.layers.remove("Boundary")
+    assert widget.hold_edge
+    widget.make_layers()
+    assert widget.hold_edge
+    widget.hold_edge = False
+    widget.boundary = None
+    assert not widget.hold_edge, "somebody said so"
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda v: v.layers.remove("Boundary"), "Nothing is held or moved yet"),
         (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
         (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
         (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
         (lambda v: setattr(v.layers["Tissue"], "data", np.ones((7, 7), int)), "7 x 7"),
         (lambda v: setattr(v.layers["MR"], "data", np.zeros((9, 9))), "9 x 9"),
     ],
-    ids=["no boundary", "unpainted", "all void", "elsewhere", "size", "image size"],
+    ids=["unpainted", "all void", "elsewhere", "size", "image size"],
 )
 def test_bad_input_is_one_error_and_changes_nothing(
     widget, small_sample, run, spoil, said, popped_up

@@ -49,6 +49,10 @@ class Choices:
         self._image: weakref.ref[Any] | None = None
         # Whether somebody chose an image, or something that goes with the one that is chosen.
         self._by_hand = self._begun = self._taking = False
+        # Whether the edge is let go because of what came painted.
+        self._let_go = False
+        motion.edge.changed.connect(lambda _: setattr(self, "_let_go", False))
+        motion.boundary.choice.changed.connect(self._on_boundary)
         # Whether there is no image as the one that was worked on is gone.
         self._lost = False
         for name in ("tissue", "boundary", "confidence", "where", "should"):
@@ -145,10 +149,11 @@ class Choices:
         if role == TISSUE:
             self._form.tissue.choice.value = layer
         elif role == BOUNDARY:
-            # What comes painted says all that is held.
-            if layer.data.any():
-                self._form.motion.edge.value = False
             self._form.motion.boundary.choice.value = layer
+            # What comes painted says all that is held.
+            if layer.data.any() and self._form.motion.edge.value:
+                self._form.motion.edge.value = False
+                self._let_go = True
         self._taking = before
 
     def _choose(self, image: Any) -> None:
@@ -162,6 +167,11 @@ class Choices:
         edits = steps_of(self._viewer).edits
         slots = [slot for slot in edits.slots if isinstance(slot, Slot) and slot.what == DRAWING]
         return [slot.layer for slot in slots if edits.get(slot).marks]
+
+    def _on_boundary(self, layer: Any) -> None:
+        """Without a boundary the edge is held again, unless somebody has said otherwise."""
+        if self._let_go and layer is None:
+            self._form.motion.edge.value = True
 
     def _on_chosen(self, layer: Any) -> None:
         self._begun = self._begun or (layer is not None and not self._taking)

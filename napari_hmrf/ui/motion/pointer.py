@@ -397,7 +397,7 @@ class Pointer:
     def _show_error(self, seen: Seen) -> None:
         error, hand = seen.moved.error, self.hand
         assert error is not None
-        self._in_error = True
+        self._in_error = self.active
         if hand.holding and isinstance(hand.mark, Stroke):
             # A ring that is being painted is an open line until it is closed.
             self.said.emit(OPEN if hand.mark.action == "expand" else in_short(error))
