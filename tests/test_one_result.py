@@ -412,16 +412,16 @@ def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run,
 
 def test_what_is_no_longer_ticked_shows_no_earlier_result(folding, run, settle):
     viewer = folding._viewer
-    folding.moved_labels = True
+    folding.outputs = ("labels",)
     settle(folding)
     (labels,) = parts(viewer, "labels")
     assert labels.visible
-    folding.moved_labels = False
+    folding.outputs = ()
     pull(folding, 1.0)
     run(folding)
     assert "MR deformed" in seen(viewer)
     assert not labels.visible
-    folding.moved_labels = True
+    folding.outputs = ("labels",)
     run(folding)
     assert labels.visible
 

@@ -23,11 +23,11 @@ def test_the_device_is_remembered(qtbot):
 
 def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
     def drawn(dock):
-        return dock.arrows, dock.grid, dock.moved_labels, dock.colours
+        return dock.arrows, dock.grid, dock.outputs, dock.colours
 
     first = another(qtbot)
     before = drawn(first)
-    first.grid = first.moved_labels = True
+    first.grid, first.outputs = True, ("labels",)
     first.colours = "magnitude"
     assert drawn(another(qtbot)) == before == (True, False, False, "nothing")
 

@@ -96,7 +96,8 @@ def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_samp
 
 def see_all(widget, at_rest):
     """Have all be drawn that can be seen of a result."""
-    widget.moved_labels = widget.grid = True
+    widget.outputs = ("labels",)
+    widget.grid = True
     widget.colours = "magnitude"
     at_rest.until(lambda: not widget.busy)
 
@@ -565,7 +566,7 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
     run(widget)
     before = widget.solution
-    widget.moved_labels = True
+    widget.outputs = ("labels",)
     wait_for(lambda: "Tissue deformed" in names(viewer))  # drawn at once, from the same solution
     assert widget.solution.provenance == before.provenance
     while viewer.layers:

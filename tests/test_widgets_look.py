@@ -43,7 +43,7 @@ def deformed(widget, small_sample, run):
     """The dock with a result: a block of gel, held left, pushed 3 px right at the right."""
     small_sample(viewer_of(widget))
     widget.settings.sweeps.value = 60
-    widget.moved_labels = True
+    widget.outputs = ("labels",)
     run(widget)
     return widget
 

@@ -89,6 +89,7 @@ class DockSteps:
         """The dock is closed, or its window is gone."""
         self._steps.unbind_keys(self._owner)
         self._heard.release()
+        self._drop_points(set())
 
     def show(self) -> None:
         """Show what there is to take back, and to do again."""
@@ -110,6 +111,7 @@ class DockSteps:
                 self._model.amend(slot, now)
             else:
                 self._step(slot, before, now)
+        self._drop_points(self._known)
 
     def _edited(self) -> Iterator[tuple[Slot, Any]]:
         """What is chosen and can be edited, as it is now."""
@@ -141,6 +143,12 @@ class DockSteps:
             model.end()
         else:
             self._resting.start()
+
+    def _drop_points(self, chosen: set[Slot]) -> None:
+        """Forget points that are no landmarks: what is done to them from now on is not heard."""
+        self._model.drop(
+            lambda slot: isinstance(slot, Slot) and slot.what == POINTS and slot not in chosen
+        )
 
     def _on_rest(self) -> None:
         slot = self._model.in_progress
