@@ -412,7 +412,9 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_window, settle):
     settle(widget)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
-    assert Screen(widget).button("Undo").toolTip() == "Take back: drew an arrow (in slice 1) (Ctrl+Z)"
+    assert (
+        Screen(widget).button("Undo").toolTip() == "Take back: drew an arrow (in slice 1) (Ctrl+Z)"
+    )
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert viewer.dims.current_step[0] == 1, "it goes to where it happened"

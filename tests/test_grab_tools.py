@@ -365,9 +365,7 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
         person.move(row, 24)
         image.name, arrows.name = f"T{number}", f"mine {number}"
         (layer,) = (
-            each
-            for each in person.viewer.layers
-            if gone in (each.name, known_of(each).get("kind"))
+            each for each in person.viewer.layers if gone in (each.name, known_of(each).get("kind"))
         )
         person.viewer.layers.remove(layer)
         person.move(row, 30)
