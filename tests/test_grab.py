@@ -269,9 +269,13 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     assert (by_name(viewer, "Arrows").data[:, 0, 0] == 1).all()
     assert by_name(viewer, "MR deformed, elastic (slice 1)").data.shape == (1, 48, 64)
     assert "MR deformed, elastic (slice 2)" not in viewer.layers, "nothing has moved there"
+    how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
     assert "two dimensions" in widget.status
+    viewer.dims.ndisplay = 2
+    settle(widget)
+    assert (widget.status, len(widget.drawing.marks)) == (how, 1)
 
 
 def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbot, at_rest):

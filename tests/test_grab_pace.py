@@ -201,8 +201,8 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person.release(34, 34)
 
 
-def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling, qtbot):
-    person, _widget = pulling
+def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling):
+    person, _ = pulling
     layer, positions = by_name(person.viewer, "Arrows"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
     for end in (lambda: person.release(34, 34), lambda: person.key(Qt.Key.Key_Escape)):

@@ -320,7 +320,8 @@ def test_points_that_are_no_landmarks_any_more_stay_as_they_are(chosen, wait_for
     widget, where, should = chosen
     undo = widget._form.footer.steps.undo
     widget.landmarks = (where, should)
-    should._move({0}, (10.0, 9.0))
+    for column in (8.5, 9.0):
+        should._move({0}, (10.0, column))
     wait_for(lambda: undo.enabled)
     widget.landmarks = None
     assert not undo.enabled

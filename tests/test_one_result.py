@@ -1,4 +1,4 @@
-"""Of an image and a slice there is one result, however one came to it: the newest, as seen."""
+"""Of an image and a slice there is one result, however one came to it: the newest."""
 
 import numpy as np
 import pytest

@@ -29,7 +29,7 @@ def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
     before = drawn(first)
     first.grid, first.outputs = True, ("labels",)
     first.colours = "magnitude"
-    assert drawn(another(qtbot)) == before == (True, False, False, "nothing")
+    assert drawn(another(qtbot)) == before == (True, False, ("image", "arrows"), "nothing")
 
 
 def test_what_is_computed_begins_with_elastic_tissue_each_time(qtbot):

@@ -60,6 +60,7 @@ from napari_hmrf.ui.remembered_settings import keep
 from napari_hmrf.ui.result.result_messages import NOTHING
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.settings import SolverSettings
+from napari_hmrf.ui.status_line import StatusLine
 from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
@@ -176,11 +177,12 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._status = self._doing = self._step = self._painting = self._gone = ""
+        self._painting = self._gone = ""
         self._sized = self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
+        self._line = StatusLine(form.footer.say, lambda: self.invitation, lambda: self.away)
         self._choices = Choices(viewer, form, self.touch)
         self._pointer = Pointer(viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(
@@ -226,7 +228,7 @@ class SoftTissue(Dock):
     @property
     def status(self) -> str:
         """The sentence at the bottom: what was done last, or can be done next."""
-        return self._doing or self._status
+        return self._line.shown
 
     @property
     def warning(self) -> str:
@@ -470,9 +472,7 @@ class SoftTissue(Dock):
 
     def say(self, sentence: str) -> None:
         """Say something at the bottom."""
-        if not self.away:
-            self._status = sentence
-            self._form.footer.say(self.status)
+        self._line.say(sentence)
 
     # What happens elsewhere
 
@@ -485,36 +485,36 @@ class SoftTissue(Dock):
             self._pointer.release()
             if self._paused:
                 self.say(self._paused)
-        elif self.active and self._status == OFF:
-            self.say(self._pointer.tool.how)
+        elif self.active and self._line.said == OFF:
+            self._line.invite()
         paints = isinstance(self._viewer.layers.selection.active, Labels)
-        if not paints and self._status == self._painting:
-            self._say_what_next()
+        if not paints and self._line.said == self._painting:
+            self._line.invite()
         self._show_tool()
 
     def cover_changed(self) -> None:
         """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-        how = self._pointer.tool.how
-        if self._status.startswith(COVERED) or self._status in (*_INVITATIONS, self._gone, how):
-            self._say_what_next()
+        said, invited = self._line.said, {*_INVITATIONS, self._pointer.tool.how}
+        if self.image is not None:
+            invited.add(self._gone)
+        if said in invited or said.startswith(COVERED):
+            self._line.invite()
 
     def layer_gone(self, layer: Any) -> None:
         """A layer was removed: nothing is computed of it any more."""
         live, display = self._live_study, self._pointer.display
         if layer is display.arrows.former and not display.quiet:
             self._pointer.release()
-            self._step = ARROWS_GONE
-            self.say(ARROWS_GONE)
+            self._line.say_step(ARROWS_GONE)
         if live.study is not None and layer is live.source:
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
             live.forget()
-            next_one = "choose or open another image."
             if self.image is not None:
-                next_one = f"'{self.image.name}' is chosen now."
+                self.say(f"'{layer.name}' is gone: '{self.image.name}' is chosen now.")
             else:
+                self._gone = f"'{layer.name}' is gone: choose or open another image."
+                self.say(self._gone)
                 self._leaving.start()
-            self._gone = f"'{layer.name}' is gone: {next_one}"
-            self.say(self._gone)
         elif live.is_solving(layer):
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
         self.touch()
@@ -539,9 +539,9 @@ class SoftTissue(Dock):
         pointer.said.connect(self._on_pointer)
         pointer.changed.connect(self._show_tool)
         for begun in (form.edited, pointer.drawn, pointer.begun):
-            begun.connect(self._on_edit)
+            begun.connect(self._line.begin)
         live.said.connect(self._on_study)
-        live.doing.connect(self._on_doing)
+        live.doing.connect(self._line.say_doing)
         live.moved_on.connect(self._on_other)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
@@ -561,15 +561,10 @@ class SoftTissue(Dock):
             return ""
         return ARROWS_GONE if arrows.layer is None else OFF
 
-    def _say_what_next(self) -> None:
-        """Say what can be done, unless it is still to be read what was taken back."""
-        if not self._step or self._status != self._step:
-            self.say(self.invitation)
-
     def _on_other(self) -> None:
         """Another slice or image is worked on: say how to go on, with lengths that suit it."""
-        if self._status in (WELCOME, CHOOSE):
-            self.say(self.invitation)
+        if self._line.said in (WELCOME, CHOOSE):
+            self._line.invite()
         study = self._live_study.study
         if not self._sized and study is not None:
             rows, cols = study.grid.shape
@@ -611,39 +606,27 @@ class SoftTissue(Dock):
             self._live_study.show_before(False)
             self.tissue.visible = False  # it would tint what was deformed
 
-    def _on_doing(self, sentence: str) -> None:
-        if not self.away:
-            self._doing = sentence
-            self._form.footer.say(self.status)
-
     def _on_pointer(self, sentence: str) -> None:
         if sentence in (self._pointer.tool.how, OFF):
-            self._say_what_next()
+            self._line.invite()
         else:
             self.say(sentence)
 
     def _on_study(self, sentence: str) -> None:
-        """Say it beside what was taken back, which nobody has read yet."""
-        taken_back = self._step and self._status == self._step
-        if not sentence:
-            self._say_what_next()
-            return
-        self.say(f"{self._step} {sentence}" if taken_back else sentence)
+        if sentence:
+            self._line.say_beside(sentence)
+        else:
+            self._line.invite()
 
     def _on_found(self, found: str) -> None:
         """Say what was found in the paint, until the next result."""
         self._live_study.note = found
         self.say(found)
 
-    def _on_edit(self, *_: object) -> None:
-        """Something new is done: what was taken back before has been read."""
-        self._step = ""
-
     def _on_step(self, sentence: str, slot: object) -> None:
         """Say what was taken back, on another slice, too; and that the mouse draws no more."""
         drawn = isinstance(slot, Slot) and slot.what == DRAWING
-        self._step = f"{sentence} {self._paused if drawn else ''}".rstrip()
-        self.say(self._step)
+        self._line.say_step(f"{sentence} {self._paused if drawn else ''}".rstrip())
 
     def _on_left(self) -> None:
         """There is nothing to draw on."""
@@ -659,7 +642,6 @@ class SoftTissue(Dock):
         self._steps.come()
         self._watch.come()
         self._view.come()
-        self._step = ""
         self._show_tool()
         self.say(self.invitation)
         self.touch()

@@ -11,7 +11,7 @@ import numpy as np
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering_at
 from napari_hmrf.layers.image_result import Result
-from napari_hmrf.layers.paint_layer import outline_of
+from napari_hmrf.layers.paint_layer import outline_of, touches
 from napari_hmrf.layers.result_layers import picture_layer
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.layers.viewer_results import ResultLayers
@@ -109,6 +109,13 @@ class Display:
         if lowest is None:
             return None
         return image_covering_at(self._viewer, lowest, self._viewer.cursor.position)
+
+    def is_beside(self, stroke: Stroke) -> bool:
+        """Whether a stroke lies beside all tissue, and does not make any."""
+        ground = None if self.moved is None else self.moved.ground
+        if ground is None or stroke.action == "tissue":
+            return False
+        return not touches(stroke, ground.base, ground.body)
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""

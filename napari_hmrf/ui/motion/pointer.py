@@ -10,7 +10,7 @@ from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
-from napari_hmrf.layers.paint_layer import tissue_colours, touches
+from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
@@ -313,14 +313,8 @@ class Pointer:
             self.draw()
             return
         if done:
-            mark, moved = self.hand.mark, self.display.moved
-            ground = None if moved is None else moved.ground
-            if (
-                isinstance(mark, Stroke)
-                and mark.action != "tissue"
-                and ground is not None
-                and not touches(mark, ground.base, ground.body)
-            ):
+            mark = self.hand.mark
+            if isinstance(mark, Stroke) and self.display.is_beside(mark):
                 self.said.emit(BESIDE)
             self._show_how()
             if self.tool.name == "landmark":  # no click is waited for any more

@@ -227,7 +227,7 @@ class ResultView:
             self._take()
 
     def _take(self, chosen: bool = False) -> None:
-        """Look at the result that is chosen, as it is now; `chosen`: whichever is seen now."""
+        """Look at the result that is chosen, as it is now; `chosen`: somebody wants to see it."""
         if self._away():
             return
         form, shown, arrows = self._form, self.shown, self._form.result.value
