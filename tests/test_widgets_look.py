@@ -493,6 +493,16 @@ def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack,
     assert line.value.endswith("mm")
 
 
+def test_the_result_of_a_slice_may_go_at_any_time(make_stack, wait_for):
+    look, _ = make_stack
+    viewer = viewer_of(look)
+    wait_for(lambda: not look.busy)
+    viewer.layers.remove("MR arrows (z = 2)")
+    wait_for(lambda: not look.busy)
+    assert look.result is None
+    assert look._form.result.how_far.value == ""
+
+
 @pytest.fixture
 def make_stack(widget, small_sample, run):
     viewer = viewer_of(widget)
