@@ -515,7 +515,7 @@ def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opene
     curve.editor.plot.select(1)
     curve.editor.stiffness.setValue(curve.editor.stiffness.value() * 3)
     edited = curve.curve
-    steps.leave(over=False)
+    steps.leave()
     others.undo()
     assert curve.curve == edited != before
     steps.come()

@@ -128,15 +128,16 @@ class DockSteps:
     def _step(self, slot: Slot, before: Any, now: Any) -> None:
         """Make a step, or go on with one: a drag is one, however many times napari tells of it."""
         model, layer = self._model, slot.layer
-        if slot.what not in (CURVE, POINTS):
-            model.do(slot, now, change(before, now, layer.name))
+        points, word = slot.what == POINTS, f"changed the curve of '{layer.name}'"
+        if points:
+            word = before.change(now, layer.name)
+        elif slot.what != CURVE:
+            word = change(before, now, layer.name)
+        if slot.what in (TISSUE, BOUNDARY) or (slot.what == CURVE and not _is_held()):
+            model.do(slot, now, word)
             return
-        points = slot.what == POINTS
         counted = points and now.count != before.count
         if model.in_progress != slot or counted:
-            word = (
-                before.change(now, layer.name) if points else f"changed the curve of '{layer.name}'"
-            )
             model.begin(slot, word)
         model.update(now)
         if counted and not is_drawn(layer):
@@ -154,8 +155,7 @@ class DockSteps:
         slot = self._model.in_progress
         if not isinstance(slot, Slot) or slot.what not in (CURVE, POINTS):
             return
-        held = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        if held or (slot.what == POINTS and is_drawn(slot.layer)):
+        if _is_held() or (slot.what == POINTS and is_drawn(slot.layer)):
             self._resting.start()
         else:
             self._model.end()
@@ -182,3 +182,8 @@ class DockSteps:
             self._form.tissue.choice.value = layer
         if curve.layer is layer and curve.curve != value:
             curve.curve = value
+
+
+def _is_held() -> bool:
+    """Whether a button of the mouse is down."""
+    return bool(QApplication.mouseButtons() != Qt.MouseButton.NoButton)

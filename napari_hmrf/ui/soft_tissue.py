@@ -613,6 +613,8 @@ class SoftTissue(Dock):
             self.say(sentence)
 
     def _on_study(self, sentence: str) -> None:
+        if sentence == WELCOME and self._line.said == self._gone:
+            return  # it has said as much
         if sentence:
             self._line.say_beside(sentence)
         else:
