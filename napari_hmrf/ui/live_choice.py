@@ -37,11 +37,11 @@ class LiveChoice:
 
     @property
     def on(self) -> bool:
-        """Whether edits are followed."""
+        """Whether edits are followed; once it is set the size of the image decides nothing."""
         return bool(self._check.value)
 
-    def turn(self, on: bool) -> None:
-        """Turn it on or off; from then on the size of the image decides nothing."""
+    @on.setter
+    def on(self, on: bool) -> None:
         if self._check.value == on:
             self._on_check(on)
         else:

@@ -3,70 +3,49 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import DRAWING, Slot, steps_of
-from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.layers.tissue_point import Probe
-from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.material_tables import load_materials, save_materials
+from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part
+from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
-from napari_hmrf.ui.material_menu import materials_of
+from napari_hmrf.ui.material_menu import preset_of
 from napari_hmrf.ui.messages import (
-    CANCELLED,
-    CHOOSE,
     CURVE,
-    MEANWHILE,
     PAINT,
-    READY,
     WELCOME,
     details,
     in_short,
-    painting,
 )
 from napari_hmrf.ui.model import TissueModel
-from napari_hmrf.ui.motion.motion_messages import (
-    ARROWS_GONE,
-    COVERED,
-    FLAT,
-    OFF,
-    START,
-    covered,
-)
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.remembered_settings import keep
-from napari_hmrf.ui.result.result_messages import NOTHING
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.settings import SolverSettings
-from napari_hmrf.ui.status_line import StatusLine
 from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
-
-#: What is said until there is something else to say.
-_INVITATIONS = (WELCOME, CHOOSE, START, FLAT, OFF)
 
 
 class SoftTissue(Dock):
@@ -96,42 +75,39 @@ class SoftTissue(Dock):
         to a pair of layers, or one, too.
     landmark_layers : tuple of napari.layers.Layer
         Those that are chosen, be they complete or not yet.
-    materials : tuple of Material
-        How stiff each tissue label is.
-    rules : tuple of BoundaryRule
-        What each boundary label does.
+    materials, rules : tuple of Material, tuple of BoundaryRule
+        How stiff each tissue label is, and what each boundary label does.
     curve : StiffnessCurve or None
         From intensity to stiffness, if the tissue is made by one.
-    hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
-    without_border : bool
-        Whether what is dark around the image and unpainted is no tissue.
-    fields : ToolFields
-        How the tools draw.
-    model : TissueModel
-        What tissue is taken to be, and how far that is solved.
-    settings : SolverSettings
-        How to solve, in detail.
+    hold_edge, without_border : bool
+        Whether the outer edge of the tissue stays where it is, and whether what is dark around the
+        image and unpainted is no tissue.
+    fields, model, settings : ToolFields, TissueModel, SolverSettings
+        How the tools draw, what tissue is taken to be, and how to solve, in detail.
     history : History
         The drawing of the slice that is shown, and its steps.
-    active : bool
-        Whether the mouse draws.
-    status, warning, details : str
-        The sentence at the bottom; what is to be known of the tissue that is seen; what ran.
+    active, playing : bool
+        Whether the mouse draws, and whether the deformation goes back and forth by itself.
     result : napari.layers.Vectors or None
         The arrows that hold the result that is looked at.
     percent : int
         How much of the deformation is seen, from 0 to 100.
     before : bool
         Whether the image is seen as it was, and nothing of the result.
-    playing : bool
-        Whether the deformation goes back and forth by itself.
     arrows, grid : bool
         Whether arrows are drawn, and a grid that moves with the tissue.
-    arrow_count : int
-        How many arrows are drawn, roughly.
-    arrow_length : float
-        How many times longer than true they are drawn.
+    arrow_count, arrow_length : int, float
+        How many arrows are drawn, roughly, and how many times longer than true.
+    colours : str
+        What colours show: "nothing", "magnitude", "jacobian", "equivalent", ... (`Quantity`).
+    outputs : tuple of Kind
+        The layers that a result makes: "image", "arrows" and those that are ticked. "labels" are
+        the tissue's, moved with it; "stiffness", "observed" and "confidence" what was given, before
+        it moved; "folds" where tissue is pushed through itself.
+    live : bool
+        Whether the tissue follows every edit; by default unless the image is large.
+    status, warning : str
+        The sentence at the bottom, and what is to be known of the tissue that is seen.
     point : str
         What is said of the tissue under the cursor.
     seen : Signal(Deformation)
@@ -170,6 +146,11 @@ class SoftTissue(Dock):
     arrow_length = Part[float]("_form.result.length.value")
     point = Part[str]("_form.result.point.value")
     saved = Part[Any]("_view.saved")
+    live = Part[bool]("_live_study.live.on")
+    outputs = Part[tuple[Kind, ...]]("_live_study.kinds")
+    colours = Part[str]("_form.result.coloured_by")
+    status = Part[str]("_guide.shown")
+    warning = Part[str]("_form.footer.warning")
     seen = Part[Any]("_live_study.seen")
     followed = Part[Any]("_live_study.followed")
     finished = Part[Any]("_live_study.finished")
@@ -177,12 +158,10 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._painting = self._gone = ""
         self._sized = self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
-        self._line = StatusLine(form.footer.say, lambda: self.invitation, lambda: self.away)
         self._choices = Choices(viewer, form, self.touch)
         self._pointer = Pointer(viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(
@@ -193,12 +172,12 @@ class SoftTissue(Dock):
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(self.native, 0, self._on_left)
         keep(viewer, form.solved)
+        self._guide = Guide(viewer, form, self._pointer, self._live_study, steps, lambda: self.away)
         self._connect()
-        steps.said.connect(self._on_step)
         self._watch = ViewerWatch(self, viewer, form, self._choices, self._live_study)
         self._choices.look()
         self._choices.choose_first()
-        self.say(self.invitation)
+        self._guide.invite()
 
     # What there is to see
 
@@ -226,16 +205,6 @@ class SoftTissue(Dock):
         return None if latest is None else latest.moved.study
 
     @property
-    def status(self) -> str:
-        """The sentence at the bottom: what was done last, or can be done next."""
-        return self._line.shown
-
-    @property
-    def warning(self) -> str:
-        """What is to be known of the tissue that is seen, folds above all; "" if nothing."""
-        return self._form.footer.warning
-
-    @property
     def details(self) -> str:
         """What ran to make the latest result, how long and how well."""
         latest = self._live_study.latest
@@ -250,15 +219,6 @@ class SoftTissue(Dock):
     def busy(self) -> bool:
         """Whether anything that was asked for is not seen yet."""
         return self._live_study.busy or self._view.busy
-
-    @property
-    def live(self) -> bool:
-        """Whether the tissue follows every edit; by default unless the image is large."""
-        return self._live_study.live.on
-
-    @live.setter
-    def live(self, on: bool) -> None:
-        self._live_study.live.turn(on)
 
     @property
     def tool(self) -> str:
@@ -279,56 +239,16 @@ class SoftTissue(Dock):
         self._live_study.look()
         self._pointer.set_drawing(drawing, "took over a drawing")
 
-    @property
-    def colours(self) -> str:
-        """What colours show: "nothing", "magnitude", "jacobian", "equivalent", ... (`Quantity`)."""
-        return str(self._form.result.colours.value)
-
-    @colours.setter
-    def colours(self, quantity: str) -> None:
-        known = (NOTHING, *get_args(Quantity))
-        if quantity not in known:
-            raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
-        self._form.result.colours.value = quantity
-
-    @property
-    def outputs(self) -> tuple[Kind, ...]:
-        """The layers that a result makes: "image", "arrows" and those that are ticked.
-
-        "labels" are the tissue's, moved with it; "stiffness", "observed" and "confidence" what was
-        given, before it moved; "folds" where tissue is pushed through itself.
-        """
-        return self._live_study.kinds
-
-    @outputs.setter
-    def outputs(self, kinds: tuple[Kind, ...]) -> None:
-        self._live_study.kinds = kinds
-
     def at(self, position: Any) -> Probe | None:
         """Say what happens to the tissue that is seen at a point of the world; None beside it."""
         return self._view.cursor.at(position)[0]
-
-    @property
-    def invitation(self) -> str:
-        """What can be done first."""
-        if self.image is None:
-            return CHOOSE if self._viewer.layers else WELCOME
-        if self._covered or self._viewer.dims.ndisplay != 2:
-            return self._covered or FLAT
-        begun = self.boundary is not None or bool(self.landmark_layers)
-        how = START if self.live or not begun else READY
-        return (
-            self._paused or self.model.objection or (self._pointer.tool.how if self.active else how)
-        )
 
     # What can be done
 
     def start(self) -> bool:
         """Have the mouse draw with the tool in the hand; whether it does from now on."""
-        if self._viewer.dims.ndisplay != 2:
-            self.say(FLAT)
-        elif self.image is None:
-            self.say(self.invitation)
+        if self._viewer.dims.ndisplay != 2 or self.image is None:
+            self._guide.invite()
         elif self._live_study.look():
             self._watch.hide_paint()
             self._pointer.take()
@@ -378,9 +298,9 @@ class SoftTissue(Dock):
             self._choices.begin()
             self._live_study.settle()
 
-    def cancel(self, why: str = CANCELLED) -> None:
+    def cancel(self) -> None:
         """Stop; nothing is changed, and the dock is idle at once, whatever the thread does."""
-        self._live_study.cancel(why)
+        self._live_study.cancel()
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
@@ -400,29 +320,21 @@ class SoftTissue(Dock):
         self.say(PAINT)
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> Any:
-        """Add a layer of stiffness made from the image's intensity, and choose it as tissue.
+        """Choose as tissue a layer of stiffness made from the image's intensity; returns it.
 
-        Parameters
-        ----------
-        curve : StiffnessCurve, optional
-            By default the one that there is for this image, or else a first guess.
-
-        Returns
-        -------
-        napari.layers.Image
+        The `curve` is by default the one that there is for this image, or else a first guess.
 
         Raises
         ------
         HmrfError
             If no image is chosen, or no curve can be made for it.
         """
-        image, made = self.image, self._form.tissue.curve
-        if image is None:
+        if self.image is None:
             raise HmrfError(WELCOME)
-        layer = made.made(image)
-        if layer is None:
-            layer = made.make(image, curve)
-            self._viewer.layers.insert(self._viewer.layers.index(image) + 1, layer)
+        made = self._form.tissue.curve
+        layer = made.layer_of(self.image, curve)
+        if layer not in self._viewer.layers:
+            self._viewer.layers.insert(self._viewer.layers.index(self.image) + 1, layer)
         self.tissue = layer
         if curve is not None:
             made.curve = curve
@@ -430,11 +342,7 @@ class SoftTissue(Dock):
         return layer
 
     def take_materials(self, materials: Preset | Any) -> None:
-        """Take over a table with its unit: a preset, another Labels layer's, or a file's.
-
-        Parameters
-        ----------
-        materials : Preset, napari.layers.Labels, str or Path
+        """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
 
         Raises
         ------
@@ -445,13 +353,7 @@ class SoftTissue(Dock):
         """
         if not isinstance(self.tissue, Labels):
             raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
-        if isinstance(materials, str | Path):
-            materials = load_materials(materials)
-        elif not isinstance(materials, Preset):
-            layer, materials = materials, materials_of(materials)
-            if materials is None:
-                raise LayerError(layer, "has no table of materials. Choose another layer.")
-        self._form.tissue.menu.take(materials)
+        self._form.tissue.menu.take(preset_of(materials))
 
     def save_materials(self, path: str | Path) -> Path:
         """Save the table of tissues to a file; as `material_tables.save_materials`."""
@@ -463,8 +365,7 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self._painting = f"{painting(layer)} {MEANWHILE if self.before else ''}".rstrip()
-            self.say(self._painting)
+            self._guide.say_painting(layer, self.before)
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -472,7 +373,7 @@ class SoftTissue(Dock):
 
     def say(self, sentence: str) -> None:
         """Say something at the bottom."""
-        self._line.say(sentence)
+        self._guide.say(sentence)
 
     # What happens elsewhere
 
@@ -483,37 +384,24 @@ class SoftTissue(Dock):
         before, self._was_active = self._was_active, self.active
         if before and not self.active:
             self._pointer.release()
-            if self._paused:
-                self.say(self._paused)
-        elif self.active and self._line.said == OFF:
-            self._line.invite()
-        paints = isinstance(self._viewer.layers.selection.active, Labels)
-        if not paints and self._line.said == self._painting:
-            self._line.invite()
+        self._guide.look_at_mouse(stopped=before and not self.active)
         self._show_tool()
 
     def cover_changed(self) -> None:
         """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-        said, invited = self._line.said, {*_INVITATIONS, self._pointer.tool.how}
-        if self.image is not None:
-            invited.add(self._gone)
-        if said in invited or said.startswith(COVERED):
-            self._line.invite()
+        self._guide.look_at_view()
 
     def layer_gone(self, layer: Any) -> None:
         """A layer was removed: nothing is computed of it any more."""
         live, display = self._live_study, self._pointer.display
         if layer is display.arrows.former and not display.quiet:
             self._pointer.release()
-            self._line.say_step(ARROWS_GONE)
+            self._guide.say_arrows_gone()
         if live.study is not None and layer is live.source:
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
             live.forget()
-            if self.image is not None:
-                self.say(f"'{layer.name}' is gone: '{self.image.name}' is chosen now.")
-            else:
-                self._gone = f"'{layer.name}' is gone: choose or open another image."
-                self.say(self._gone)
+            self._guide.say_gone(layer)
+            if self.image is None:
                 self._leaving.start()
         elif live.is_solving(layer):
             live.cancel(f"Cancelled: '{layer.name}' was removed.")
@@ -531,40 +419,13 @@ class SoftTissue(Dock):
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for section in (form.tissue, form.motion.boundary):
             section.painted.picked.connect(self.hand_brush)
-            section.painted.found.connect(self._on_found)
-            section.table.refused.connect(self.say)
-        form.tissue.menu.said.connect(self.say)
-        form.tissue.menu.taken.connect(self._on_found)
-        form.tissue.curve.refused.connect(self.say)
-        pointer.said.connect(self._on_pointer)
         pointer.changed.connect(self._show_tool)
-        for begun in (form.edited, pointer.drawn, pointer.begun):
-            begun.connect(self._line.begin)
-        live.said.connect(self._on_study)
-        live.doing.connect(self._line.say_doing)
         live.moved_on.connect(self._on_other)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
 
-    @property
-    def _covered(self) -> str:
-        """That the image is hidden beneath another, if it is."""
-        image = still_there(self._viewer, self.image)
-        other = None if image is None else image_covering(self._viewer, image)
-        return "" if other is None else covered(other.name)
-
-    @property
-    def _paused(self) -> str:
-        """That a tool was taken up and put down, and how to go on; "" if it was not."""
-        arrows = self._pointer.display.arrows
-        if arrows.former is None or self._live_study.study is None or self.active:
-            return ""
-        return ARROWS_GONE if arrows.layer is None else OFF
-
     def _on_other(self) -> None:
-        """Another slice or image is worked on: say how to go on, with lengths that suit it."""
-        if self._line.said in (WELCOME, CHOOSE):
-            self._line.invite()
+        """Another slice or image is worked on: have lengths that suit the first."""
         study = self._live_study.study
         if not self._sized and study is not None:
             rows, cols = study.grid.shape
@@ -606,30 +467,6 @@ class SoftTissue(Dock):
             self._live_study.show_before(False)
             self.tissue.visible = False  # it would tint what was deformed
 
-    def _on_pointer(self, sentence: str) -> None:
-        if sentence in (self._pointer.tool.how, OFF):
-            self._line.invite()
-        else:
-            self.say(sentence)
-
-    def _on_study(self, sentence: str) -> None:
-        if sentence == WELCOME and self._line.said == self._gone:
-            return  # it has said as much
-        if sentence:
-            self._line.say_beside(sentence)
-        else:
-            self._line.invite()
-
-    def _on_found(self, found: str) -> None:
-        """Say what was found in the paint, until the next result."""
-        self._live_study.note = found
-        self.say(found)
-
-    def _on_step(self, sentence: str, slot: object) -> None:
-        """Say what was taken back, on another slice, too; and that the mouse draws no more."""
-        drawn = isinstance(slot, Slot) and slot.what == DRAWING
-        self._line.say_step(f"{sentence} {self._paused if drawn else ''}".rstrip())
-
     def _on_left(self) -> None:
         """There is nothing to draw on."""
         if not self.away and self.image is None:
@@ -645,7 +482,7 @@ class SoftTissue(Dock):
         self._watch.come()
         self._view.come()
         self._show_tool()
-        self.say(self.invitation)
+        self._guide.invite()
         self.touch()
 
     def _on_closed(self) -> None:

@@ -100,28 +100,28 @@ class TissueCurve:
         if curve != before:
             self.changed.emit(curve)
 
-    def made(self, image: Any) -> Any:
-        """The layer of stiffness of an image that there is already, or None."""
-        return self._sources.made(image)
-
-    def make(self, image: Any, curve: StiffnessCurve | None = None) -> Any:
-        """Make a layer of stiffness from an image, to be added to the viewer.
+    def layer_of(self, image: Any, curve: StiffnessCurve | None = None) -> Any:
+        """The layer of stiffness of an image that there is already, or a new one.
 
         Parameters
         ----------
         image : napari.layers.Image
         curve : StiffnessCurve, optional
-            By default a first guess from the slice that is shown.
+            Of a new one; by default a first guess from the slice that is shown.
 
         Returns
         -------
         napari.layers.Image
+            A new one is to be added to the viewer.
 
         Raises
         ------
         ProblemError
             If the image cannot be read or is of one value.
         """
+        known = self._sources.made(image)
+        if known is not None:
+            return known
         return self._sources.make(image, curve or first_curve(image, self._view()))
 
     def look(self, *_: Any) -> None:

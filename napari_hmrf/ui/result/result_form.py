@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 from magicgui.widgets import (
     CheckBox,
@@ -17,6 +17,7 @@ from magicgui.widgets import (
 )
 
 from napari_hmrf.layers.result_layers import ARROWS, Kind
+from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.remembered_settings import remember
@@ -130,6 +131,18 @@ class ResultForm(Container):
         for part in self:
             if isinstance(part, Container):
                 part.margins = (0, 0, 0, 0)
+
+    @property
+    def coloured_by(self) -> str:
+        """What colours show; "nothing", or a `Quantity`."""
+        return str(self.colours.value)
+
+    @coloured_by.setter
+    def coloured_by(self, quantity: str) -> None:
+        known = (NOTHING, *get_args(Quantity))
+        if quantity not in known:
+            raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
+        self.colours.value = quantity
 
     @property
     def of_result(self) -> tuple[Any, ...]:
