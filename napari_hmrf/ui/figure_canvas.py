@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from napari_hmrf.ui.timers import single_shot
+
 
 def figure_canvas(layout: Any = "constrained") -> Any:
     """Make a matplotlib canvas that is a Qt widget, with axes; matplotlib is imported only now.
@@ -22,6 +24,8 @@ def figure_canvas(layout: Any = "constrained") -> Any:
     canvas = FigureCanvasQTAgg(figure)
     canvas.setStyleSheet("background: transparent")
     canvas.setMinimumWidth(50)
+    # Matplotlib's own timer would ring though the canvas is gone.
+    canvas.draw_idle = single_shot(canvas, 0, canvas.draw).start
     return canvas
 
 

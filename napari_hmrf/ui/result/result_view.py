@@ -7,23 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from napari.layers import Labels
 from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import magnitude
-from napari_hmrf.layers.animation import Moment, Motion
-from napari_hmrf.layers.image_result import Part, Result
+from napari_hmrf.layers.image_result import Result
 from napari_hmrf.layers.result_lookup import (
     FoundResult,
     can_be_source,
-    picture_of,
     result_of,
     slices_apart,
     source_of,
-    tissue_of,
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
@@ -35,6 +30,7 @@ from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.errands import Errands
 from napari_hmrf.ui.result.layer_choices import LayerChoices
 from napari_hmrf.ui.result.looked_at import LookedAt
+from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_messages import (
@@ -49,15 +45,11 @@ from napari_hmrf.ui.result.result_messages import (
     how_far,
     saved,
 )
-from napari_hmrf.ui.result.result_work import figures_of, unmoved
+from napari_hmrf.ui.result.result_work import figures_of
 from napari_hmrf.ui.result.saving import new_folder, save_canvas
 from napari_hmrf.ui.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
-#: What takes the pixels of a moment.
-_MOVING: tuple[Part, ...] = ("image", "labels", "colours")
-#: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
-_TURN = 10
 
 
 class ResultView:
@@ -92,19 +84,19 @@ class ResultView:
         self._errands = Errands(native, self._refuse)
         self._results = results
         self.shown = LookedAt()
-        self.player = Player(native, self._errands, self._draw)
         self.cursor = UnderCursor(
             viewer, lambda line: form.point.say(line or POINT), lambda: int(form.slider.value)
         )
         self._arrows = ArrowChoices(form, self.shown, self._errands)
+        self._moving = MovingLayers(
+            native, viewer, self.shown, self.cursor, self._arrows, self._refuse
+        )
+        self.player = Player(native, self._errands, self._moving.draw)
         self._layers = LayerChoices(form, self.shown, self._errands, self.cursor, self._moves_anew)
         self._longest = 0.0
-        self._drawn: tuple[int, Moment] | None = None
         self._followed: Any = None
         self._grid: Any = None
         self._heard = Listening()
-        # Lines take napari as long as the image: each has a turn of its own.
-        self._lines = single_shot(native, _TURN, self._draw_lines)
         # A layer is known to be the grid of a result only after it has come.
         self._eyes = single_shot(native, 0, self._on_eye)
         form.result.changed.connect(lambda _: self._take(chosen=True))
@@ -132,7 +124,7 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not seen yet."""
-        return self._errands.busy() or self._lines.isActive() or self._eyes.isActive()
+        return self._errands.busy() or self._moving.busy or self._eyes.isActive()
 
     @property
     def before(self) -> bool:
@@ -342,46 +334,15 @@ class ResultView:
 
     def _prepare(self) -> None:
         """Collect what moves: copies of what is there now."""
-        result, shown = self.shown.result, self.shown
-        if result is None:
-            self.player.motion = None
-            return
-        image = labels = None
-        tissue = tissue_of(self._viewer.layers, result)
-        try:
-            if shown.source is not None:
-                image = picture_of(shown.source, result)
-            if isinstance(tissue, Labels) and shown.layer("labels") is not None:
-                labels = picture_of(tissue, result)
-        except HmrfError as error:
-            self._refuse(error)
-        self.cursor.stiffness_from(tissue, result)
-        seen = self.cursor.coloured
-        colours = None if seen is None else seen[1]
-        grid = bool(self._form.grid.value)
-        self.player.motion = Motion(result.solution, image, labels, colours, grid)
+        self.player.motion = self._moving.motion(bool(self._form.grid.value))
 
     def _ready_to_move(self) -> bool:
         """Have a layer that can be moved; whether there is one."""
-        shown, layers, motion = self.shown, self.shown.layers, self.player.motion
-        if motion is None or layers is None:
+        if self.player.motion is None:
             return False
-        if motion.grid != self._form.grid.value:  # its eye was opened or closed since
+        if self.player.motion.grid != self._form.grid.value:  # its eye was opened or closed since
             self._prepare()
-            motion = self.player.motion
-        if motion is not None and motion.image is not None:
-            image = shown.layer("image")
-            if image is None or (layers.is_added("image") and not image.visible):
-                image = self._make_image(motion)
-            image.visible = True
-        return any(shown.layer(part) is not None for part in (*_MOVING, "grid"))
-
-    def _make_image(self, motion: Motion) -> Any:
-        shown, result, layers = self.shown, self.shown.result, self.shown.layers
-        assert result is not None
-        assert layers is not None
-        assert motion.image is not None
-        return layers.put("image", unmoved(result, shown.source, motion.image), shown.source)
+        return self._moving.ready(self.player.motion)
 
     def _go(self, percent: int) -> None:
         """Show so much of the deformation."""
@@ -414,30 +375,9 @@ class ResultView:
     def _on_points(self, arrows: Any, result: FoundResult, points: Points) -> None:
         self.cursor.watch(arrows, result, points, self._fraction)
 
-    def _draw(self, percent: int, moment: Moment) -> None:
-        result, layers = self.shown.result, self.shown.layers
-        if result is None or layers is None:
-            return
-        moved = {part: getattr(moment, part) for part in _MOVING}
-        place = result.frame.put_image
-        parts = {part: place(data) for part, data in moved.items() if data is not None}
-        layers.show_part(percent, parts)
-        self._drawn = percent, moment
-        self._lines.start()
-
-    def _draw_lines(self) -> None:
-        if self._drawn is not None:
-            percent, moment = self._drawn
-            self._arrows.show(percent)
-            result, layers = self.shown.result, self.shown.layers
-            if result is not None and layers is not None and moment.grid is not None:
-                layers.show_part(percent, {"grid": result.frame.put_vectors(moment.grid)})
-
     def _draw_whole(self) -> None:
         """Arrows of the whole deformation, and no lines of what was seen before."""
-        self._lines.stop()
-        self._drawn = None
-        self._arrows.show_whole()
+        self._moving.draw_whole()
         self._set_slider(FULL)
 
     def _fraction(self) -> float:
