@@ -21,7 +21,12 @@ from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers.arrow_thinning import apart
 from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
-from napari_hmrf.layers.label_colours import OBSERVED, fold_colours, stiffness_colours
+from napari_hmrf.layers.label_colours import (
+    OBSERVED,
+    fold_colours,
+    quantity_colours,
+    stiffness_colours,
+)
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.solver.problem import Problem
@@ -269,7 +274,7 @@ class _Maker:
         """How sure it was how tissue moves: c, the larger of its components."""
         if self._problem is None:
             return None
-        look = {"colormap": "viridis", "contrast_limits": (0.0, 1.0), "opacity": 0.6}
+        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0)}
         c = self._problem.confidence.max(axis=-1)
         return self._picture("confidence", c, "confidence", look)
 

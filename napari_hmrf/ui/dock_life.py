@@ -50,6 +50,11 @@ class Life:
         """Whether the window is gone, or the dock was closed."""
         return self.over or (self._docked and not self._has_parent)
 
+    @property
+    def docked(self) -> bool:
+        """Whether there is a dock around the widget."""
+        return not self.over and self._has_parent
+
     def end(self, *_: Any) -> None:
         """The window is gone."""
         self.over = True

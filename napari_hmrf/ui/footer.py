@@ -76,14 +76,14 @@ class Footer:
             each.margins = (2, 0, 2, 0)
             layout.addWidget(each.native)
         self.chip.setStyleSheet(_CHIP)
-        self._bar.setMaximumHeight(14)
+        self._bar.setFixedHeight(12)
         for kept in (self._bar, self.chip):
             policy = kept.sizePolicy()
             policy.setRetainSizeWhenHidden(True)
             kept.setSizePolicy(policy)
             kept.hide()
             layout.addWidget(kept)
-        for label, lines in ((self._status, _LINES), (self._details, 3)):
+        for label, lines in ((self._status, _LINES), (self._details, 1)):
             label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -91,7 +91,6 @@ class Footer:
             label.setFixedHeight(lines * label.fontMetrics().lineSpacing() + 4)
             label.setContentsMargins(4, 0, 4, 0)
             layout.addWidget(label)
-        self._details.setStyleSheet("font-size: 10px")
         self.help.changed.connect(lambda _: self.say(self.help.tooltip))
         footer.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         return footer
@@ -101,9 +100,9 @@ class Footer:
         self._status.setText(status)
         self._status.setToolTip(status)
 
-    def tell(self, details: str) -> None:
-        """Show in small what few want to know of a result."""
-        self._details.setText(details)
+    def tell(self, brief: str, details: str = "") -> None:
+        """Show a line about a result, and where the mouse rests on it what few want to know."""
+        self._details.setText(brief)
         self._details.setToolTip(details)
 
     def warn(self, sentences: str, short: str = "") -> None:

@@ -36,6 +36,7 @@ from napari_hmrf.ui.messages import (
     STAYS,
     STILL,
     WELCOME,
+    brief,
     details,
     in_short,
     progress,
@@ -384,7 +385,7 @@ class LiveStudy:
         self._form.energy.show_solution(done.outputs.solution)
         footer = self._form.footer
         footer.warn(warnings_of(done), warned_of(done))
-        footer.tell(details(done))
+        footer.tell(brief(done), details(done))
         settled = self.settling
         if settled:
             self._end_settling("")

@@ -178,6 +178,16 @@ def details(done: Done) -> str:
     )
 
 
+def brief(done: Done) -> str:
+    """The model, how far tissue moved and how long that took, in a line."""
+    run = done.outputs.solution.provenance
+    return f"{run.model}: moved up to {_farthest(done)} in {_time(run.seconds)}"
+
+
+def _time(seconds: float) -> str:
+    return f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.2g} s"
+
+
 def painting(layer: Any) -> str:
     """What is painted with from now on, by its name in the table if it has one."""
     label, role = int(layer.selected_label), role_of(layer)

@@ -21,7 +21,6 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
@@ -158,7 +157,7 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._sized = self._was_active = False
+        self._was_active = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
@@ -420,19 +419,8 @@ class SoftTissue(Dock):
         for section in (form.tissue, form.motion.boundary):
             section.painted.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
-        live.moved_on.connect(self._on_other)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
-
-    def _on_other(self) -> None:
-        """Another slice or image is worked on: have lengths that suit the first."""
-        study = self._live_study.study
-        if not self._sized and study is not None:
-            rows, cols = study.grid.shape
-            down, along = study.grid.spacing
-            size = ((rows, cols), (down, along))
-            self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
-            self._sized = True
 
     def _show_tool(self) -> None:
         if not self.away:

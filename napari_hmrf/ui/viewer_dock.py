@@ -44,6 +44,11 @@ class Dock(Container):
         """Whether the window is gone, or the dock was closed."""
         return self._life.away
 
+    @property
+    def docked(self) -> bool:
+        """Whether there is a dock around this, in a window."""
+        return self._life.docked
+
     def _on_orphaned(self) -> None:
         if not self._life.over:
             self._sweeping.start()

@@ -10,6 +10,7 @@ from napari.layers import Labels
 from napari_hmrf.layers.edit_history import Slot, steps_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.viewer_layers import is_selection_kept
+from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
@@ -30,8 +31,15 @@ class Watched(Protocol):
     def away(self) -> bool:
         """Whether the window is gone, or the dock was closed."""
 
+    @property
+    def docked(self) -> bool:
+        """Whether there is a dock around it, in a window."""
+
     def touch(self) -> None:
         """Something that the study depends on is another."""
+
+    def start(self) -> object:
+        """Have the mouse draw."""
 
     def active_changed(self) -> None:
         """Another layer feels the mouse."""
@@ -66,6 +74,9 @@ class ViewerWatch:
         self._pixels = Pixels(self._on_pixels, refreshed=True)
         self._fitting = single_shot(dock.native, 50, self._fit)
         self._selected = single_shot(dock.native, 0, self._on_active)
+        self._starting = single_shot(dock.native, 0, self._on_first)
+        self._begun = False
+        live.moved_on.connect(self._on_other)
         self._events, self._eyes, self._brush = Listening(), Listening(), Listening()
         self._slice = _slice_of(viewer.dims)
         form.edited.connect(self._on_choice)
@@ -95,11 +106,31 @@ class ViewerWatch:
 
     def leave(self) -> None:
         """Listen no more."""
+        self._starting.stop()
         for heard in (self._events, self._eyes, self._brush):
             heard.release()
         self._pixels.release()
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
+
+    def _on_other(self) -> None:
+        """Another slice or image is worked on: have lengths that suit the first, and pull it."""
+        study = self._live.study
+        if not self._begun and study is not None:
+            self._begun = True
+            rows, cols = study.grid.shape
+            down, along = study.grid.spacing
+            size = ((rows, cols), (down, along))
+            self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
+            self._starting.start()
+
+    def _on_first(self) -> None:
+        """Nothing has to be pressed to pull the first image, unless somebody is at work with it."""
+        landmarks = self._form.motion.boundary.landmarks.layers
+        at_work = landmarks or any(layer is not None for layer in self._painted)
+        looked_at = self._viewer.layers.selection.active in (None, self._form.image.value)
+        if self._dock.docked and looked_at and not (at_work or self._dock.away):
+            self._dock.start()
 
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""

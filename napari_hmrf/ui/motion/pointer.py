@@ -317,7 +317,8 @@ class Pointer:
             if isinstance(mark, Stroke) and self.display.is_beside(mark):
                 self.said.emit(BESIDE)
             self._show_how()
-            if self.tool.name == "landmark":  # no click is waited for any more
+            pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
+            if self.tool.name == "landmark" or pushed:  # nothing more is waited for
                 self.said.emit(self.tool.how)
             self.draw()
 
