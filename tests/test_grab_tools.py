@@ -246,7 +246,7 @@ def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling, sett
     assert fields.amount.value == 1
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
-    assert "say in the fields above how far" in widget.status
+    assert "Now drag it to where it goes" in widget.status
     fields.by_col.value = 3
     assert fields.words == "Push 3 right"
     settle(widget)

@@ -122,7 +122,7 @@ class Guide:
     def look_at_mouse(self, stopped: bool) -> None:
         """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
         if stopped and self._paused:
-            self.say(self._paused)
+            self.say(self.invitation)
         elif self._pointer.active and self._said == OFF:
             self.invite()
         paints = isinstance(self._viewer.layers.selection.active, Labels)

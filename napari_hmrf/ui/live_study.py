@@ -377,6 +377,8 @@ class LiveStudy:
         study = self.study
         if study is None or done.moved.study.grid != study.grid or self._away():
             return
+        if self._looking.isActive():  # what was edited since is known first
+            self.look()
         failed, self._failed = self._failed, ""
         self.latest, self._outdated = done, not self.fresh
         for made in done.outputs.layers.values():
@@ -393,6 +395,8 @@ class LiveStudy:
             self.said.emit(f"{report(done)} {self.note}".rstrip())
         elif failed:
             self.said.emit("")
+        if self.study is not None and self._outdated and not self.live.on:
+            self._compare(self.study)
         self.note = ""
         self.followed.emit(done.outputs)
         if settled:

@@ -105,8 +105,9 @@ class SoftTissue(Dock):
         it moved; "folds" where tissue is pushed through itself.
     live : bool
         Whether the tissue follows every edit; by default unless the image is large.
-    status, warning : str
-        The sentence at the bottom, and what is to be known of the tissue that is seen.
+    status, invitation, warning : str
+        The sentence at the bottom, what can be done next, and what is to be known of the tissue
+        that is seen.
     point : str
         What is said of the tissue under the cursor.
     seen : Signal(Deformation)
@@ -149,6 +150,7 @@ class SoftTissue(Dock):
     outputs = Part[tuple[Kind, ...]]("_live_study.kinds")
     colours = Part[str]("_form.result.coloured_by")
     status = Part[str]("_guide.shown")
+    invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")
     seen = Part[Any]("_live_study.seen")
     followed = Part[Any]("_live_study.followed")

@@ -178,6 +178,7 @@ class ViewerWatch:
         if not self._dock.away and self._slice != before:
             self._form.tissue.curve.look()
             self._live.let_go()
+            self._dock.active_changed()
             self._dock.touch()
             self._dock.cover_changed()
 

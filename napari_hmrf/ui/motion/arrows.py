@@ -59,9 +59,10 @@ class ArrowsLayer:
 
     @property
     def active(self) -> bool:
-        """Whether the layer is the one that feels the mouse."""
+        """Whether the layer is the one that feels the mouse, in two dimensions."""
         layer = self.layer
-        return layer is not None and self._viewer.layers.selection.active is layer
+        flat = self._viewer.dims.ndisplay == 2
+        return flat and layer is not None and self._viewer.layers.selection.active is layer
 
     def take(self, frame: Frame, shape: tuple[int, int], radius: float) -> None:
         """Have the layer lie on a slice, on top and active."""
