@@ -4,8 +4,8 @@
     python benchmarks/dragging.py --against FOLDER_OF_ANOTHER_CHECKOUT
 
 For each size, by default 300, 600 and 1200 pixels, a patch of the sample brain is led about in
-circles: without a window, to the picture in memory, and in a napari window with *Grab and pull*, to
-the picture on the screen. Printed are the median and the 95th percentile, and of the window what
+circles: without a window, to the picture in memory, and in a napari window with the dock, to the
+picture on the screen. Printed are the median and the 95th percentile, and of the window what
 its thread does for each movement: how often this package's code looks at the data and the metadata
 of layers, and how many arrays as large as the image it makes.
 

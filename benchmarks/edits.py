@@ -28,7 +28,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
 from napari_hmrf.layers.contributions import phantom_layers
-from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 _STEPS = 20
 _PLACES = 6
@@ -43,7 +43,7 @@ class Painter:
     def __init__(self, size: int) -> None:
         self._size, self._app = size, QApplication.instance() or QApplication([])
         self._viewer = ViewerModel()
-        self._dock = DeformTissue(self._viewer)
+        self._dock = SoftTissue(self._viewer)
         for made in phantom_layers(phantom("mass-effect", size)):
             self._viewer.add_layer(Layer.create(*made))
         self._dock.live = False
@@ -68,13 +68,13 @@ class Painter:
             tissue.data_setitem((np.array([self._size // 3 + step]), column), 3)
             self._live(seconds=_BETWEEN)
         self._live()
-        self._live(lambda: not self._dock.following)
+        self._live(lambda: not self._dock.busy)
 
     def follow(self) -> None:
         """Have the result follow every edit."""
         self._dock.live = True
         self._live()
-        self._live(lambda: not self._dock.following)
+        self._live(lambda: not self._dock.busy)
 
     def _live(self, over: Callable[[], bool] | None = None, seconds: float = _REST) -> None:
         """Let Qt work until something is so, or for a while."""

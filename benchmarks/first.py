@@ -2,11 +2,18 @@
 
     python benchmarks/first.py [--models elastic ...] [--backends cpu opengl] [--size 300]
     python benchmarks/first.py --takeover [--size 300] [--caches FOLDER]
+    python benchmarks/first.py --window
 
 Every model of the linear solver on every backend has a process of its own, with numba's cache and
 the driver's in new folders. Printed are the seconds to import the package, to the first field and
 to the second, and those of compiling; at the end what each loop cost of all that
 ``python -m napari_hmrf.compiling`` compiles, pictures and rigid bodies among them.
+With ``--takeover`` a patch is dragged by shaders until the loops take over: those of a folder that
+``NUMBA_CACHE_DIR=FOLDER python -m napari_hmrf.compiling`` has filled, after eight seconds, or those
+that the compiler makes meanwhile, which takes minutes.
+With ``--window`` napari is opened with a sample, and what is waited for is the first picture of
+tissue that has moved, after the button and after the press of the mouse; on a virtual display where
+there is none.
 Beside it stands how long a plain loop of the interpreter takes here: about a second on a quick
 machine.
 """
@@ -14,17 +21,15 @@ machine.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
-import math
 import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 #: What is solved, by name: prior and optimizer.
@@ -40,9 +45,11 @@ BACKENDS = ("opengl", "cpu")
 _EVERYTHING = "everything"
 #: What all compiling of the linear solver may take on one quiet core, in seconds.
 BUDGET = 60.0
+#: In how many seconds a picture is to be there, in the window.
+SOON = 8.0
 _TURNS = 20_000_000
-#: Movements of the mouse a second; and for how long a drag goes on before and after.
-_EVENTS, _BEFORE, _AFTER = 60.0, 8.0, 8.0
+# What tells where to keep what is compiled, or chosen.
+_FOLDERS = ("NUMBA_CACHE_DIR", "MESA_SHADER_CACHE_DIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME")
 
 
 def _paper(conditional: Any, converged: bool) -> tuple[Any, Any]:
@@ -122,18 +129,19 @@ def everything() -> dict[str, float]:
 
 def fresh(model: str, backend: str, size: int) -> Any:
     """Run a child whose caches are empty; what it printed."""
+    # What loops cost is seen where they are compiled.
+    told = {"NAPARI_HMRF_COMPILE": "here" if backend == "cpu" else "", "PYTHONHASHSEED": "0"}
+    given = [sys.executable, __file__, "--child", model, "--backends", backend]
+    return _printed([*given, "--size", str(size)], told)
+
+
+def _printed(command: list[str], told: dict[str, str]) -> Any:
+    """What a command prints where all caches are empty, and nothing is remembered."""
     with tempfile.TemporaryDirectory() as folder:
-        caches = {
-            # What loops cost is seen where they are compiled.
-            "NAPARI_HMRF_COMPILE": "here" if backend == "cpu" else "",
-            "NUMBA_CACHE_DIR": folder,
-            "MESA_SHADER_CACHE_DIR": folder,
-            "PYTHONHASHSEED": "0",
-        }
-        given = [sys.executable, __file__, "--child", model, "--backends", backend]
+        caches = dict.fromkeys(_FOLDERS, folder)
         ran = subprocess.run(
-            [*given, "--size", str(size)],
-            env={**os.environ, **caches},
+            command,
+            env={**os.environ, **caches, **told},
             check=True,
             capture_output=True,
             text=True,
@@ -141,43 +149,16 @@ def fresh(model: str, backend: str, size: int) -> Any:
     return json.loads(ran.stdout.splitlines()[-1])
 
 
-def drag(size: int) -> None:
-    """Drag a patch until the loops have taken over, here; print how long pictures stood still."""
-    from live import Drag
-
-    from napari_hmrf.solver.backends import kept, loader
-
-    mark = kept.mark()
-    hidden = mark.with_suffix(".hidden")
-    if mark.exists():  # of an earlier run: show it in a while
-        mark.rename(hidden)
-    hand, begun = Drag(size), time.perf_counter()
-    noticed = taken = 0.0
-    moments: list[float] = []
-    pause = threading.Event()
-    while not taken or time.perf_counter() < taken + _AFTER:
-        now = time.perf_counter()
-        if hidden.exists() and moments and now > moments[0] + _BEFORE:
-            hidden.rename(mark)
-        hand.move(now - begun)
-        pause.wait(1 / _EVENTS)
-        noticed = noticed or (now if loader.begun() else 0.0)
-        for update in hand.shown[len(moments) :]:
-            moments.append(time.perf_counter())
-            if not taken and update.solution.provenance.backend == "cpu":
-                taken = moments[-1]
-    hand.live.close()
-    first = moments.index(taken)
-    loading = next(n for n, moment in enumerate(moments) if moment >= noticed)
-    print(f"{size} x {size}, {len(moments)} pictures in {moments[-1] - begun:.0f} s; each after")
-    for when, part in (
-        ("before", moments[2:loading]),
-        ("loading", moments[loading - 1 : first]),
-        ("take-over", moments[first - 1 : first + 2]),
-        ("after", moments[first + 1 :]),
-    ):
-        gaps = sorted(1e3 * (late - soon) for soon, late in itertools.pairwise(part)) or [math.nan]
-        print(f"{when:10} {gaps[len(gaps) // 2]:6.0f} ms, at most {gaps[-1]:6.0f} ({len(gaps)})")
+def window() -> None:
+    """Print how long the first pictures in napari's window take."""
+    print(f"{'after':10} {'command':>8} {'picture':>8} {'blocked':>8}   (at most {SOON:.0f} s)")
+    here = Path(__file__)
+    show = ["sh", str(here.parents[1] / "scripts" / "headless.sh")]
+    for way in ("button", "mouse"):
+        command = [sys.executable, str(here.with_name("first_window.py")), way]
+        found = _printed([*(show if sys.platform == "linux" else []), *command], {})
+        cells = " ".join(f"{found[name]:8.2f}" for name in ("command", "first", "blocked"))
+        print(f"{way:10} {cells}", flush=True)
 
 
 def speed() -> float:
@@ -196,18 +177,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--size", type=int, default=300)
     parser.add_argument("--child", choices=[*MODELS, _EVERYTHING], help=argparse.SUPPRESS)
     parser.add_argument("--takeover", action="store_true")
-    parser.add_argument("--caches", help="a folder to keep the caches of --takeover in")
+    parser.add_argument("--window", action="store_true")
+    parser.add_argument("--caches", help="where the loops lie compiled, for --takeover")
     parser.add_argument("--drag", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.drag:
-        drag(options.size)
+        from takeover import drag
+
+        drag(options.size, options.caches is not None)
         return 0
     if options.takeover:
         with tempfile.TemporaryDirectory() as folder:
             caches = options.caches or folder
             given = [sys.executable, __file__, "--drag", "--size", str(options.size)]
+            given += [] if options.caches is None else ["--caches", caches]
             told = {"NUMBA_CACHE_DIR": caches, "MESA_SHADER_CACHE_DIR": caches}
             return subprocess.call(given, env={**os.environ, **told})
+    if options.window:
+        window()
+        return 0
     if options.child == _EVERYTHING:
         print(json.dumps(everything()))
         return 0

@@ -3,7 +3,7 @@
     python benchmarks/live.py [size ...]
     python benchmarks/live.py --napari [size ...] [grey] [colour] [stack] [pin] [move] [tissue]
 
-The first without a window, the second in a napari window with *Grab and pull*: see
+The first without a window, the second in a napari window with the dock: see
 `live_window.py`. What other processes took of the machine meanwhile is printed, too.
 
 A hand moves a patch of tissue about for some seconds, as often as a screen is redrawn. Printed are

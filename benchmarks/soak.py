@@ -84,7 +84,7 @@ def soak(
     from qtpy.QtWidgets import QApplication
 
     from napari_hmrf.layers.contributions import phantom_layers
-    from napari_hmrf.ui.deform_dock import DeformTissue
+    from napari_hmrf.ui.soft_tissue import SoftTissue
 
     turns = [(backend, energy) for energy in ENERGIES for backend in _available(size)]
     before = {thread.name for thread in threading.enumerate()}
@@ -93,8 +93,9 @@ def soak(
     viewer = napari.Viewer(show=True) if viewer is None else viewer
     for data in phantom_layers(phantom("expansion", size)):
         viewer._add_layer_from_data(*data)
-    widget = DeformTissue(viewer)
-    viewer.window.add_dock_widget(widget, name="Deform tissue")
+    widget = SoftTissue(viewer)
+    widget.live = False
+    viewer.window.add_dock_widget(widget, name="Soft tissue")
     expected = {turn: _deform(widget, turn).displacement for turn in turns}
     camera = viewer.scene.camera if hasattr(viewer, "scene") else viewer.camera
     zoom = camera.zoom

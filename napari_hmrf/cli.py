@@ -244,7 +244,7 @@ def _open_napari(demonstration: Demonstration, prior: Prior, optimizer: Optimize
     viewer = napari.Viewer()
     for data, attributes, kind in phantom_layers(demonstration.phantom):
         viewer.add_layer(Layer.create(data, attributes, kind))
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
     widget.model.schedule.value = "paper" if isinstance(optimizer, ICM) else "converged"
     widget.model.energy.value = "elastic" if isinstance(prior, ElasticPrior) else "paper"
     if isinstance(prior, ElasticPrior):

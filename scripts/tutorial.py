@@ -24,7 +24,7 @@ FOLDER = ROOT / "docs" / "tutorial" / "images"
 SIZE = (1280, 690)
 #: Of the animation: what is seen of the window, how large it becomes, how long a frame stays.
 CROP, FRAME, MILLISECONDS = (470, 560), (376, 448), 60
-PLUGIN = "HMRF soft tissue"
+PLUGIN, TITLE = "HMRF soft tissue", "Soft tissue"
 CTRL = Qt.KeyboardModifier.ControlModifier
 
 
@@ -38,11 +38,13 @@ def keep(
     save(picture, FOLDER / f"{name}.png")
 
 
-def open_dock(person: Person, name: str) -> Any:
-    """Open one of our docks from the menu."""
-    person.menu("Plugins", PLUGIN, f"{name} ({PLUGIN})")
+def open_dock(person: Person) -> Any:
+    """Open the dock from the menu, and wait until the tissue has followed what there is."""
+    person.menu("Plugins", f"{TITLE} ({PLUGIN})")
     wait(0.5)
-    return person.dock(name)
+    dock = person.dock(TITLE)
+    wait_until(lambda: not dock.busy)
+    return dock
 
 
 def open_sample(person: Person, name: str) -> None:
@@ -51,26 +53,18 @@ def open_sample(person: Person, name: str) -> None:
     wait(0.8)
 
 
-def grabbing(person: Person) -> Any:
-    """Open *Grab and pull* and press its button."""
-    dock = open_dock(person, "Grab and pull")
-    person.click(dock.form.grab)
+def take(person: Person, dock: Any, tool: str) -> None:
+    """Press the button of a tool."""
+    button = dock._form.motion.tools[tool]
+    person.show(button.native)
+    person.click(button)
     wait_until(lambda: not dock.busy)
-    return dock
 
 
 def home(person: Person) -> None:
     """Show the whole image."""
     person.click(person.viewer.window._qt_viewer.viewerButtons.resetViewButton)
     wait(0.2)
-
-
-def deformed(person: Person, dock: Any) -> None:
-    """Press Deform, and wait for the result."""
-    person.click(dock._face.footer.deform)
-    wait_until(lambda: dock.idle)
-    if dock.solution is None:
-        raise RuntimeError(f"there is no result: {dock.status}")
 
 
 def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int = 12) -> None:
@@ -80,14 +74,14 @@ def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int =
         for step in range(1, steps + 1):
             along = step / steps
             person.move(*(a + (b - a) * along for a, b in zip(begin, end, strict=True)))
-            wait_until(lambda: not dock._puller.follower.busy, rest=0.0)
+            wait_until(lambda: not dock._live_study._follower.busy, rest=0.0)
 
 
 # The pages
 
 
 def first(_: dict[str, Path]) -> None:
-    """The first deformation: a sample, *Grab and pull*, a drag, a click."""
+    """The first deformation: a sample, the dock, a drag, a click."""
     person = Person(SIZE)
     menu = person.menu("File", "Open Sample", PLUGIN)
     chosen = next(each for each in menu.actions() if "growing" in each.text())
@@ -96,16 +90,16 @@ def first(_: dict[str, Path]) -> None:
     save(person.screen().crop((0, 0, 860, 330)), FOLDER / "first-sample.png")
     person.click(menu, menu.actionGeometry(chosen).center())
     wait(1)
-    menu = person.menu("Plugins", PLUGIN)
-    chosen = next(each for each in menu.actions() if each.text().startswith("Grab"))
+    menu = person.menu("Plugins")
+    chosen = next(each for each in menu.actions() if each.text().startswith(TITLE))
     person.point_at(menu, menu.actionGeometry(chosen).center())
     menu.setActiveAction(chosen)
     save(person.screen().crop((0, 0, 860, 330)), FOLDER / "first-menu.png")
     person.click(menu, menu.actionGeometry(chosen).center())
     wait(0.5)
-    dock = person.dock("Grab and pull")
-    person.click(dock.form.grab)
+    dock = person.dock(TITLE)
     wait_until(lambda: not dock.busy)
+    take(person, dock, "pull")
     keep(person, "first-on")
     pulled(person, dock, (140, 92), (124, 106))
     wait(0.5)
@@ -122,10 +116,11 @@ def first(_: dict[str, Path]) -> None:
 
 
 def animation(_: dict[str, Path]) -> None:
-    """Grab and pull, as it moves."""
+    """Tissue that is pulled, as it moves."""
     person = Person(SIZE)
     open_sample(person, "Brain with a growing tumour")
-    dock = grabbing(person)
+    dock = open_dock(person)
+    take(person, dock, "pull")
     person.viewer.canvas.overlays.text.visible = False
     frames: list[Image.Image] = []
 
@@ -145,7 +140,7 @@ def animation(_: dict[str, Path]) -> None:
                 along = 0.5 - 0.5 * math.cos(math.pi * step / steps)
                 place = [a + (b - a) * along for a, b in zip(begin, end, strict=True)]
                 person.move(*place, button=LEFT if held else NO_BUTTON)
-                wait_until(lambda: not dock._puller.follower.busy, rest=0.0)
+                wait_until(lambda: not dock._live_study._follower.busy, rest=0.0)
                 look()
 
     go((70, 40), (148, 112), steps=6, held=False)
@@ -164,31 +159,29 @@ def animation(_: dict[str, Path]) -> None:
 
 
 def tumour(_: dict[str, Path]) -> None:
-    """A growing tumour: Deform, look at the result, and change something."""
+    """A growing tumour: what is painted, what comes of it, and a change."""
     person = Person(SIZE)
     open_sample(person, "Brain with a growing tumour")
-    dock = open_dock(person, "Deform tissue")
-    face = dock._face
-    wait(0.5)
+    person.menu("Plugins", f"{TITLE} ({PLUGIN})")
+    dock = person.dock(TITLE)
+    form = dock._form
+    wait_until(lambda: dock.solution is not None and not dock.busy)
     keep(person, "tumour-painted", pointer=False)
-    deformed(person, dock)
-    keep(person, "tumour-result")
-    look = open_dock(person, "Look at the result")
-    wait_until(lambda: look.idle)
-    person.choose(look._face.colours, "Jacobian")
-    wait_until(lambda: look.idle)
-    person.tick(look._face.arrows)
-    wait_until(lambda: look.idle)
+    person.show(form.result.colours.native)
+    person.choose(form.result.colours, "Jacobian")
+    wait_until(lambda: not dock.busy)
+    person.tick(form.result.arrows)
+    wait_until(lambda: not dock.busy)
     keep(person, "tumour-jacobian")
-    person.choose(look._face.colours, "nothing")
-    open_dock(person, "Deform tissue")
-    table = face.boundary.seen
-    person.write(table, 1, 5, "10")
+    person.choose(form.result.colours, "nothing")
+    table = form.motion.boundary.seen
+    person.show(table)
+    person.write(table, 1, 5, "12")
     wait(0.5)
-    keep(person, "tumour-table", table, face.boundary.choice)
-    wait_until(lambda: not dock.following)
+    keep(person, "tumour-table", table, form.motion.boundary.choice)
+    wait_until(lambda: not dock.busy)
     keep(person, "tumour-more")
-    print(dock.status)
+    print(dock.status, dock.warning)
     person.viewer.close()
 
 
@@ -196,8 +189,8 @@ def landmarks(_: dict[str, Path]) -> None:
     """Landmarks: pairs of clicks, and two layers of points."""
     person = Person(SIZE)
     open_sample(person, "Brain that expands outward")
-    dock = grabbing(person)
-    person.click(dock.form.tools["landmark"])
+    dock = open_dock(person)
+    take(person, dock, "landmark")
     keep(person, "landmarks-tool")
     for where, should in (((96, 106), (88, 98)), ((150, 112), (156, 104)), ((96, 150), (91, 156))):
         person.drag(where)
@@ -208,22 +201,23 @@ def landmarks(_: dict[str, Path]) -> None:
         wait_until(lambda: not dock.busy)
         print(dock.status, len(dock.drawing.marks))
     keep(person, "landmarks-pairs")
-    person.click(dock.form.clear)
+    person.show(dock._form.motion.clear.native)
+    person.click(dock._form.motion.clear)
     wait_until(lambda: not dock.busy)
+    layers = []
     for places in (((96, 106), (150, 112), (96, 150)), ((88, 98), (156, 104), (91, 156))):
         person.menu("File", "New Layer", "Points")
+        layers.append(person.viewer.layers.selection.active)
         person.key(Qt.Key.Key_2)
         for place in places:
             person.drag(place)
             wait(0.5)
-    person.click(dock.form.tools["landmark"])
+    choice = dock._form.motion.boundary.landmarks
+    person.show(choice.where.native)
+    person.choose(choice.where, layers[0].name)
     wait_until(lambda: not dock.busy)
-    print(dock.status)
+    print(dock.status, dock.landmark_layers)
     keep(person, "landmarks-points")
-    person.click(dock.form.take)
-    wait_until(lambda: not dock.busy)
-    print(dock.status)
-    keep(person, "landmarks-taken")
     person.viewer.close()
 
 
@@ -245,27 +239,24 @@ def own(images: dict[str, Path]) -> None:
     person = Person(SIZE)
     person.viewer.open(str(images["png"]), plugin="napari")
     wait(0.5)
-    dock = open_dock(person, "Deform tissue")
-    face = dock._face
+    dock = open_dock(person)
+    form = dock._form
     home(person)
-    person.click(face.make)
-    wait(0.5)
+    person.click(form.make)
+    wait_until(lambda: not dock.busy)
     keep(person, "own-layers")
-    person.click(face.tissue.background)
-    wait(0.5)
-    keep(person, "own-background")
-    painting(person, face.tissue.seen, 3)
+    painting(person, form.tissue.seen, 3)
     person.viewer.layers["Tissue"].brush_size = 24
     person.drag((110, 98), (112, 98), (116, 96), (108, 102))
-    wait(0.5)
+    wait_until(lambda: not dock.busy)
     keep(person, "own-tissue")
-    painting(person, face.boundary.seen, 1)
+    painting(person, form.motion.boundary.seen, 1)
     ring(person, (112, 98), (21, 22))
-    painting(person, face.boundary.seen, 0)
+    painting(person, form.motion.boundary.seen, 0)
     person.drag((204, 150), (204, 170), (204, 190))
-    wait(0.5)
-    keep(person, "own-boundary")
-    deformed(person, dock)
+    wait_until(lambda: not dock.busy)
+    person.viewer.layers.selection = {dock.image}
+    wait_until(lambda: not dock.busy)
     print(dock.status)
     keep(person, "own-result")
     person.viewer.close()
@@ -276,20 +267,17 @@ def photograph(images: dict[str, Path]) -> None:
     person = Person(SIZE)
     person.viewer.open(str(images["photograph"]), plugin="napari")
     wait(0.5)
-    dock = open_dock(person, "Deform tissue")
+    dock = open_dock(person)
     home(person)
-    person.click(dock._face.intensity)
-    wait(1)
+    person.click(dock._form.intensity)
+    wait_until(lambda: not dock.busy)
     print(dock.status)
     keep(person, "photograph-curve")
-    grab = open_dock(person, "Grab and pull")
-    person.click(grab.form.grab)
-    wait_until(lambda: not grab.busy)
-    print(grab.status)
-    pulled(person, grab, (175, 245), (160, 232))
+    take(person, dock, "pull")
+    pulled(person, dock, (175, 245), (160, 232))
     person.release(160, 232)
-    wait_until(lambda: not grab.busy)
-    print(grab.status)
+    wait_until(lambda: not dock.busy)
+    print(dock.status)
     keep(person, "photograph-pulled")
     person.viewer.close()
 
@@ -299,7 +287,8 @@ def stack(images: dict[str, Path]) -> None:
     person = Person(SIZE)
     person.viewer.open(str(images["stack"]), plugin="napari")
     wait(0.5)
-    dock = grabbing(person)
+    dock = open_dock(person)
+    take(person, dock, "pull")
     home(person)
     print(dock.status)
     pulled(person, dock, (112, 98), (100, 120))

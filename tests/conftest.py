@@ -15,6 +15,7 @@ from at_rest import AtRest
 from compiling import compile_most, compile_once
 from hypothesis import settings
 from patience import LONG, LONG_MS
+from screen import Screen
 
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -92,26 +93,31 @@ def _no_memory(tmp_path_factory):
 
 @pytest.fixture
 def widget(qtbot):
-    """*Deform tissue* beside a viewer without a window, set to be quick."""
+    """The dock beside a viewer without a window, set to be quick."""
     from napari.components import ViewerModel
 
-    from napari_hmrf.ui.deform_dock import DeformTissue
+    from napari_hmrf.ui.soft_tissue import SoftTissue
 
-    found = DeformTissue(ViewerModel())
+    found = SoftTissue(ViewerModel())
     qtbot.addWidget(found.native)
     return quick(found)
 
 
 @pytest.fixture
 def docked(make_napari_viewer):
-    """*Deform tissue* in the dock of a real viewer, set to be quick."""
-    _, found = make_napari_viewer().window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
-    return quick(found)
+    """The dock in the window of a real viewer, set to be quick."""
+    return quick(dock_in(make_napari_viewer()))
+
+
+def dock_in(viewer):
+    """Open the dock beside a viewer, as its menu does."""
+    return viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")[1]
 
 
 def quick(widget):
-    """A few sweeps on the CPU, when told to, without waiting for a compiler of shaders."""
+    """The paper's model by a few sweeps on the CPU, when told to, without waiting for compilers."""
     widget.settings.device.value = "cpu"
+    widget.model.energy.value = "paper"
     widget.settings.sweeps.value = 3
     widget.live = False
     return widget
@@ -218,7 +224,7 @@ def made(monkeypatch):
 
 @pytest.fixture
 def open_window(make_napari_viewer, qtbot, at_rest):
-    """Open a window with *Grab and pull* beside an image."""
+    """Open a window with the dock beside an image."""
     from person import Person
 
     def opened(data=None, **place):
@@ -227,7 +233,7 @@ def open_window(make_napari_viewer, qtbot, at_rest):
             rows, cols = np.indices((64, 64))
             data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
         viewer.add_image(data, name="MR", **place)
-        _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Grab and pull")
+        widget = dock_in(viewer)
         at_rest(thread=False)
         return Person(viewer, qtbot), widget
 
@@ -236,9 +242,10 @@ def open_window(make_napari_viewer, qtbot, at_rest):
 
 @pytest.fixture
 def pulling(open_window, settle):
-    """Somebody who has pressed *Grab and pull*."""
+    """Somebody with *Pull* in the hand."""
     person, widget = open_window()
-    widget.form.grab.native.click()
+    if not widget.active:
+        Screen(widget).press("Pull")
     assert widget.active
     settle(widget)
     return person, widget

@@ -81,4 +81,4 @@ def by_name(viewer, name):
 
 
 def settle_moves(person, widget):
-    person._qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
+    person._qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)

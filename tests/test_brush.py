@@ -6,7 +6,8 @@ from napari.layers import Labels
 
 from napari_hmrf import ProblemError
 from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
-from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, History, Landmark, Rendering, Stroke
+from napari_hmrf.study.study_model import History
+from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.drawing.brush import Brush, Paint
 from napari_hmrf.tissue.drawing.landmark_pairs import Pairs
 from napari_hmrf.tissue.drawing.pull import Grip
@@ -56,7 +57,7 @@ def ring(middle=(30, 25), radius=14.0, count=40):
 def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, history):
     assert drag(brush, Paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "pinned tissue"
     assert history.drawing.marks == (Stroke("pin", (((10, 10), (20, 10), (30, 10)),), 4.0),)
-    assert history.undo() == "pinned tissue"
+    assert history.edits.undo().word == "pinned tissue"
     assert not history.drawing.marks
 
 
@@ -122,8 +123,8 @@ def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, histor
     assert len(history.drawing.marks[0].lines) == 2
     drag(brush, paint, (50, 40))
     assert len(history.drawing.marks) == 2, "elsewhere another one begins"
-    history.undo()
-    history.undo()
+    history.edits.undo()
+    history.edits.undo()
     assert len(history.drawing.marks[0].lines) == 1
 
 
@@ -136,7 +137,7 @@ def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, history):
     )
     assert history.undo_word == "changed a stroke"
     assert brush.remove()
-    assert history.undo() == "removed a stroke"
+    assert history.edits.undo().word == "removed a stroke"
     assert brush.selected is None
 
 
@@ -200,7 +201,7 @@ def test_two_clicks_make_a_landmark(pairs, history):
     assert click(pairs, (14, 12), grip) == "placed a landmark"
     assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0, 0.5),)
     assert pairs.pending is None
-    assert history.undo() == "placed a landmark"
+    assert history.edits.undo().word == "placed a landmark"
 
 
 def test_one_drag_makes_a_landmark_too(pairs, history):
@@ -222,7 +223,7 @@ def test_landmarks_are_taken_up_again_by_either_end(pairs, history):
     drag(pairs, Grip(3.0), (10, 10), (9, 10))
     assert history.drawing.marks == (Landmark((9, 10), (22, 20), 3.0),)
     assert pairs.remove()
-    assert history.undo() == "removed a landmark"
+    assert history.edits.undo().word == "removed a landmark"
 
 
 def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(pairs, history):
@@ -244,3 +245,20 @@ def test_what_was_painted_has_a_colour_of_its_own_and_is_paler_where_it_is_less_
         assert colour[:3] == pytest.approx(expected, abs=0.01)
     assert layer.get_color(number_of("pin", 0.2))[3] < 0.6 * layer.get_color(number_of("pin"))[3]
     assert layer.get_color(number_of("tissue", label=7))[:3] == pytest.approx(colours[7], abs=0.01)
+
+
+def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, history):
+    drag(brush, Paint("move", 4.0), (20, 20), (24, 20))
+    assert history.drawing.marks[0].moves_nowhere
+    assert (
+        drag(brush, Paint("move", 4.0), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
+    )
+    (stroke,) = history.drawing.marks
+    assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
+    assert stroke.lines == (((20, 20), (24, 20)),), "dragged, and not painted on"
+    drag(brush, Paint("move", 4.0, by=stroke.by), (22, 20), (20, 20))
+    assert history.drawing.marks[0].by == pytest.approx((3 * SPACING[0], 4 * SPACING[1]))
+    history.edits.undo()
+    assert history.drawing.marks == (stroke,)
+    drag(brush, Paint("move", 4.0), (50, 40))
+    assert len(history.drawing.marks) == 2, "elsewhere another region is painted"

@@ -5,7 +5,7 @@ import pytest
 from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QFileDialog, QTabBar
+from qtpy.QtWidgets import QFileDialog
 from screen import Screen
 
 from napari_hmrf.field.warp import warp
@@ -13,9 +13,8 @@ from napari_hmrf.layers.contributions import open_solution, save_solution
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_tables import load_materials
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.look.look_dock import LookAtResult
+from napari_hmrf.ui.messages import MODELS
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 GEL = "gel"
 
@@ -29,8 +28,8 @@ def viewer():
 
 @pytest.fixture
 def deform(viewer, qtbot):
-    """*Deform tissue*, and what is seen of it."""
-    dock = DeformTissue(viewer)
+    """The dock, told when to deform, and what is seen of it."""
+    dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
     dock.settings.device.value = "cpu"
     dock.live = False
@@ -39,14 +38,16 @@ def deform(viewer, qtbot):
 
 @pytest.fixture
 def grab(viewer, qtbot, wait_for):
-    """*Grab and pull*, ready, beside a chequered image; `pulled` draws and waits."""
+    """The dock with *Pull* in the hand, beside a chequered image; `pulled` draws and waits."""
     rows, cols = np.indices((48, 56))
     viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
-    dock = GrabAndPull(viewer)
+    dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
-    dock.start()
+    screen = Screen(dock)
+    screen.press("Pull")
+    assert dock.active
     wait_for(lambda: not dock.busy)
-    return dock, Screen(dock)
+    return dock, screen
 
 
 @pytest.fixture
@@ -66,17 +67,13 @@ def pulled(wait_for):
 
 
 @pytest.fixture
-def look(deform, viewer, small_sample, run, qtbot, wait_for):
-    """*Look at the result* of a block of gel that is pushed 3 px to the right."""
+def look(deform, viewer, small_sample, run, wait_for):
+    """The result of a block of gel that is pushed 3 px to the right."""
     small_sample(viewer)
     dock, screen = deform
-    screen.choose("elastic: as finite elements")
-    dock.outputs = ("image", "arrows")
     run(dock)
-    found = LookAtResult(viewer)
-    qtbot.addWidget(found.native)
-    wait_for(lambda: found.idle)
-    return found, Screen(found)
+    wait_for(lambda: not dock.busy)
+    return dock, screen
 
 
 def layer(viewer, beginning):
@@ -84,20 +81,26 @@ def layer(viewer, beginning):
     return found
 
 
-# Docks
+# The dock
 
 
-def test_docks_open_as_tabs_in_one_place(make_napari_viewer, qtbot):
+def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(make_napari_viewer, qtbot):
     viewer = make_napari_viewer(show=True)
-    titles = ["Deform tissue", "Grab and pull", "Look at the result"]
-    for title in titles:
-        _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", title)
-        qtbot.waitUntil(dock.native.isVisible, timeout=LONG_MS)
-    tabs = [
-        [bar.tabText(each).partition(" (")[0] for each in range(bar.count())]
-        for bar in dock.native.window().findChildren(QTabBar)
-    ]
-    assert titles in tabs
+    _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    qtbot.waitUntil(dock.native.isVisible, timeout=LONG_MS)
+    screen = Screen(dock)
+    for words in (
+        "1  Tissue",
+        "Tissue from brightness",
+        "2  Motion",
+        "Pull",
+        "3  Result",
+        "Play",
+        "Deform",
+    ):
+        assert screen.button(words).isVisible(), words
+    _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    assert again is dock
 
 
 # Tissue
@@ -134,26 +137,27 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
         assert "kept 12.5" in screen.words
     screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
+    screen.choose(MODELS["paper"])
     assert "is rigid, which the paper's model cannot have" in screen.words
     screen.press("Take the elastic model")
     assert dock.model.is_elastic
 
 
-def test_the_background_is_made_no_tissue_and_taken_back_by_one_undo(deform, viewer, wait_for):
+def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform, viewer, run):
     dock, screen = deform
     picture = np.zeros((30, 40), np.uint8)
     picture[8:22, 10:30] = 200
     viewer.add_image(picture, name="CT")
+    dock.drawing = Drawing((Arrow((15, 20), (0, 2), 3.0),))
+    np.testing.assert_array_equal(run(dock).solution.tissue, picture > 0)
     screen.press("Make layers to paint on")
-    tissue, rows = viewer.layers["Tissue"], dock.materials
-    screen.press("Background is no tissue")
-    (void,) = set(dock.materials) - set(rows)
-    assert void.stiffness == 0
-    np.testing.assert_array_equal(tissue.data == void.label, picture == 0)
-    assert "background" in screen.button("Undo").toolTip()
-    screen.press("Undo")
-    wait_for(lambda: dock.materials == rows)
-    assert not tissue.data.any()
+    viewer.layers["Tissue"].data[2:4, 2:4] = dock.materials[1].label
+    counted = run(dock).solution.tissue
+    assert counted[2:4, 2:4].all(), "what is painted is tissue, dark as it may be"
+    assert counted[8:22, 10:30].all()
+    assert not counted[5, 15]
+    screen.tick("the dark border is no tissue", False)
+    assert run(dock).solution.tissue.all()
 
 
 def test_tissue_comes_from_brightness_by_one_button(deform, viewer):
@@ -161,7 +165,7 @@ def test_tissue_comes_from_brightness_by_one_button(deform, viewer):
     rows, cols = np.indices((24, 30))
     inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
     viewer.add_image(np.where(inside, 60 + 5 * cols, 2).astype(np.uint8), name="MR")
-    screen.press("Tissue from intensity")
+    screen.press("Tissue from brightness")
     stiffness = layer(viewer, "MR stiffness")
     assert dock.tissue is stiffness
     np.testing.assert_array_equal(stiffness.data > 0, inside)
@@ -215,17 +219,17 @@ def test_a_result_brings_the_materials_it_was_made_with(
 # What is known of the motion
 
 
-def test_a_preview_shows_what_paint_will_do(deform, viewer, small_sample, wait_for):
-    _, screen = deform
+def test_tissue_follows_the_table_of_what_moves_at_once(deform, viewer, small_sample, wait_for):
+    dock, screen = deform
     small_sample(viewer)
-    wait_for(lambda: "boundary preview" in viewer.layers)
-    preview = viewer.layers["boundary preview"]
-    assert (preview.data[:, 1] == (0, 3)).all()
+    screen.tick("Live")
+    wait_for(lambda: dock.solution is not None and not dock.busy)
+    pushed = viewer.layers["Boundary"].data == 2
+    assert np.abs(dock.solution.displacement[pushed] - (0, 3)).max() < 1e-3
     screen.cell("2", "row").write("2")
     screen.cell("2", "col").write("0")
-    wait_for(lambda: bool((preview.data[:, 1] == (2, 0)).all()))
-    screen.tick("Preview arrows while painting", False)
-    wait_for(lambda: "boundary preview" not in viewer.layers)
+    wait_for(lambda: not dock.busy)
+    assert np.abs(dock.solution.displacement[pushed] - (2, 0)).max() < 1e-3
 
 
 @pytest.fixture
@@ -239,18 +243,19 @@ def points(deform, viewer, small_sample):
     return where, should
 
 
-def test_pairs_of_points_are_shown_by_arrows_and_a_missing_partner_is_said(
-    deform, points, viewer, wait_for
-):
+def test_tissue_follows_pairs_of_points_and_a_missing_partner_is_said(deform, points, wait_for):
     where, should = points
     dock, screen = deform
-    wait_for(lambda: "landmark preview" in viewer.layers)
-    np.testing.assert_allclose(viewer.layers["landmark preview"].data[0], [(8, 8), (2, 0)])
+    screen.tick("Live")
+    wait_for(lambda: dock.solution is not None and not dock.busy)
+    assert dock.solution.displacement[8, 8] == pytest.approx((2, 0), abs=0.02)
     where.add([5.0, 5.0])
-    wait_for(lambda: dock.status.startswith("'ought' has 2 points, but 'is' has 3"))
+    wait_for(lambda: "'ought' has 2 points, but 'is' has 3" in dock.status)
     assert dock.status in screen.words
     should.add([6.0, 6.0])
-    wait_for(lambda: dock.status == "Press Deform.")
+    wait_for(lambda: not dock.busy)
+    assert dock.solution.displacement[5, 5] == pytest.approx((1, 1), abs=0.02)
+    assert "but 'is' has 3" not in screen.words
 
 
 def test_points_that_were_moved_and_added_are_taken_back(deform, points):
@@ -283,14 +288,15 @@ def test_the_energy_of_a_solve_is_drawn(deform, viewer, small_sample, run):
     assert drawn[-1] == energy[-1]
 
 
-def test_a_large_image_is_not_followed_unasked(viewer, qtbot):
-    dock = DeformTissue(viewer)
+def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
+    dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
     viewer.add_image(np.zeros((1200, 1200), np.uint8), name="MR")
+    wait_for(lambda: not dock.busy)
     assert dock.live
     viewer.layers.clear()
     viewer.add_image(np.zeros((1201, 1200), np.uint8), name="MR")
-    assert not dock.live
+    wait_for(lambda: not dock.live)
     assert Screen(dock).button("Live").text() == "Live: off, slow at 1201 x 1200"
 
 
@@ -345,19 +351,16 @@ def test_all_that_is_drawn_is_removed_by_one_press_and_comes_back_by_undo(grab, 
     assert dock.drawing == drawing
 
 
-def test_points_of_two_layers_are_taken_as_landmarks(grab, pulled, viewer):
-    dock, screen = grab
+def test_points_of_two_layers_lead_tissue_beside_what_is_pulled(grab, pulled, viewer):
+    dock, _ = grab
+    pulled(dock, Arrow((8, 44), (0, 2), 2.0))
     viewer.add_points([[20, 20], [30, 34]], name="is")
-    should = viewer.add_points([[23, 20]], name="ought")
-    dock.tool = "landmark"
-    screen.press("Take points as landmarks")
-    assert not dock.drawing.marks
-    assert "'ought' has 1 point, but 'is' has 2" in screen.words
-    should.add([30, 36])
-    screen.press("Take points as landmarks")
+    viewer.add_points([[23, 20], [30, 36]], name="ought")
+    dock.landmarks = (viewer.layers["is"], viewer.layers["ought"])
     moved = pulled(dock)
     assert moved[20, 20] == pytest.approx((3, 0), abs=0.02)
     assert moved[30, 34] == pytest.approx((0, 2), abs=0.02)
+    assert moved[8, 44] == pytest.approx((0, 2), abs=0.02)
 
 
 def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_for, tmp_path):
@@ -374,29 +377,25 @@ def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_fo
 
 
 def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
-    deform, viewer, small_sample, qtbot, wait_for
+    deform, viewer, small_sample, wait_for
 ):
     dock, screen = deform
     small_sample(viewer)
     screen.cell(GEL, "Stiffness").write("33")
-    pull = GrabAndPull(viewer)
-    qtbot.addWidget(pull.native)
-    pull.start()
-    pull.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
+    dock.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
     screen.cell(GEL, "Stiffness").write("44")
-    other = Screen(pull)
-    wait_for(lambda: "the stiffness of label 1" in other.button("Undo").toolTip())
-    other.press("Undo")
-    assert (dock.materials[1].stiffness, len(pull.drawing.marks)) == (33, 1)
+    wait_for(lambda: "the stiffness of label 1" in screen.button("Undo").toolTip())
+    screen.press("Undo")
+    assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
     assert "Took back: changed the stiffness of label 1" in screen.words
     screen.press("Undo")
-    assert (dock.materials[1].stiffness, len(pull.drawing.marks)) == (33, 0)
+    assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
     assert dock.materials[1].stiffness == 20
-    assert "the stiffness of label 1" in other.button("Redo").toolTip()
-    other.press("Redo")
-    other.press("Redo")
-    assert (dock.materials[1].stiffness, len(pull.drawing.marks)) == (33, 1)
+    assert "the stiffness of label 1" in screen.button("Redo").toolTip()
+    screen.press("Redo")
+    screen.press("Redo")
+    assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
 
 
 # Looking
@@ -407,7 +406,7 @@ def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
     solution = layer(viewer, "MR arrows").metadata["napari-hmrf"]["solution"]
     assert "100 %: tissue moved up to 3 px" in screen.words
     screen.slider.setValue(50)
-    wait_for(lambda: dock.idle)
+    wait_for(lambda: not dock.busy)
     assert dock.percent == 50
     half = warp(viewer.layers["MR"].data, solution.displacement / 2, tissue=solution.tissue)
     shown = layer(viewer, "MR deformed").data
@@ -424,7 +423,7 @@ def test_the_deformation_is_played_until_it_is_stopped(look, viewer, wait_for):
     wait_for(lambda: dock.percent < 60)
     screen.press("Pause")
     assert not dock.playing
-    wait_for(lambda: dock.idle)
+    wait_for(lambda: not dock.busy)
     assert dock.percent < 100
     assert not np.array_equal(moved.data, whole)
     assert f"{dock.percent} %: tissue moved" in screen.words

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
 from napari.layers import Image
-from patience import LONG_MS
 from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
@@ -15,12 +15,11 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.layers.stiffness_layers import curve_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.ui.curve.axes import CurveAxes
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
 from napari_hmrf.ui.material_menu import own_library
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
@@ -38,25 +37,33 @@ class Person:
     def at(self, point):
         return self.plot.place_of(point).toPoint()
 
+    @property
+    def canvas(self):
+        return self.plot.canvas
+
     def _send(self, kind, place, button, buttons):
         """As `QTest` does, but with the button held while the mouse moves."""
         where = QPointF(place)
         event = QMouseEvent(
             kind,
             where,
-            QPointF(self.plot.mapToGlobal(place)),
+            QPointF(self.canvas.mapToGlobal(place)),
             button,
             buttons,
             Qt.KeyboardModifier.NoModifier,
         )
-        QApplication.sendEvent(self.plot, event)
+        QApplication.sendEvent(self.canvas, event)
 
     def drag(self, start, *ways):
         left, none = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
-        self.qtbot.mousePress(self.plot, left, pos=start)
+        self.qtbot.mousePress(self.canvas, left, pos=start)
         for way in ways:
             self._send(QMouseEvent.Type.MouseMove, way, none, left)
-        self.qtbot.mouseRelease(self.plot, left, pos=ways[-1])
+        self.qtbot.mouseRelease(self.canvas, left, pos=ways[-1])
+
+    def hover(self, place):
+        none = Qt.MouseButton.NoButton
+        self._send(QMouseEvent.Type.MouseMove, place, none, none)
 
     def key(self, key, modifier=Qt.KeyboardModifier.NoModifier):
         self.qtbot.keyClick(self.plot, key, modifier)
@@ -107,10 +114,10 @@ def test_a_point_stops_at_its_neighbours_and_at_the_edges(editor, person):
 
 
 def test_a_click_alone_selects_and_changes_nothing(editor, person, qtbot):
-    qtbot.mouseClick(editor.plot, Qt.MouseButton.LeftButton, pos=person.at((200, 40)))
+    qtbot.mouseClick(person.canvas, Qt.MouseButton.LeftButton, pos=person.at((200, 40)))
     assert editor.plot.selected == 2
     assert editor.intensity.value() == 200
-    qtbot.mouseClick(editor.plot, Qt.MouseButton.LeftButton, pos=QPoint(120, 20))
+    qtbot.mouseClick(person.canvas, Qt.MouseButton.LeftButton, pos=QPoint(120, 20))
     assert editor.plot.selected is None
     assert not editor.intensity.isEnabled()
     assert (person.changed, person.settled) == ([], [])
@@ -118,13 +125,21 @@ def test_a_click_alone_selects_and_changes_nothing(editor, person, qtbot):
 
 def test_a_double_click_adds_a_point_that_delete_removes(editor, person, qtbot):
     place = person.at((150, 15))
-    qtbot.mouseDClick(editor.plot, Qt.MouseButton.LeftButton, pos=place)
+    qtbot.mouseDClick(person.canvas, Qt.MouseButton.LeftButton, pos=place)
     assert len(editor.curve.points) == 4
     assert editor.plot.selected == 2
     assert editor.curve.points[2] == (pytest.approx(150, abs=1), pytest.approx(15, rel=0.05))
     person.key(Qt.Key.Key_Delete)
     assert editor.curve == CURVE
     assert len(person.settled) == 2
+
+
+def test_a_right_click_removes_a_point(editor, person, qtbot):
+    qtbot.mouseClick(person.canvas, Qt.MouseButton.RightButton, pos=person.at((100, 20)))
+    assert editor.curve.points == CURVE.points[::2]
+    assert person.settled == [editor.curve]
+    qtbot.mouseClick(person.canvas, Qt.MouseButton.RightButton, pos=person.at((100, 100)))
+    assert len(person.settled) == 1, "there is none"
 
 
 def test_two_points_stay(editor, person):
@@ -204,9 +219,13 @@ def test_setting_a_curve_is_no_edit(editor, person):
 
 
 def test_the_mouse_is_told_what_lies_under_it(editor, person):
-    assert editor.plot.words_at(person.at((100, 20))).startswith("Intensity 100")
-    assert "stiffness 20 kPa" in editor.plot.words_at(person.at((100, 20)))
-    assert "no tissue" in editor.plot.words_at(person.at((5, 20)))
+    def told(point):
+        person.hover(person.at(point))
+        return person.canvas.toolTip()
+
+    assert told((100, 20)).startswith("Intensity 100")
+    assert "stiffness 20 kPa" in told((100, 20))
+    assert "no tissue" in told((5, 20))
     assert all(
         field.toolTip()
         for field in (editor.intensity, editor.stiffness, editor.void, editor.void_below)
@@ -215,22 +234,50 @@ def test_the_mouse_is_told_what_lies_under_it(editor, person):
 
 @pytest.mark.parametrize("curve", [CURVE, replace(CURVE, logarithmic=False)])
 @pytest.mark.parametrize("width", [1e-6, 1.0, 255.0, 65535.0])
-def test_axes_have_round_numbers_and_know_places_both_ways(curve, width):
-    points = tuple((at / 255 * width, stiff) for at, stiff in curve.points)
-    axes = CurveAxes.around(replace(curve, points=points, void_below=None), 0.0, width)
-    for point in points:
-        back = axes.point(*axes.place(point))
-        assert back == (pytest.approx(point[0], abs=width / 900), pytest.approx(point[1], rel=0.01))
-    assert 2 <= len(axes.intensity_ticks()) <= 8
-    assert 2 <= len(axes.stiffness_ticks()) <= 8
-    assert axes.left <= axes.intensity_ticks()[0] <= axes.intensity_ticks()[-1] <= axes.right * 1.01
+@pytest.mark.parametrize("range_", [1.0, 1000.0, 1e7])
+def test_axes_have_round_numbers_and_know_places_both_ways(editor, person, curve, width, range_):
+    points = tuple(
+        (at / 255 * width, stiff * range_ ** (number / 2))
+        for number, (at, stiff) in enumerate(curve.points)
+    )
+    editor.show_intensities(np.linspace(0, width, 100).reshape(10, 10))
+    editor.curve = replace(curve, points=points, void_below=None)
+    (axes,) = person.canvas.figure.axes
+    low, top = axes.get_ylim()
+    for number, point in enumerate(points):
+        editor.plot.select(None)
+        person.drag(person.at(point), person.at(point) + QPoint(0, -1))
+        assert editor.plot.selected == number
+        back = editor.curve.points[number]
+        near = (top / low) ** 0.02 if curve.logarithmic else 1 + top / point[1] * 0.02
+        assert back[0] == pytest.approx(point[0], abs=width / 100)
+        assert point[1] <= back[1] <= point[1] * near
+        editor.curve = replace(curve, points=points, void_below=None)
+    person.canvas.draw()
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        ticks = [*axis.get_majorticklocs(), *axis.get_minorticklocs()]
+        seen = [number for number in ticks if low <= number <= high]
+        assert 2 <= len(seen) <= 12
+        assert all(float(f"{number:.2g}") == pytest.approx(number) for number in seen)
 
 
 def test_a_picture_of_anything_can_be_drawn(editor, qtbot):
     for values in (np.full((4, 4), np.nan), np.zeros((4, 4), np.uint8), np.array([[0, np.inf]])):
         editor.show_intensities(values)
         editor.curve = StiffnessCurve(((-1e9, 1e-6), (1e9, 1e9)), void_below=2e9)
+        editor.plot.canvas.draw()
         assert not editor.grab().isNull()
+
+
+def test_nothing_is_drawn_before_somebody_looks(qtbot):
+    editor = CurveEditor(CURVE)
+    qtbot.addWidget(editor)
+    editor.show_intensities(np.arange(100.0).reshape(10, 10))
+    editor.curve = replace(CURVE, void_below=None)
+    assert not editor.findChildren(FigureCanvasQTAgg)
+    editor.show()
+    assert editor.findChildren(FigureCanvasQTAgg) == [editor.plot.canvas]
 
 
 # The tissue made by it
@@ -246,7 +293,7 @@ def grey(shape=(24, 30)):
 def made(widget, pixels=None, **place):
     viewer = widget._viewer
     image = viewer.add_image(grey() if pixels is None else pixels, name="MR", **place)
-    widget._face.intensity.native.click()
+    widget._form.intensity.native.click()
     return viewer, image, widget.tissue
 
 
@@ -255,37 +302,37 @@ def test_one_button_makes_tissue_of_an_image_and_chooses_it(widget):
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)"]
     assert widget.image is image
     assert widget.curve == curve_of(layer)
-    assert not widget._face.tissue.curve.editor.isHidden()
+    assert not widget._form.tissue.curve.editor.isHidden()
     assert (layer.data[0] == 0).all(), "air"
     assert (layer.data[12, 10:20] > 0).all()
     assert "Drag the points" in widget.status
-    widget._face.intensity.native.click()
+    widget._form.intensity.native.click()
     assert len(viewer.layers) == 2, "there is one already"
 
 
 def test_what_is_dragged_is_seen_in_the_layer_while_it_is_dragged(docked, qtbot, wait_for):
     _, image, layer = made(docked)
-    tissue = docked._face.tissue.curve
+    tissue = docked._form.tissue.curve
     person = Person(qtbot, tissue.editor.plot)
     changed, settled = [], []
     tissue.changed.connect(changed.append)
     tissue.settled.connect(settled.append)
     start = person.at(docked.curve.points[1])
-    qtbot.mousePress(person.plot, Qt.MouseButton.LeftButton, pos=start)
+    qtbot.mousePress(person.canvas, Qt.MouseButton.LeftButton, pos=start)
     before = layer.data.copy()
     left, none = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
     person._send(QMouseEvent.Type.MouseMove, start - QPoint(0, 20), none, left)
     wait_for(lambda: bool(changed))
     assert (layer.data != before).any(), "the button is still down"
     assert settled == []
-    qtbot.mouseRelease(person.plot, Qt.MouseButton.LeftButton, pos=start - QPoint(0, 20))
+    qtbot.mouseRelease(person.canvas, Qt.MouseButton.LeftButton, pos=start - QPoint(0, 20))
     assert settled == [docked.curve] == [curve_of(layer)]
     np.testing.assert_array_equal(layer.data, docked.curve(image.data))
 
 
 def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     viewer, _, layer = made(widget)
-    widget._face.make.native.click()
+    widget._form.make.native.click()
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)", "Boundary"]
     assert widget.tissue is layer, "there is no other tissue to paint"
     widget.boundary.data[12, 6] = 1
@@ -301,22 +348,14 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     assert np.abs(second - first).max() > 0.1
 
 
-def test_tissue_from_intensity_is_pulled(qtbot):
-    from napari.components import ViewerModel
-    from study_reader import read_ground
-
-    from napari_hmrf.ui.deform_dock import DeformTissue
-
-    viewer = ViewerModel()
-    widget, grab = DeformTissue(viewer), GrabAndPull(viewer)
-    for each in (widget, grab):
-        qtbot.addWidget(each.native)
-    image = viewer.add_image(grey(), name="MR")
+def test_tissue_from_intensity_is_pulled(widget, wait_for):
+    widget._viewer.add_image(grey(), name="MR")
     layer = widget.tissue_from_intensity()
-    assert grab.tissue is layer
-    assert grab.image is image
-    ground = read_ground(grab.image, grab.tissue)
-    np.testing.assert_array_equal(ground.stiffness, layer.data)
+    widget.start()
+    widget.drawing = Drawing((Arrow((12, 15), (0, 2), 2.0),))
+    wait_for(lambda: widget.solution is not None and not widget.busy)
+    np.testing.assert_array_equal(widget.solution.tissue, layer.data > 0)
+    assert widget.solution.displacement[12, 15] == pytest.approx((0, 2), abs=0.2)
 
 
 @pytest.mark.parametrize("shape", [(3, 24, 30), (24, 30, 3)])
@@ -354,7 +393,7 @@ def test_a_layer_from_a_project_is_edited_again_once_its_image_is_there(widget):
     layer = viewer.add_image(CURVE(grey()), name="from a file", metadata=kept)
     assert widget.tissue is layer
     assert widget.curve == CURVE
-    editor = widget._face.tissue.curve.editor
+    editor = widget._form.tissue.curve.editor
     assert not editor.isEnabled()
     assert "'MR' is not open" in editor.toolTip()
     with pytest.raises(HmrfError, match="'MR', which is not open"):
@@ -372,7 +411,7 @@ def test_a_layer_from_a_project_is_edited_again_once_its_image_is_there(widget):
 def test_start_anew_is_a_step_of_its_own(widget):
     widget._viewer.add_image(grey(), name="MR")
     widget.tissue_from_intensity(CURVE)
-    tissue = widget._face.tissue.curve
+    tissue = widget._form.tissue.curve
     settled = []
     tissue.settled.connect(settled.append)
     tissue.editor.anew.click()
@@ -381,16 +420,19 @@ def test_start_anew_is_a_step_of_its_own(widget):
 
 
 def test_without_an_image_a_sentence_says_what_to_do(widget):
-    widget.make_from_intensity()
-    assert widget.status.startswith("Open an image")
+    with pytest.raises(HmrfError, match=r"[Oo]pen an image"):
+        widget.tissue_from_intensity()
+    assert not widget._form.intensity.enabled
     widget._viewer.add_image(np.zeros((9, 9)), name="flat")
+    widget._form.intensity.native.click()
+    assert "flat" in widget.status
     assert not [layer for layer in widget._viewer.layers if layer.name != "flat"]
 
 
 def test_a_layer_of_stiffness_is_no_image_to_deform(widget):
     _, image, layer = made(widget)
-    assert layer not in widget._face.image.offered
-    assert image in widget._face.image.offered
+    assert layer not in widget._form.image.offered
+    assert image in widget._form.image.offered
 
 
 # Materials
@@ -410,14 +452,14 @@ def entries(menu):
 
 def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sample, own):
     small_sample(widget._viewer)
-    found = entries(widget._face.tissue.menu)
+    found = entries(widget._form.tissue.menu)
     for preset in PRESETS:
         about = found[f"{preset.name} {preset.unit}"].toolTip()
         assert preset.source.replace("&", "&amp;") in about
         assert f"{preset.materials[0].stiffness:g} {preset.unit}" in about
     found["Liver 5.4, carcinoma 70 kPa"].trigger()
     assert widget.materials[1] == Material(1, "liver", 5.4, 0.49)
-    assert widget._face.tissue.table.unit == "kPa"
+    assert widget._form.tissue.table.unit == "kPa"
     said = "Materials: Liver 5.4, carcinoma 70. By its number 'gel' is liver now."
     assert widget.status == said
 
@@ -425,14 +467,14 @@ def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sampl
 def test_bone_is_one_entry_of_the_menu_away(widget, small_sample, own):
     small_sample(widget._viewer)
     before = widget.materials
-    entries(widget._face.tissue.menu)["Bone or implant (rigid)"].trigger()
+    entries(widget._form.tissue.menu)["Bone or implant (rigid)"].trigger()
     assert widget.materials[:-1] == before
     bone = widget.materials[-1]
     assert bone.is_rigid
     assert widget.tissue.selected_label == bone.label, "to be painted with next"
     kept = Preset("mine", "kPa", "", widget.materials)
     own.remember(kept)
-    about = entries(widget._face.tissue.menu)["mine"].toolTip()
+    about = entries(widget._form.tissue.menu)["mine"].toolTip()
     assert "bone or implant: rigid</p>" in about
     assert "inf" not in about
 
@@ -445,7 +487,7 @@ def test_materials_are_taken_from_another_layer(widget, small_sample, own):
     viewer.add_labels(np.ones((20, 24), int), name="other", metadata=described(TISSUE, rows, "Pa"))
     viewer.add_labels(np.ones((20, 24), int), name="nothing")
     widget.tissue = tissue
-    taken = entries(widget._face.tissue.menu)["Take from layer"].menu()
+    taken = entries(widget._form.tissue.menu)["Take from layer"].menu()
     assert [action.text() for action in taken.actions()] == ["other"]
     taken.actions()[0].trigger()
     assert widget.materials[1:] == rows
@@ -460,10 +502,10 @@ def test_materials_go_through_a_file(widget, small_sample, own, monkeypatch, tmp
     path = str(tmp_path / "table.json")
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (path, ""))
-    entries(widget._face.tissue.menu)["Save to file ..."].trigger()
+    entries(widget._form.tissue.menu)["Save to file ..."].trigger()
     before = widget.materials
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
-    entries(widget._face.tissue.menu)["Load from file ..."].trigger()
+    entries(widget._form.tissue.menu)["Load from file ..."].trigger()
     assert widget.materials == before
     assert load_materials(path).unit == "kPa"
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
@@ -471,7 +513,7 @@ def test_materials_go_through_a_file(widget, small_sample, own, monkeypatch, tmp
     assert widget.materials == before
     with open(path, "w", encoding="utf-8") as file:
         file.write("{}")
-    entries(widget._face.tissue.menu)["Load from file ..."].trigger()
+    entries(widget._form.tissue.menu)["Load from file ..."].trigger()
     assert widget.status.startswith("table.json is no file of materials")
     assert widget.materials == before
 
@@ -481,25 +523,25 @@ def test_materials_of_one_s_own_are_in_the_menu_of_every_session(
 ):
     small_sample(widget._viewer)
     monkeypatch.setattr(QInputDialog, "getText", lambda *_: ("My gel", True))
-    entries(widget._face.tissue.menu)["Remember as your own ..."].trigger()
+    entries(widget._form.tissue.menu)["Remember as your own ..."].trigger()
     assert widget.status == "Remembered 'My gel'."
-    found = entries(widget._face.tissue.menu)
+    found = entries(widget._form.tissue.menu)
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
     found["My gel"].trigger()
     assert widget.materials[1] == Material(1, "gel", 20.0)
-    entries(widget._face.tissue.menu)["Forget"].menu().actions()[0].trigger()
-    assert "My gel" not in entries(widget._face.tissue.menu)
+    entries(widget._form.tissue.menu)["Forget"].menu().actions()[0].trigger()
+    assert "My gel" not in entries(widget._form.tissue.menu)
 
 
 def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample):
     small_sample(widget._viewer)
-    table = widget._face.tissue.table
+    table = widget._form.tissue.table
     said = []
     table.edited.connect(lambda: said.append(table.contents))
     before = table.contents
     table.apply_preset(PRESETS[1])
     assert said == [table.contents]
-    Cell(widget._face.tissue.seen, 1, 2).write("3")
+    Cell(widget._form.tissue.seen, 1, 2).write("3")
     assert said[1:] == [table.contents]
     table.contents = before
     assert said[2:] == [before]
@@ -542,7 +584,7 @@ def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sampl
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
     (again,) = open_solution(path)(path)
     result = viewer.add_vectors(again[0], **again[1])
-    assert result not in widget._face.tissue.choice.offered
+    assert result not in widget._form.tissue.choice.offered
     widget.take_materials(result)
     assert widget.materials[1] == Material(1, "gel", 20.0)
 
@@ -558,19 +600,15 @@ def test_a_result_keeps_the_curve_it_was_made_with(widget, run):
     assert kept["layer"] == layer.name
 
 
-def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run, qtbot):
-    from napari_hmrf.ui.look.look_dock import LookAtResult
-
-    viewer, _, layer = made(widget)
+def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run, wait_for):
+    _, _, layer = made(widget)
     widget.make_layers()
     widget.boundary.data[12, 6] = 1
     widget.boundary.data[12, 24] = 2
     widget.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 0.5)))
     run(widget)
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
     said = f"stiffness {layer.data[12, 6]:.3g} MPa"
-    qtbot.waitUntil(lambda: said in look._scene.cursor.at((12.0, 6.0))[1], timeout=LONG_MS)
+    wait_for(lambda: said in widget._view.cursor.at((12.0, 6.0))[1])
 
 
 def test_a_first_tick_says_where_air_is_likely_to_end(qtbot):

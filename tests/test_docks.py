@@ -1,4 +1,4 @@
-"""Our docks share a place in the window, and napari's menus and command palette find them."""
+"""The dock finds its place in the window, and napari's menus and command palette find the dock."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,15 @@ from npe2 import PluginManifest
 from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QDockWidget, QLabel, QTabBar
+from qtpy.QtWidgets import QDockWidget
+from screen import Screen
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.commands import dock
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.look.look_dock import LookAtResult
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-KINDS = [DeformTissue, GrabAndPull, LookAtResult]
 #: Of a small screen, what the bars of the desktop and of the window leave.
 ROOM = (1366, 700)
 #: What napari calls with a path, not without one.
@@ -47,20 +45,13 @@ def window(make_napari_viewer, at_rest):
     return viewer.window
 
 
-def in_front(window):
-    """The docks of ours of which something is seen."""
-    return [
-        type(inner)
-        for inner in window.dock_widgets.values()
-        if type(inner) in KINDS
-        and frame_of(inner).isVisible()
-        and not frame_of(inner).visibleRegion().isEmpty()
-    ]
+def docks_of(window):
+    return [inner for inner in window.dock_widgets.values() if isinstance(inner, SoftTissue)]
 
 
-def tab_titles(main):
-    bars = [bar for bar in main.findChildren(QTabBar) if bar.count() == 3]
-    return [bar.tabText(number) for bar in bars for number in range(3)]
+def is_seen(inner):
+    frame = frame_of(inner)
+    return frame.isVisible() and not frame.visibleRegion().isEmpty()
 
 
 def frame_of(inner):
@@ -69,33 +60,11 @@ def frame_of(inner):
     return frame
 
 
-def test_docks_are_tabs_in_one_place_and_the_newest_is_in_front(window, choose):
-    for name, kind in zip(("deform", "grab", "look"), KINDS, strict=True):
-        choose(name)
-        assert in_front(window) == [kind]
-    main = window._qt_window
-    first = frame_of(dock(DeformTissue))
-    assert len(main.tabifiedDockWidgets(first)) == 2
-    assert tab_titles(main) == ["Deform tissue", "Grab and pull", "Look at the result"]
-
-
-def test_all_docks_fit_on_a_small_screen(window, choose, at_rest):
-    for name in ("deform", "grab", "look"):
-        choose(name)
-    for kind in KINDS:
-        dock(kind)
-        at_rest()
-        assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
+def test_the_dock_fits_on_a_small_screen(window, at_rest):
+    dock()
+    at_rest()
+    assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
     assert (window._qt_window.width(), window._qt_window.height()) == ROOM
-
-
-def test_each_dock_fits_on_a_small_screen(window, at_rest):
-    for kind in KINDS:
-        inner = dock(kind)
-        at_rest()
-        assert window._qt_window.minimumSizeHint().height() <= ROOM[1], kind
-        assert (window._qt_window.width(), window._qt_window.height()) == ROOM, kind
-        window.remove_dock_widget(inner.native)
 
 
 def corners_seen(viewer):
@@ -113,7 +82,7 @@ def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(make_napari_vi
     at_rest()
     viewer.add_image(np.full((40, 80), 100, np.uint8), name="MR")
     at_rest()
-    dock(DeformTissue, viewer)
+    dock(viewer)
     at_rest()
     _, _, left, right = corners_seen(viewer)
     assert left < 0
@@ -126,45 +95,61 @@ def test_a_view_that_somebody_chose_stays_beside_a_dock(window, at_rest):
     camera.zoom *= 3
     camera.center = (0, 10, 12)
     chosen = (camera.zoom, camera.center)
-    dock(DeformTissue)
+    dock()
     at_rest()
     assert (camera.zoom, camera.center) == chosen
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_dock_lists_its_keys(kind, qtbot):
-    made = kind(ViewerModel())
+def test_the_dock_lists_its_keys(qtbot):
+    made = SoftTissue(ViewerModel())
     qtbot.addWidget(made.native)
-    words = [label.text() for label in made.native.findChildren(QLabel)]
-    assert any("Ctrl+" in text and ":" in text for text in words)
+    screen = Screen(made)
+    screen.press("?")
+    for words in ("Ctrl+Z: undo", "Shift+B: the image as it was", "G: pull"):
+        assert words in screen.words
 
 
-def test_a_tab_behind_comes_to_the_front_when_the_menu_chooses_it(window, choose):
-    for name in ("deform", "grab", "deform"):
-        choose(name)
-    assert in_front(window) == [DeformTissue]
-    choose("deform")
-    assert in_front(window) == [GrabAndPull], "what is seen is hidden, as napari does"
-    choose("deform")
-    assert in_front(window) == [DeformTissue], "and comes back in front"
+def test_the_menu_hides_the_dock_that_is_seen_and_shows_it_again(window, choose):
+    choose("soft_tissue")
+    (inner,) = docks_of(window)
+    assert is_seen(inner)
+    choose("soft_tissue")
+    assert not is_seen(inner), "as napari does with every dock"
+    choose("soft_tissue")
+    assert docks_of(window) == [inner]
+    assert is_seen(inner)
+
+
+def test_the_menu_and_the_palette_find_the_same_dock(window, choose):
+    choose("live")
+    (inner,) = docks_of(window)
+    choose("soft_tissue")
+    assert docks_of(window) == [inner]
 
 
 def test_a_dock_that_was_put_elsewhere_stays_there(window, choose):
-    choose("deform")
-    frame_of(dock(DeformTissue)).setFloating(True)
-    choose("grab")
-    assert set(in_front(window)) == {DeformTissue, GrabAndPull}
-    assert not window._qt_window.tabifiedDockWidgets(frame_of(dock(GrabAndPull)))
+    choose("soft_tissue")
+    frame_of(dock()).setFloating(True)
+    choose("live")
+    assert frame_of(dock()).isFloating()
+    assert len(docks_of(window)) == 1
 
 
 def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
-    choose("deform")
-    choose("grab")
-    window.remove_dock_widget(frame_of(dock(GrabAndPull)))
+    choose("soft_tissue")
+    window.remove_dock_widget(frame_of(dock()))
     at_rest()
-    assert in_front(window) == [DeformTissue]
-    choose("grab")
-    assert in_front(window) == [GrabAndPull]
+    assert not docks_of(window)
+    choose("soft_tissue")
+    (inner,) = docks_of(window)
+    assert is_seen(inner)
+    assert inner.image.name == "MR"
+
+
+def test_each_viewer_has_a_dock_of_its_own(make_napari_viewer):
+    one, other = make_napari_viewer(), make_napari_viewer()
+    assert dock(one) is dock(one)
+    assert dock(other) is not dock(one)
 
 
 def test_each_command_runs_in_a_window(window, choose, qtbot):
@@ -172,26 +157,30 @@ def test_each_command_runs_in_a_window(window, choose, qtbot):
     for name in [each.id for each in COMMANDS if each.id not in WITH_A_FILE]:
         word = name.removeprefix("napari-hmrf.")
         choose(samples.get(word, word.removeprefix("sample_")))
-        for inner in list(window.dock_widgets.values()):
-            if isinstance(inner, GrabAndPull):
-                qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
+        for inner in docks_of(window):
+            qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
             window.remove_dock_widget(inner.native)
 
 
 def test_commands_do_what_they_say(window, choose, qtbot):
-    choose("grab_now")
-    grab = dock(GrabAndPull)
-    assert grab.active
-    qtbot.waitUntil(lambda: not grab.busy, timeout=LONG_MS)
-    grab.clear()
-    choose("grab_now")
-    assert not grab.active
-    assert in_front(window) == [GrabAndPull]
-    before = dock(DeformTissue).live
+    choose("pull")
+    inner = dock()
+    assert inner.active
+    qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
+    choose("pull")
+    assert not inner.active
+    before = inner.live
     choose("live")
-    assert dock(DeformTissue).live != before
-    choose("deform_now")
-    assert "tissue" in dock(DeformTissue).status
+    assert inner.live != before
+    with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
+        choose("deform_now")
+    inner.drawing = Drawing((Arrow((20, 20), (2, 0), 3.0),))
+    with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
+        choose("deform_now")
+    choose("play")
+    assert inner.playing
+    choose("play")
+    assert not inner.playing
 
 
 def test_the_palette_offers_each_command_that_needs_no_file(window):
@@ -211,12 +200,10 @@ def test_the_palette_offers_each_command_that_needs_no_file(window):
 
 
 TYPED = {
-    "deform tissue": "deform",
+    "soft tissue": "soft_tissue",
     "deform now": "deform_now",
     "live mode": "live",
-    "pull tissue": "grab_now",
-    "grab": "grab",
-    "look result": "look",
+    "pull tissue": "pull",
     "undo tissue": "undo",
     "redo tissue": "redo",
     "play deformation": "play",
@@ -239,18 +226,18 @@ def test_the_palette_finds_commands_by_what_people_type(window, at_rest):
 
 
 def test_undo_of_the_palette_takes_back_what_was_drawn(window, choose, qtbot):
-    choose("grab_now")
-    grab = dock(GrabAndPull)
-    qtbot.waitUntil(lambda: not grab.busy, timeout=LONG_MS)
+    choose("pull")
+    inner = dock()
+    qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
     drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
-    grab.drawing = drawn
+    inner.drawing = drawn
     choose("undo")
-    assert grab.drawing == Drawing()
+    assert inner.drawing == Drawing()
     choose("redo")
-    assert grab.drawing == drawn
+    assert inner.drawing == drawn
 
 
 def test_without_a_window_a_command_says_so(monkeypatch):
     monkeypatch.setattr("napari.current_viewer", lambda: None)
     with pytest.raises(HmrfError, match="no napari window"):
-        dock(DeformTissue)
+        dock()

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.field.strain import count_folds
 from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.study_model import History, StudyModel
 from napari_hmrf.tissue.drawing import (
     Arrow,
     Canvas,
     Drawing,
-    History,
     Hit,
     Landmark,
     Rendering,
@@ -306,12 +306,12 @@ def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
     for edit in sequence:
         what, number, mark, place = edit
         if what == "undo":
-            assert bool(history.undo()) == bool(past)
+            assert bool(history.edits.undo()) == bool(past)
             if past:
                 future.append(now)
                 now = past.pop()
         elif what == "redo":
-            assert bool(history.redo()) == bool(future)
+            assert bool(history.edits.redo()) == bool(future)
             if future:
                 past.append(now)
                 now = future.pop()
@@ -334,10 +334,10 @@ def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
         assert same(history.drawing.render(base), now.render(base))
     assert not said or said[-1] == now
     for earlier in reversed(past):
-        history.undo()
+        history.edits.undo()
         assert history.drawing == earlier
         assert same(history.drawing.render(base), earlier.render(base))
-    assert history.undo() == ""
+    assert history.edits.undo() is None
 
 
 def test_steps_have_words_and_an_empty_one_is_none():
@@ -348,21 +348,21 @@ def test_steps_have_words_and_an_empty_one_is_none():
     for by in (2, 3, 4):
         history.update(Drawing((Arrow((1, 1), (by, 0), 1),)))
     assert (history.undo_word, history.in_progress) == ("moved an arrow", True)
-    assert history.undo() == "moved an arrow"
+    assert history.edits.undo().word == "moved an arrow"
     assert (history.drawing.marks, history.undo_word) == ((arrow,), "drew an arrow")
-    assert history.redo_word == "moved an arrow"
-    history.redo()
+    assert history.edits.next_redo.word == "moved an arrow"
+    history.edits.redo()
     assert history.drawing.marks[0].by == (4, 0)
-    assert history.redo() == ""
+    assert history.edits.redo() is None
     with pytest.raises(RuntimeError, match="begin"):
         history.update(Drawing())
 
 
 def test_history_forgets_the_oldest_steps():
-    history = History(depth=3)
+    history = History(edits=StudyModel(3))
     for number in range(1, 6):
         history.do(Drawing((Arrow((number, 0), (1, 0), 1),)), f"step {number}")
-    assert [history.undo() for _ in range(4)] == ["step 5", "step 4", "step 3", ""]
+    assert [history.edits.undo().word for _ in range(3)] == ["step 5", "step 4", "step 3"]
     assert history.drawing.marks[0].at == (2, 0)
 
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from napari_hmrf.study.study_model import History, StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Arrow, Drawing, History
-from napari_hmrf.tissue.drawing.edits import Edits
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 
 #: What each slot may hold; of the kinds there are.
 VALUES = {
@@ -34,7 +34,7 @@ sequences = st.lists(
 
 
 def opened():
-    edits = Edits()
+    edits = StudyModel()
     for slot, value in FIRST.items():
         edits.open(slot, value)
     return edits
@@ -162,7 +162,7 @@ def test_what_came_from_elsewhere_is_no_step():
 
 
 def test_two_drawings_share_one_order_of_steps():
-    edits = Edits()
+    edits = StudyModel()
     one, other = (History(edits=edits, slot=("drawing", index)) for index in (0, 1))
     said = []
     other.changed.connect(said.append)
@@ -177,24 +177,24 @@ def test_two_drawings_share_one_order_of_steps():
     assert other.in_progress, "nobody ends another's drag"
     with pytest.raises(RuntimeError, match="begin"):
         one.update(Drawing())
-    assert one.undo() == "drew another"
+    assert one.edits.undo().word == "drew another"
     assert (one.drawing, other.drawing) == (arrow, Drawing())
-    assert one.undo() == "drew an arrow"
+    assert one.edits.undo().word == "drew an arrow"
     assert said == [arrow, Drawing()]
 
 
 def test_a_drawing_whose_image_is_gone_holds_nothing_and_may_begin_again():
-    edits = Edits()
+    edits = StudyModel()
     history = History(edits=edits, slot="gone")
     history.begin("drew")
     history.update(Drawing((Arrow((1, 1), (1, 0), 1.0),)))
     edits.drop(lambda slot: slot == "gone")
-    assert (history.drawing, history.in_progress, history.undo()) == (Drawing(), False, "")
+    assert (history.drawing, history.in_progress, history.undo_word) == (Drawing(), False, "")
     history.cancel()
     history.do(Drawing((Arrow((2, 1), (1, 0), 1.0),)), "drew again")
-    assert history.undo() == "drew again"
+    assert history.edits.undo().word == "drew again"
 
 
 def test_an_edit_of_what_nobody_opened_is_an_error():
     with pytest.raises(KeyError):
-        Edits().do("nothing", 1, "did")
+        StudyModel().do("nothing", 1, "did")

@@ -1,15 +1,14 @@
-"""Of several images the docks take the one that somebody looks at."""
+"""Of several images the dock takes the one that somebody looks at."""
 
 import numpy as np
 import pytest
+from conftest import dock_in, quick
 from napari.components import ViewerModel
 
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
-from napari_hmrf.ui.grab.grab_messages import START
+from napari_hmrf.ui.motion.motion_messages import START
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
-DOCKS = [DeformTissue, GrabAndPull]
 GREY = (np.indices((20, 24)).sum(axis=0) % 5 * 50).astype(np.uint8)
 LARGER = np.full((64, 48, 3), 200, np.uint8)
 
@@ -24,41 +23,38 @@ def two(small_sample):
 
 @pytest.fixture
 def opened(qtbot):
-    """Open a dock beside a viewer without a window."""
+    """Open the dock beside a viewer without a window."""
 
-    def dock(kind, viewer):
-        found = kind(viewer)
+    def dock(viewer):
+        found = SoftTissue(viewer)
         qtbot.addWidget(found.native)
         return found
 
     return dock
 
 
-@pytest.mark.parametrize("kind", DOCKS)
-def test_a_dock_takes_the_image_that_is_selected(opened, two, kind):
+def test_a_dock_takes_the_image_that_is_selected(opened, two):
     viewer, lower, upper = two
-    dock = opened(kind, viewer)
+    dock = opened(viewer)
     assert dock.image is upper
     assert (dock.tissue, dock.boundary) == (None, None), "what is painted on the other stays its"
     viewer.layers.selection = {lower}
-    dock = opened(kind, viewer)
+    dock = opened(viewer)
     assert dock.image is lower
     assert (dock.tissue.name, dock.image.name) == ("Tissue", "MR")
 
 
-@pytest.mark.parametrize("kind", DOCKS)
-def test_a_dock_takes_the_topmost_image_that_is_seen_if_none_is_selected(opened, two, kind):
+def test_a_dock_takes_the_topmost_image_that_is_seen_if_none_is_selected(opened, two):
     viewer, lower, upper = two
     viewer.layers.selection = {viewer.layers["Boundary"]}
-    assert opened(kind, viewer).image is upper
+    assert opened(viewer).image is upper
     upper.visible = False
-    assert opened(kind, viewer).image is lower
+    assert opened(viewer).image is lower
 
 
-@pytest.mark.parametrize("kind", DOCKS)
-def test_a_choice_stays_when_another_image_is_selected(opened, two, kind):
+def test_a_choice_stays_when_another_image_is_selected(opened, two):
     viewer, lower, upper = two
-    dock = opened(kind, viewer)
+    dock = opened(viewer)
     viewer.layers.selection = {lower}
     assert dock.image is upper
 
@@ -66,30 +62,32 @@ def test_a_choice_stays_when_another_image_is_selected(opened, two, kind):
 def test_a_dock_goes_on_with_the_image_that_is_drawn_on(opened, two):
     viewer, lower, _ = two
     viewer.layers.selection = {lower}
-    first = opened(GrabAndPull, viewer)
+    first = opened(viewer)
     first.start()
     first.drawing = Drawing((Arrow((10, 12), (10, 14), 4.0),))
     viewer.layers.selection = {viewer.layers["astronaut"]}
-    assert opened(GrabAndPull, viewer).image is lower
+    assert opened(viewer).image is lower
 
 
-def test_a_dock_goes_on_with_the_image_that_was_deformed(make_napari_viewer, small_sample, run):
+def test_a_dock_goes_on_with_the_image_that_was_deformed(
+    make_napari_viewer, small_sample, run, settle
+):
     viewer = make_napari_viewer()
     lower, *_ = small_sample(viewer)
-    _, first = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
-    first.settings.device.value = "cpu"
+    first = quick(dock_in(viewer))
     run(first)
     viewer.window.remove_dock_widget(first.native)
     viewer.add_image(LARGER, name="astronaut", rgb=True)
-    _, second = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    second = dock_in(viewer)
     assert second.image is lower
+    settle(second)
     assert second.solution is not None
 
 
 def test_an_image_that_is_covered_is_spoken_of(opened, two, settle):
     viewer, lower, upper = two
     said = "The image is covered by 'astronaut': hide that one, or choose it here."
-    dock = opened(GrabAndPull, viewer)
+    dock = opened(viewer)
     assert dock.status == START
     dock.image = lower
     assert dock.status == said
@@ -97,7 +95,7 @@ def test_an_image_that_is_covered_is_spoken_of(opened, two, settle):
     assert dock.status == START
     upper.visible = False
     viewer.layers.selection = {lower}
-    dock = opened(GrabAndPull, viewer)
+    dock = opened(viewer)
     assert dock.status == START
     upper.visible = True
     dock.start()
@@ -119,14 +117,14 @@ def test_an_image_of_which_something_is_seen_is_not_covered(opened, two, look):
     viewer, lower, upper = two
     viewer.layers.remove(upper)
     viewer.add_image(LARGER, rgb=True, **look)
-    dock = opened(GrabAndPull, viewer)
+    dock = opened(viewer)
     dock.image = lower
     assert dock.status == START
 
 
 def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     viewer, lower, upper = two
-    dock = opened(GrabAndPull, viewer)
+    dock = opened(viewer)
     dock.image = lower
     for shown in (False, True):
         upper.visible = shown

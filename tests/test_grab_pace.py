@@ -1,24 +1,41 @@
 """Tissue that is dragged: what is shown is the newest, and the window waits for nothing."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from patience import LONG_MS
 from person import by_name
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 from study_reader import read_ground
 
 from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.grab.live_tissue import Follower
+from napari_hmrf.ui.follower import Follower
 
 
 def pulled(by):
     return Drawing((Arrow((20, 20), (0, by), 4),))
+
+
+class Following:
+    """Follows drawings on an image, and knows what it has shown."""
+
+    def __init__(self, image, **how):
+        self.study = replace(read_ground(image, **how).study, optimizer=Multigrid(TOLERANCE))
+        self.shown = []
+        self.follower = Follower(lambda seen: self.shown.append(seen.moved), lambda done: None)
+
+    def follow(self, drawing):
+        motion = replace(self.study.motion, drawing=drawing)
+        self.follower.follow(replace(self.study, motion=motion))
 
 
 @pytest.fixture
@@ -29,14 +46,22 @@ def image():
 
 
 @pytest.fixture
-def follower(image, qtbot):
-    """Follows drawings on an image, and knows what it has shown."""
-    shown = []
-    made = Follower(shown.append)
-    made.shown = shown
-    made.stand_on(read_ground(image))
-    yield made
-    made.release()
+def following(qtbot):
+    """Have drawings on an image be followed."""
+    made = []
+
+    def of(image, **how):
+        made.append(Following(image, **how))
+        return made[-1]
+
+    yield of
+    for each in made:
+        each.follower.release()
+
+
+@pytest.fixture
+def follower(image, following):
+    return following(image)
 
 
 @pytest.fixture
@@ -52,7 +77,7 @@ def solver_at_work():
 @pytest.fixture
 def rest(at_rest):
     """Wait until a follower has shown the last drawing."""
-    return lambda follower: at_rest.until(lambda: not follower.busy)
+    return lambda following: at_rest.until(lambda: not following.follower.at_work)
 
 
 def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
@@ -62,9 +87,9 @@ def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
             QApplication.processEvents()
     rest(follower)
     seen = follower.shown[-1]
-    assert seen.drawing == pulled(3.9)
+    assert seen.study.motion.drawing == pulled(3.9)
     assert seen.solution.displacement[20, 20] == pytest.approx((0, 3.9), abs=0.02)
-    order = [seen.drawing.marks[0].by[1] for seen in follower.shown]
+    order = [seen.study.motion.drawing.marks[0].by[1] for seen in follower.shown]
     assert order == sorted(order), "the tissue never goes back to an older drawing"
 
 
@@ -89,19 +114,16 @@ def test_of_drawings_made_while_one_is_shown_only_the_last_is_solved(
     )
 
 
-def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, rest):
-    shown = []
-    follower = Follower(shown.append)
-    follower.stand_on(read_ground(image, hold_edge=False))
+def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, rest, following):
+    follower = following(image, hold_edge=False)
     follower.follow(pulled(2))
     follower.follow(Drawing())
     rest(follower)
-    assert shown[-1].solution is None
-    assert np.array_equal(shown[-1].picture, image.data)
+    assert follower.shown[-1].solution is None
+    assert np.array_equal(follower.shown[-1].image, image.data)
     follower.follow(pulled(2))
     rest(follower)
-    assert shown[-1].solution is not None, "and the next drawing is followed again"
-    follower.release()
+    assert follower.shown[-1].solution is not None, "and the next drawing is followed again"
 
 
 def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, solver_at_work):
@@ -129,7 +151,7 @@ def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, rest, m
     assert isinstance(follower.shown[-1].error, ZeroDivisionError)
     follower.follow(pulled(2))
     rest(follower)
-    assert follower.shown[-1].drawing == pulled(2)
+    assert follower.shown[-1].study.motion.drawing == pulled(2)
 
 
 def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, solver_at_work):
@@ -148,30 +170,28 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     told, thumbnails, seen = [], [], []
     person.press(30, 30)
     person.move(32, 32)
-    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
     picture.events.data.connect(lambda event: told.append(event.value))
     picture.events.thumbnail.connect(lambda event: thumbnails.append(event))
     widget.seen.connect(seen.append)
     for step in range(1, 4):
         person.move(32 + step, 32)
         qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
-        assert np.array_equal(picture.data, seen[-1].picture)
+        assert np.array_equal(picture.data, seen[-1].image)
     assert not told
     assert not thumbnails
     person.release(35, 32)
     settle(widget)
-    assert np.array_equal(told[-1], seen[-1].picture)
+    assert np.array_equal(told[-1], seen[-1].image)
     assert thumbnails
-    assert np.array_equal(
-        by_name(person.viewer, "MR").data, widget._puller.ground.study.pictures.image
-    )
+    assert np.array_equal(by_name(person.viewer, "MR").data, widget.study.pictures.image)
 
 
 def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person, widget = pulling
     person.press(30, 30)
     person.move(32, 32)
-    qtbot.waitUntil(lambda: not widget._puller.follower.busy, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
     picture = by_name(person.viewer, "MR deformed, elastic")
     theirs = np.zeros_like(picture.data)
     picture.data = theirs
@@ -181,11 +201,11 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person.release(34, 34)
 
 
-def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling, qtbot):
-    person, widget = pulling
+def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling):
+    person, _ = pulling
     layer, positions = by_name(person.viewer, "Arrows"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
-    for end in (lambda: person.release(34, 34), lambda: widget._puller.answers.cancel()):
+    for end in (lambda: person.release(34, 34), lambda: person.key(Qt.Key.Key_Escape)):
         person.press(30, 30)
         assert layer.cursor == "pointing"
         positions.clear()
@@ -221,7 +241,7 @@ def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
 
 
 @pytest.mark.parametrize("confidence", [1.0, 0.5])
-def test_the_first_drag_finds_everything_compiled(rest, confidence):
+def test_the_first_drag_finds_everything_compiled(rest, following, confidence):
     from napari.layers import Image
 
     from napari_hmrf.field.interpolation import look_up
@@ -231,16 +251,14 @@ def test_the_first_drag_finds_everything_compiled(rest, confidence):
         kernels = look_up.signatures, rasterise_displaced.signatures
         return [sorted(map(str, each)) for each in kernels], set(preparation._prepared)
 
-    follower = Follower(lambda seen: None)
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
-    follower.stand_on(read_ground(image, hold_edge=False))
+    follower = following(image, hold_edge=False)
+    follower.follower.rehearse(follower.study)
     rest(follower)
-    compute_thread.submit(lambda: None).result(240)
     before = compiled()
     follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
     rest(follower)
     assert compiled() == before
-    follower.release()
 
 
 def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
@@ -248,7 +266,7 @@ def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
 ):
     _, widget = open_window()
     widget.start()
-    qtbot.waitUntil(lambda: "Waiting for a computation" in widget.status, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)
     assert "only that can stop" in widget.status
     solver_at_work.set()
     settle(widget)
@@ -259,16 +277,13 @@ def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
 
 
 def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(
-    image, rest, solver_at_work, at_rest
+    image, rest, following, solver_at_work, at_rest
 ):
-    shown = []
-    follower = Follower(shown.append)
-    follower.stand_on(read_ground(image, hold_edge=False))
+    follower = following(image, hold_edge=False)
     follower.follow(Drawing())
     at_rest(thread=False)
-    assert follower.busy
-    assert not shown
+    assert follower.follower.busy
+    assert not follower.shown
     solver_at_work.set()
     rest(follower)
-    assert [seen.solution for seen in shown] == [None]
-    follower.release()
+    assert [seen.solution for seen in follower.shown] == [None]

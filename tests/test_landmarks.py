@@ -5,7 +5,7 @@ import pytest
 from napari.layers import Image, Points
 
 from napari_hmrf import ProblemError
-from napari_hmrf.layers.landmarks import LandmarkLayers, landmarks_of, read_landmarks
+from napari_hmrf.layers.landmarks import LandmarkLayers, read_landmarks
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.drawing import Landmark
@@ -15,7 +15,8 @@ def landmarks(where, should, image=None, view=None, **place):
     image = image or Image(np.zeros((40, 50)), name="MR")
     where, should = Points(where, name="is", **place), Points(should, name="ought", **place)
     frame = Frame.of(image, view)
-    return landmarks_of(where, should, frame, image.data.shape[-2:], 3.0, 0.5)
+    layers = LandmarkLayers(where, should, 3.0, 0.5)
+    return read_landmarks(layers, frame, image.data.shape[-2:])[0].marks
 
 
 def test_points_are_paired_by_their_order():

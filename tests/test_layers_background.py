@@ -2,16 +2,18 @@
 
 import numpy as np
 import pytest
+from screen import Screen
 
-from napari_hmrf.layers.edit_history import steps_of
-from napari_hmrf.layers.metadata import TISSUE, rows_of
+from napari_hmrf import Grid, Study, Tissue
 from napari_hmrf.samples.phantoms import sample
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.study import Pictures
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.surroundings import (
     air_that_is_tissue,
     background_of,
     between_air_and_tissue,
 )
-from napari_hmrf.ui.deform_dock import DeformTissue
 
 
 def head(dtype=np.float32, low=0.0, high=1.0):
@@ -72,120 +74,127 @@ def test_an_image_of_one_value_has_no_background(value):
     assert not background_of(np.full((5, 6), value)).any()
 
 
-def test_one_press_of_the_button_is_one_undo(widget, wait_for):
+# Where it is no tissue
+
+
+def air_and_block(inside=False):
+    """A bright block in dark air; with a dark hole in it."""
     picture = np.zeros((30, 40), np.uint8)
     picture[8:22, 10:30] = 200
-    widget._viewer.add_image(picture, name="CT")
-    widget.make_layers()
-    tissue, rows = widget.tissue, widget.materials
-    tissue.data_setitem((np.array([0]), np.array([0])), 1)
-    before = tissue.data.copy()
-    assert "Undo at the bottom takes it back" in widget._face.tissue.background.toolTip()
-    widget.mark_background()
-    (void,) = set(widget.materials) - set(rows)
-    assert void.stiffness == 0
-    assert (tissue.data == void.label).sum() > 500
-    assert "background" in steps_of(widget._viewer).undo_tooltip
-    tissue.data[1, 1] = 2
-    widget.undo()
-    before[1, 1] = 2
-    wait_for(lambda: not widget._face.tissue.painted._timer.isActive())
-    np.testing.assert_array_equal(tissue.data, before, "what was painted since stays")
-    assert widget.materials == rows, "and no row comes back for paint that is gone"
-    widget.redo()
-    wait_for(lambda: not widget._face.tissue.painted._timer.isActive())
-    assert widget.materials == (*rows, void)
-    assert (tissue.data == void.label).sum() > 500
-    assert tissue.data[1, 1] == 2
-    widget.undo()
-    assert widget.materials == rows
-    assert widget._steps.steps.edits.next_undo is None
+    if inside:
+        picture[13:16, 18:22] = 0
+    return picture, picture > 0
 
 
-def tissue_rows(layer):
-    return rows_of(layer, TISSUE)
+def of_labels(labels, without_border=True, picture=None):
+    """A study of what is painted on a block in air."""
+    return Study(
+        Grid(labels.shape, (1.0, 1.0)),
+        Tissue(
+            labels=labels,
+            materials=(Material(0, "everything unpainted", 20.0), Material(2, "fat", 5.0)),
+            without_border=without_border,
+        ),
+        pictures=Pictures(image=air_and_block()[0] if picture is None else picture),
+    )
+
+
+def test_the_dark_border_that_nobody_painted_is_no_tissue_unless_it_is_meant():
+    block = air_and_block()[1]
+    unpainted = np.zeros(block.shape, np.uint8)
+    np.testing.assert_array_equal(Ground.of(of_labels(unpainted)).stiffness, 20.0 * block)
+    assert (Ground.of(of_labels(unpainted, without_border=False)).stiffness == 20).all()
+
+
+def test_what_is_painted_in_the_dark_is_tissue():
+    painted = np.zeros((30, 40), np.uint8)
+    painted[:3, :3] = 2
+    found = Ground.of(of_labels(painted)).stiffness
+    assert (found[:3, :3] == 5).all()
+    assert not found[:3, 3:].any()
+
+
+def test_what_is_dark_inside_is_tissue():
+    picture, _ = air_and_block(inside=True)
+    found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
+    assert (found[13:16, 18:22] == 20).all()
+    assert not found[0].any()
+
+
+def test_a_photograph_whose_shadows_reach_the_edge_is_tissue_everywhere():
+    picture = np.full((30, 40), 200, np.uint8)
+    picture[:10, :12] = 0
+    found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
+    assert (found == 20).all()
 
 
 @pytest.fixture
 def scanned(widget):
-    """The dock with a bright block in air, and a layer of tissue to paint on."""
-    picture = np.zeros((30, 40), np.uint8)
-    picture[8:22, 10:30] = 200
-    widget._viewer.add_image(picture, name="CT")
+    """The dock with a bright block in air, and layers to paint on, whose block is pushed."""
+    widget._viewer.add_image(air_and_block()[0], name="CT")
     widget.make_layers()
+    widget.boundary.data[8:22, 10] = 1
+    widget.boundary.data[8:22, 29] = 3
+    widget.rules = (*widget.rules, BoundaryRule(3, "move", vector=(0.0, 2.0)))
     return widget
 
 
-def test_no_tissue_that_was_painted_elsewhere_stays_no_tissue(scanned):
-    tissue, rows = scanned.tissue, scanned.materials
-    scanned.mark_background()
-    (void,) = set(scanned.materials) - set(rows)
-    tissue.data_setitem((np.array([15]), np.array([15])), void.label)
-    scanned.undo()
-    scanned._face.tissue.painted.look()
-    assert (tissue.data == void.label).sum() == 1
-    assert void in scanned.materials, "its label is still used"
-    tissue.data_setitem((np.array([15]), np.array([15])), 0)
-    scanned.redo()
-    scanned.undo()
-    assert scanned.materials == rows
-    tissue.data_setitem((np.array([15]), np.array([15])), void.label)
-    scanned._face.tissue.painted.look()
-    assert void not in scanned.materials, "a tissue of its own by then"
-    scanned.redo()
-    assert void in scanned.materials
+def test_air_around_the_image_does_not_move_unless_somebody_says_so(scanned, run):
+    block = air_and_block()[1]
+    moved = run(scanned).solution
+    np.testing.assert_array_equal(moved.tissue, block)
+    assert "dark surroundings" not in scanned.warning
+    Screen(scanned).tick("the dark border is no tissue", on=False)
+    assert not scanned.without_border
+    moved = run(scanned).solution
+    assert moved.tissue.all()
+    assert "The dark surroundings of the image move as tissue does, too" in scanned.warning
+    scanned.without_border = True
+    np.testing.assert_array_equal(run(scanned).solution.tissue, block)
 
 
-def test_a_background_is_taken_back_whatever_is_chosen_or_closed(scanned):
-    tissue, rows = scanned.tissue, scanned.materials
-    scanned.mark_background()
-    scanned.tissue = scanned._viewer.add_labels(np.ones((30, 40), np.uint8), name="other")
-    scanned.undo()
-    assert not tissue.data.any()
-    scanned.tissue = tissue
-    assert scanned.materials == rows
-    scanned.redo()
-    scanned._on_closed()
-    other = DeformTissue(scanned._viewer)
-    other.tissue = tissue
-    assert other.materials == tissue_rows(tissue) != rows
-    other.undo()
-    assert not tissue.data.any()
-    assert other.materials == tissue_rows(tissue) == rows
+def test_that_air_is_no_tissue_is_followed_at_once(scanned, settle):
+    scanned.live = True
+    settle(scanned)
+    assert not scanned.solution.tissue[0, 0]
+    scanned.without_border = False
+    settle(scanned)
+    assert scanned.solution.tissue[0, 0]
 
 
-def test_a_script_marks_the_background_in_a_closed_dock(scanned):
-    tissue, rows = scanned.tissue, scanned.materials
-    scanned._on_closed()
-    scanned.mark_background()
-    (void,) = set(tissue_rows(tissue)) - set(rows)
-    assert (tissue.data == void.label).sum() > 500
-    scanned.undo()
-    assert not tissue.data.any()
-    assert tissue_rows(tissue) == rows
+def test_paint_in_the_air_makes_it_tissue_and_undo_takes_it_back(scanned, settle):
+    scanned.live = True
+    settle(scanned)
+    tissue = scanned.tissue
+    tissue.data_setitem((np.array([8, 8]), np.array([30, 31])), 1)
+    settle(scanned)
+    assert scanned.solution.tissue[8, 30:32].all()
+    tissue.undo()
+    settle(scanned)
+    assert not scanned.solution.tissue[8, 30:32].any()
 
 
-@pytest.mark.parametrize("turned", [{"order": (2, 0, 1)}, {"ndisplay": 3}])
-def test_a_background_of_a_stack_is_taken_back_though_its_tissue_is_hidden(widget, turned):
+def test_whether_air_is_tissue_is_said_for_each_image_apart(scanned):
+    first = scanned.image
+    scanned.without_border = False
+    scanned.image = scanned._viewer.add_image(np.ones((12, 14)), name="gel")
+    assert scanned.without_border
+    scanned.image = first
+    assert not scanned.without_border
+
+
+def test_the_air_of_each_slice_is_its_own(widget, run):
     picture = np.zeros((9, 30, 40), np.uint8)
     picture[:, 8:22, 10:30] = 200
+    picture[6, 4:26, 5:35] = 200
     viewer = widget._viewer
     viewer.add_image(picture, name="CT")
     widget.make_layers()
-    tissue, rows = widget.tissue, widget.materials
-    viewer.dims.set_current_step(0, 4)
-    widget.mark_background()
-    painted = tissue.data.copy()
-    tissue.visible = False
-    viewer.dims.update(turned)
-    widget.undo()
-    assert not tissue.data.any()
-    assert widget.materials == rows
-    widget.redo()
-    np.testing.assert_array_equal(tissue.data, painted)
-    assert len(widget.materials) == len(rows) + 1
-    tissue.undo()
-    assert not tissue.data.any(), "napari has it as a stroke, too"
+    widget.boundary.data[:, 8:22, 10] = 1
+    for at in (4, 6):
+        viewer.dims.set_current_step(0, at)
+        found = run(widget).solution
+        np.testing.assert_array_equal(found.tissue, picture[at] > 0)
 
 
 def test_air_that_was_taken_for_tissue_is_spoken_of():

@@ -6,16 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from napari.layers import Image, Labels, Layer
+from napari.layers import Image, Layer
 
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.layers.contributions import open_solution
-from napari_hmrf.layers.observed_arrows import preview_arrows
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
-from napari_hmrf.tissue.boundary_rules import BoundaryRule
 
 SHAPE = (12, 15)
 
@@ -111,35 +109,6 @@ def test_a_shear_that_napari_keeps_as_a_matrix_can_be_told():
     again = Image(np.zeros(SHAPE), **found.placement())
     np.testing.assert_allclose(again.data_to_world((3, 4)), layer.data_to_world((3, 4)))
     assert Frame.from_dict(json.loads(json.dumps(found.as_dict()))) == found
-
-
-# The preview's lengths
-
-
-@pytest.mark.parametrize(
-    ("own", "expected"),
-    [
-        ({"scale": (0.5, 2.0), "units": ("mm", "mm")}, (2.0, 1.5)),
-        ({"scale": (500.0, 2000.0), "units": ("um", "um")}, (2.0, 1.5)),
-    ],
-    ids=["mm", "um"],
-)
-def test_a_rule_is_drawn_in_the_unit_of_the_image(own, expected):
-    """1 x 3 mm on pixels of 0.5 x 2 mm are 2 x 1.5 pixels, whatever the labels count in."""
-    image = frame(scale=(0.5, 2.0), units=("mm", "mm"))
-    labels = np.zeros(SHAPE, int)
-    labels[4, 5] = 1
-    rules = (BoundaryRule(1, "move", vector=(1.0, 3.0)),)
-    _, arrows = preview_arrows(Labels(labels, **own), rules, None, image)
-    np.testing.assert_allclose(arrows, [[(4, 5), expected]])
-
-
-def test_without_an_image_a_rule_is_drawn_in_the_unit_of_its_layer():
-    labels = np.zeros(SHAPE, int)
-    labels[4, 5] = 1
-    rules = (BoundaryRule(1, "move", vector=(1.0, 3.0)),)
-    _, arrows = preview_arrows(Labels(labels, scale=(0.5, 2.0)), rules, None)
-    np.testing.assert_allclose(arrows[0, 1], (2.0, 1.5))
 
 
 # Frames from files

@@ -5,6 +5,7 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
+from napari_hmrf import Problem, solve
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import ARROWS, KINDS, Pictures, result_layers
@@ -54,23 +55,22 @@ def test_every_layer_can_be_had_and_is_named_after_its_source():
     labels = (spot() > 0).astype(np.uint8)
     pictures = Pictures(spot(), labels, "MR", "Tissue")
     outputs = result_layers(solution(), pictures=pictures, kinds=KINDS)
-    assert set(outputs.layers) == {*KINDS} - {"folds"}  # there are none
+    given = {"stiffness", "observed", "confidence"}  # of a problem, and there is none
+    assert set(outputs.layers) == {*KINDS} - given - {"folds"}  # nor are there folds
     layers = layers_of(outputs)
     assert {kind: layer.name for kind, layer in layers.items()} == {
         "image": "MR deformed",
-        "magnitude": "MR magnitude (px)",
         "labels": "Tissue deformed",
         "grid": "MR grid",
         "arrows": "MR arrows",
     }
     assert layers["labels"].data[12, 20] == 1
-    assert layers["magnitude"].data.max() == pytest.approx(2.0)
     assert layers["arrows"].vector_style == "arrow"
     assert layers["grid"].vector_style == "line"
 
 
 def test_without_a_picture_there_is_none_to_deform():
-    assert list(result_layers(solution(), kinds=KINDS).layers) == ["magnitude", "grid", "arrows"]
+    assert list(result_layers(solution(), kinds=KINDS).layers) == ["grid", "arrows"]
 
 
 def test_arrows_leave_room_to_see_the_image():
@@ -231,3 +231,22 @@ def test_the_work_can_be_stopped_between_its_parts():
 
     with pytest.raises(InterruptedError):
         result_layers(solution(), kinds=KINDS, checkpoint=stop)
+
+
+def test_what_was_given_can_be_seen_as_layers():
+    y, c, m = np.zeros((20, 24, 2)), np.zeros((20, 24, 2)), np.full((20, 24), 5.0)
+    c[0], c[-1] = 1, (0.5, 0.25)
+    y[-1] = (0, 3)
+    m[:, 12:] = 20
+    problem = Problem(y, c, m, spacing=(1.0, 2.0))
+    solved = solve(problem)
+    kinds = {"stiffness", "observed", "confidence"}
+    layers = result_layers(solved, kinds=kinds, problem=problem).layers
+    assert set(layers) == kinds
+    np.testing.assert_array_equal(layers["stiffness"].data, m)
+    np.testing.assert_array_equal(layers["confidence"].data, c.max(axis=-1))
+    assert layers["confidence"].attributes["contrast_limits"] == (0.0, 1.0)
+    starts, steps = layers["observed"].data[:, 0], layers["observed"].data[:, 1]
+    assert set(starts[:, 0]) == {0, 19}, "where something is known, and nowhere else"
+    np.testing.assert_allclose(steps[starts[:, 0] == 19], [(0, 1.5)] * 24)
+    assert not steps[starts[:, 0] == 0].any(), "what is held has a dot"

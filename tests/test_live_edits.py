@@ -9,6 +9,7 @@ from patience import LONG
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -17,7 +18,6 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Rendering, Stroke
-from napari_hmrf.tissue.drawing.edits import Edits
 
 SHAPE = (18, 20)
 ROWS, COLS = np.indices(SHAPE)
@@ -48,7 +48,7 @@ edits = st.lists(
 
 
 def begun():
-    steps = Edits()
+    steps = StudyModel()
     for slot, value in FIRST.items():
         steps.open(slot, value)
     return steps

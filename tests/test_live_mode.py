@@ -1,7 +1,8 @@
-"""Live mode of *Deform tissue*: whatever is edited, the newest edit is what is seen in the end."""
+"""Live mode: whatever is edited, the newest edit is what is seen in the end."""
 
 import numpy as np
 import pytest
+from conftest import dock_in, quick
 from patience import LONG_MS
 from person import CTRL, Person
 from qtpy.QtCore import Qt
@@ -9,10 +10,12 @@ from qtpy.QtTest import QTest
 from screen import Cell
 
 from napari_hmrf import Multigrid, solve
+from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.ui import live_mode
+from napari_hmrf.ui import live_choice
+from napari_hmrf.ui.messages import STILL
 
 
 def viewer_of(widget):
@@ -29,7 +32,7 @@ def by_name(widget, name):
 
 def cold(widget):
     """What a script finds for the same layers."""
-    stated = statement_of(widget.read(widget.request()))
+    stated = statement_of(widget.study)
     near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
     return solve(stated.problem, stated.prior, optimizer=near, backend="cpu")
 
@@ -40,21 +43,15 @@ def assert_newest(widget):
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
         known = known_of(layer)
-        here = known.get("slice") == widget._latest.done.study.grid.place.slice_name
+        here = known.get("slice") == widget.shown.grid.place.slice_name
         if known.get("kind") == "arrows" and here:
             assert known["solution"].displacement is found.displacement
             assert not known["inputs_changed"]
 
 
 @pytest.fixture
-def settle(at_rest):
-    """Wait until the last edit is shown."""
-    return lambda widget: at_rest.until(lambda: not widget.following)
-
-
-@pytest.fixture
 def living(widget, small_sample, run):
-    """*Deform tissue* with a result that follows, and the layers it follows."""
+    """The dock with a result that follows, and the layers it follows."""
     layers = small_sample(viewer_of(widget))
     widget.model.energy.value = "elastic"
     run(widget)
@@ -138,24 +135,38 @@ def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, at_rest):
 
 
 def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkeypatch):
-    widget, (_, _, boundary) = living
-    popups, said = [], []
+    widget, _ = living
+    popups = []
     for kind in ("show_error", "show_warning"):
-        monkeypatch.setattr(f"napari_hmrf.ui.deform_dock.{kind}", popups.append)
-    footer = widget.footer
-    say = footer.say
-    monkeypatch.setattr(footer, "say", lambda *words: (said.append(words[0]), say(*words)))
+        monkeypatch.setattr(f"napari_hmrf.ui.live_study.{kind}", popups.append)
     before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
-    painted = boundary.data.copy()
-    for _ in range(3):
-        boundary.data = np.zeros_like(painted)
+    rules, why = widget.rules, "The tissue does not follow yet. 'Boundary' lets label 2 expand, but"
+    for amount in (1.0, 2.0, 3.0):
+        widget.rules = (rules[0], BoundaryRule(2, "expand", amount=amount))
         settle(widget)
+        assert (widget.status == "Heard.") == (amount > 1), "once is enough"
+        if amount == 1:
+            assert widget.status.startswith(why)
+            assert widget.status.endswith("The last result stays.")
+        widget.say("Heard.")
     assert widget.solution is before
     assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
-    why = "The tissue does not follow yet. Nothing is painted"
-    assert sum(sentence.startswith(why) for sentence in said) == 1
-    assert widget.status.endswith("The last result stays.")
     assert not popups, "nobody asked for anything"
+    widget.rules = rules
+    settle(widget)
+    assert widget.status.startswith("Tissue moved up to")
+    assert_newest(widget)
+
+
+def test_where_nothing_is_painted_any_more_tissue_is_where_it_was(living, settle):
+    widget, (image, _, boundary) = living
+    painted = boundary.data.copy()
+    boundary.data = np.zeros_like(painted)
+    settle(widget)
+    assert widget.solution is None
+    assert not [name for name in names(widget) if name.startswith("MR ")]
+    assert image.visible
+    assert (widget.status, widget.details) == (STILL, "")
     boundary.data = painted
     settle(widget)
     assert widget.status.startswith("Tissue moved up to")
@@ -166,7 +177,7 @@ def test_what_the_solver_refuses_names_the_layer(living, settle):
     widget, (_, _, boundary) = living
     before = widget.solution
     data = np.zeros_like(boundary.data)
-    data[10, 10] = 1
+    data[10, 10] = 2
     boundary.data = data
     settle(widget)
     assert widget.solution is before
@@ -178,11 +189,11 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     widget, (_, _, boundary) = living
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    qtbot.waitUntil(lambda: widget.footer.cancel.enabled, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
     assert widget.status.startswith("Following the last edit")
     widget.cancel()
-    assert widget.status == "Cancelled; the last result stays."
-    assert not widget.footer.cancel.enabled
+    assert widget.status == "Cancelled; nothing was changed. The last result stays."
+    assert not widget._form.footer.cancel.enabled
     busy_thread.set()
     settle(widget)
     assert widget.solution is before
@@ -203,22 +214,13 @@ def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, se
     assert_newest(widget)
 
 
-def test_it_begins_with_the_first_result_or_when_it_is_asked_for(
-    widget, small_sample, settle, at_rest
-):
-    _, _, boundary = small_sample(viewer_of(widget))
-    widget._live._wanted = None
-    widget.footer.live.native.setChecked(False)
-    widget._live._wanted = None
-    widget._live.choose()
-    assert widget.live, "by itself, for a small image"
-    paint(boundary, [(10, 10)], 1)
-    at_rest()
-    assert widget.solution is None, "but nothing is computed that nobody asked for"
+def test_what_comes_painted_is_followed_at_once(widget, small_sample, settle):
     widget.live = True
+    small_sample(viewer_of(widget))
     settle(widget)
     assert_newest(widget)
     assert "MR deformed" in names(widget)
+    assert widget.status.startswith("Tissue moved up to")
 
 
 def test_that_the_image_is_gone_is_said(living, settle, at_rest):
@@ -231,6 +233,8 @@ def test_that_the_image_is_gone_is_said(living, settle, at_rest):
     assert widget.solution is None
     viewer.add_image(image.data, name="T1")
     assert widget.image is viewer.layers["T1"]
+    settle(widget)
+    assert_newest(widget)
     viewer.add_image(image.data, name="T2")
     viewer.layers.remove("T1")
     assert widget.status == "'T1' is gone: 'T2' is chosen now."
@@ -239,46 +243,43 @@ def test_that_the_image_is_gone_is_said(living, settle, at_rest):
     assert widget.status.startswith("Open an image first")
 
 
-def test_another_image_is_not_deformed_unasked(living, small_sample, run, settle, at_rest):
-    widget, _ = living
+def test_another_image_is_followed_as_soon_as_it_is_chosen(living, small_sample, settle):
+    widget, (first, *_) = living
     viewer = viewer_of(widget)
-    before, said = widget.solution, []
-    widget.followed.connect(said.append)
     image, other, boundary = small_sample(viewer)
     assert (widget.image, widget.tissue) == (image, other), "a second sample is chosen by itself"
-    known = names(widget)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
-    at_rest()
-    assert (widget.solution, names(widget), said) == (before, known, [])
-    assert widget.live
-    assert widget.status.lower().endswith("press deform.")
-    run(widget)
-    paint(boundary, [(row, 14) for row in range(6, 14)], 1)
+    assert widget.solution.displacement == pytest.approx(cold(widget).displacement, abs=0.02)
+    there = widget.solution
+    widget.image = first
     settle(widget)
-    assert said, "once it is deformed it is followed"
     expected = cold(widget).displacement
     assert widget.solution.displacement == pytest.approx(expected, abs=0.02)
+    assert np.abs(expected - there.displacement).max() > 0.5, "it has a boundary of its own"
 
 
-def test_for_a_large_image_it_is_off_and_the_reason_is_shown(widget, small_sample, monkeypatch):
-    monkeypatch.setattr(live_mode, "LARGEST", 300)
-    widget._live._wanted = None
+def test_for_a_large_image_it_is_off_and_the_reason_is_shown(
+    widget, small_sample, monkeypatch, at_rest
+):
+    monkeypatch.setattr(live_choice, "LARGEST", 300)
+    widget._live_study.live._wanted = None
     small_sample(viewer_of(widget))
-    check = widget.footer.live
+    at_rest()
+    check = widget._form.footer.live
     assert not widget.live
     assert check.text == "Live: off, slow at 20 x 24"
     check.native.click()
     assert widget.live, "who wants it may have it"
-    assert check.text == "Live: follow every edit"
-    viewer_of(widget).layers.clear()
-    assert widget.live
+    at_rest()
+    assert check.text == "Live"
 
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
-def test_up_to_twelve_hundred_pixels_along_each_side_it_is_on(widget, size, followed):
-    widget._live._wanted = None
+def test_up_to_twelve_hundred_pixels_along_each_side_it_is_on(widget, at_rest, size, followed):
+    widget._live_study.live._wanted = None
     widget.image = viewer_of(widget).add_image(np.zeros(size, np.uint8))
+    at_rest()
     assert widget.live is followed
 
 
@@ -298,7 +299,7 @@ def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
     viewer.layers.remove(boundary)
     settle(widget)
-    assert "No boundary layer is chosen" in widget.status
+    assert (widget.solution, widget.status) == (None, STILL)
     widget.boundary = viewer.add_labels(
         boundary.data.copy(), name="again", metadata=dict(boundary.metadata)
     )
@@ -335,7 +336,7 @@ def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
     assert widget.status.startswith("Slice 2: tissue moved")
     dims.set_current_step(0, 0)
     settle(widget)
-    assert "has no paint in slice 0" in widget.status
+    assert (widget.solution, widget.status) == (None, STILL)
     dims.set_current_step(0, 1)
     boundary.data_setitem((np.full(8, 1), np.arange(6, 14), np.full(8, 12)), 1)
     settle(widget)
@@ -357,13 +358,11 @@ def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
 
 
 def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, run):
-    from conftest import quick
-
     docks = []
     for _ in range(2):
         viewer = make_napari_viewer()
         small_sample(viewer)
-        _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+        dock = dock_in(viewer)
         quick(dock).model.energy.value = "elastic"
         run(dock)
         dock.live = True
@@ -383,12 +382,13 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_res
     run(docked)
     docked.live = True
     settle(docked)
-    before = docked.solution
+    seen = []
+    docked.seen.connect(seen.append)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     viewer.window.remove_dock_widget(docked.native)
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
     at_rest()
-    assert docked.solution is before
+    assert not seen
 
 
 # With a real mouse
@@ -397,11 +397,9 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_res
 @pytest.fixture
 def at_work(make_napari_viewer, small_sample, run, qtbot, at_rest):
     """A person with a brush before a real window, and a result that follows."""
-    from conftest import quick
-
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
-    _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    dock = dock_in(viewer)
     quick(dock).model.energy.value = "elastic"
     run(dock)
     dock.live = True
@@ -413,12 +411,12 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     person, dock = at_work
     viewer = person.viewer
     boundary = viewer.layers["Boundary"]
-    Cell(dock._face.boundary.seen, 0).click()
+    Cell(dock._form.motion.boundary.seen, 0).click()
     assert viewer.layers.selection.active is boundary
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
     deformed = viewer.layers["MR deformed, elastic"]
-    assert deformed.visible, "it is watched"
+    assert not deformed.visible, "paint lies where tissue was before it moved"
     pictures = []
     deformed.events.set_data.connect(lambda: pictures.append(np.array(deformed.data)))
     places = [(row, 32) for row in range(14, 34, 2)]
@@ -427,6 +425,7 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     assert during[0] >= 1, "while the button is down"
     assert during[-1] > during[0]
     settle(dock)
+    assert deformed.visible, "it is watched between two strokes"
     assert (boundary.data == 1).sum() > 100
     assert_newest(dock)
     assert np.abs(dock.solution.displacement[24, 32]).max() < 1e-3
@@ -443,14 +442,14 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
 
 def test_tables_are_undone_and_followed(living, settle):
     widget, (_, _, boundary) = living
-    footer = widget.footer
+    footer = widget._form.footer
     assert not footer.steps.undo.enabled
     rules, materials = widget.rules, widget.materials
-    Cell(widget._face.boundary.seen, 1, 4).write("5")
+    Cell(widget._form.motion.boundary.seen, 1, 4).write("5")
     assert footer.steps.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
-    Cell(widget._face.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.seen, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.steps.undo.native.click()
@@ -472,18 +471,18 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     widget, (_, tissue, _) = living
     paint(tissue, [(8, 8)], 5)
     settle(widget)
-    widget._face.tissue.painted.look()
+    widget._form.tissue.painted.look()
     assert 5 in [row.label for row in widget.materials]
-    assert not widget.footer.steps.undo.enabled
-    widget._face.tissue.table.add()
-    assert "added label 6 to 'Tissue'" in widget.footer.steps.undo.tooltip
+    assert not widget._form.footer.steps.undo.enabled
+    widget._form.tissue.table.add()
+    assert "added label 6 to 'Tissue'" in widget._form.footer.steps.undo.tooltip
     widget.undo()
     assert [row.label for row in widget.materials] == [0, 1, 5]
 
 
 def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
     widget, (_, _, boundary) = living
-    table = widget._face.boundary.seen
+    table = widget._form.motion.boundary.seen
     before = widget.rules
     Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
@@ -491,13 +490,13 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
     QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
     assert widget.rules != before
     viewer_of(widget).layers.remove(boundary)
-    assert not widget.footer.steps.undo.enabled
+    assert not widget._form.footer.steps.undo.enabled
 
 
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
-    Cell(widget._face.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.seen, 1, 2).write("33")
     widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness
@@ -509,14 +508,15 @@ def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opene
     widget, small_sample
 ):
     small_sample(viewer_of(widget))
-    widget.make_from_intensity()
-    curve, steps = widget._face.tissue.curve, widget._steps
+    widget.tissue_from_intensity()
+    curve, steps = widget._form.tissue.curve, widget._steps
+    others = steps_of(viewer_of(widget))
     before = curve.curve
     curve.editor.plot.select(1)
     curve.editor.stiffness.setValue(curve.editor.stiffness.value() * 3)
     edited = curve.curve
     steps.leave()
-    steps.steps.undo()
+    others.undo()
     assert curve.curve == edited != before
     steps.come()
     assert curve.curve == before
@@ -524,14 +524,14 @@ def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opene
 
 def test_a_curve_is_undone_with_its_layer(widget, small_sample):
     small_sample(viewer_of(widget))
-    widget.make_from_intensity()
-    curve = widget._face.tissue.curve
+    widget.tissue_from_intensity()
+    curve = widget._form.tissue.curve
     before, stiff = curve.curve, widget.tissue.data.copy()
     editor = curve.editor
     editor.plot.select(1)
     editor.stiffness.setValue(editor.stiffness.value() * 3)
     assert curve.curve != before
-    assert "changed the curve" in widget.footer.steps.undo.tooltip
+    assert "changed the curve" in widget._form.footer.steps.undo.tooltip
     widget.undo()
     assert curve.curve == before
     assert np.array_equal(widget.tissue.data, stiff)
@@ -539,20 +539,26 @@ def test_a_curve_is_undone_with_its_layer(widget, small_sample):
     assert curve.curve != before
 
 
-def test_what_is_looked_at_is_the_result_that_has_followed(
-    living, settle, qtbot, wait_for, at_rest
-):
-    from napari_hmrf.ui.look.look_dock import LookAtResult
-
+def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     widget, (_, _, boundary) = living
-    look = LookAtResult(viewer_of(widget))
-    qtbot.addWidget(look.native)
-    wait_for(lambda: look.idle)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
-    wait_for(lambda: look.idle and look.result is not None)
-    at_rest()
-    wait_for(lambda: look.idle)
-    shown = look._scene.shown.result
-    assert shown.solution.displacement is widget.solution.displacement
+    assert widget.result is by_name(widget, "MR arrows, elastic")
+    assert widget._view.shown.result.solution.displacement is widget.solution.displacement
     assert_newest(widget)
+
+
+def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling, settle):
+    _, widget = pulling
+    viewer = viewer_of(widget)
+    how = widget.status
+    widget.make_layers()
+    widget.start()
+    widget.tissue.scale = (2, 1)
+    settle(widget)
+    assert "'Tissue' lies elsewhere" in widget.status
+    widget.tissue.scale = (1, 1)
+    settle(widget)
+    assert widget.active
+    assert widget.status == how
+    assert viewer.layers.selection.active.name == "Arrows"

@@ -8,6 +8,7 @@ from conftest import quick
 from napari.components import ViewerModel
 from napari.layers import Image
 from person import by_name
+from screen import Screen
 from study_reader import read_ground
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
@@ -15,7 +16,8 @@ from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.messages import STILL
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
 def block_and_specks(size=24):
@@ -88,11 +90,11 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     person, widget = open_window(picture)
     person.viewer.add_layer(stiffness)
     widget.tissue = stiffness
-    widget.form.edge.value = False
-    widget.form.grab.native.click()
+    widget.hold_edge = False
+    Screen(widget).press("Pull")
     widget.drawing = Drawing((Arrow((10, 10), (0, 2), 3.0),))
     settle(widget)
-    field = widget._puller.display.seen.solution.displacement
+    field = widget.solution.displacement
     assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
     assert not field[22, 3].any()
     assert (
@@ -115,7 +117,7 @@ def test_what_cannot_be_pulled_is_said_of_the_layer():
 
 
 def painted(qtbot, wall=True, moves=True):
-    """*Deform tissue* with elastic tissue, specks, a wall and something that is pushed."""
+    """The dock with elastic tissue, specks, a wall and something that is pushed."""
     viewer = ViewerModel()
     picture, stiffness = stiffness_with_specks()
     viewer.add_image(picture, name="MR")
@@ -127,7 +129,7 @@ def painted(qtbot, wall=True, moves=True):
         labels[9:12, 12:15] = 2
     rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
     viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
-    widget = quick(DeformTissue(viewer))
+    widget = quick(SoftTissue(viewer))
     qtbot.addWidget(widget.native)
     return widget
 
@@ -138,28 +140,31 @@ def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
     outputs = run(widget)
     assert outputs is not None
     assert (
-        "2 pieces of tissue that too little holds stay where they are (9 pixels)." in widget.status
+        "2 pieces of tissue that too little holds stay where they are (9 pixels)." in widget.warning
     )
 
 
 def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
     widget = painted(qtbot, moves=False)
     run(widget)
-    assert "Tissue moved up to 0.0 px. Nothing that is painted moves" in widget.status
+    assert widget.status == STILL
+    assert widget.warning.startswith("Nothing that is painted moves")
     widget = painted(qtbot)
     moved = widget.rules[1]
     widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
     run(widget)
-    assert "0.0 px. Nothing moves: all that is to move has a confidence of 0" in widget.status
+    assert widget.status == STILL
+    assert "Nothing moves: all that is to move has a confidence of 0" in widget.warning
     widget.rules = (widget.rules[0], moved)
     widget.tissue.data[8:13, 11:16] = 0
     widget.tissue.refresh()
     run(widget)
-    assert "0.0 px. 9 boundary pixels outside tissue were ignored. Nothing mo" in widget.status
-    assert "is painted where there is no tissue (stiffness 0). Paint it on" in widget.status
+    assert widget.status == STILL
+    assert "9 boundary pixels outside tissue were ignored. Nothing moves" in widget.warning
+    assert "is painted where there is no tissue (stiffness 0). Paint it on" in widget.warning
     widget = painted(qtbot, wall=False)
     run(widget)
-    assert "Nothing holds the tissue" in widget.status
+    assert "Nothing holds the tissue" in widget.warning
     widget = painted(qtbot)
     run(widget)
-    assert "othing" not in widget.status.split("pieces")[0]
+    assert "othing" not in widget.warning.split("pieces")[0]

@@ -18,8 +18,7 @@ from napari_hmrf.study.ground import Ground, statement_of
 from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.ui.deform_dock import DeformTissue
-from napari_hmrf.ui.grab.grab_dock import GrabAndPull
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 SHAPE = (18, 22)
 SPACING = (0.5, 0.8)
@@ -156,7 +155,7 @@ def test_arrows_and_an_observed_field_are_one_problem():
 
 @pytest.fixture
 def tumour(qtbot):
-    """A viewer with painted tissue of which some is doubted, and both docks on it."""
+    """A viewer with painted tissue of which some is doubted, and the dock on it."""
     viewer = ViewerModel()
     tissue, boundary = np.ones(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
     tissue[6:10, 8:14] = 2
@@ -170,26 +169,31 @@ def tumour(qtbot):
     viewer.add_image(np.full(SHAPE, 7, np.uint8), name="MR", **PLACE)
     viewer.add_labels(tissue, name="Tissue", metadata=described(TISSUE, table, "kPa"), **PLACE)
     viewer.add_labels(boundary, name="Boundary", metadata=described(BOUNDARY, said), **PLACE)
-    docks = DeformTissue(viewer), GrabAndPull(viewer)
-    for dock in docks:
-        qtbot.addWidget(dock.native)
-    return docks
+    dock = SoftTissue(viewer)
+    dock.settings.device.value = "cpu"
+    qtbot.addWidget(dock.native)
+    return dock
 
 
-def test_both_docks_read_one_problem_of_the_same_layers(tumour):
-    deform, grab = tumour
-    deform.model.energy.value = "elastic"
-    grab.boundary = deform.boundary
-    grab.form.edge.value = False
-    assert grab.start()
-    painted, pulled = statement_of(deform.study), statement_of(grab.study)
-    same_problem(painted, pulled)
-    assert painted.prior.penalty < np.inf, "what is doubted may slip in both"
+def test_what_is_drawn_is_read_with_what_is_painted(tumour):
+    before = statement_of(tumour.study)
+    assert before.prior.penalty < np.inf, "what is doubted may slip"
+    assert tumour.start()
+    same_problem(before, statement_of(tumour.study))
+    tumour.drawing = Drawing((Arrow((9.0, 6.0), (0.0, 1.0), 1.5),))
+    drawn = statement_of(tumour.study)
+    assert drawn.prior.penalty < np.inf
+    at = drawn.problem.observed[9, 6], drawn.problem.confidence[9, 6]
+    assert np.all(at == np.array([(0.0, 1.0), (1.0, 1.0)]))
+    elsewhere = np.s_[13:]
+    np.testing.assert_array_equal(
+        before.problem.observed[elsewhere], drawn.problem.observed[elsewhere]
+    )
 
 
 @pytest.mark.parametrize("energy", ["elastic", "paper"])
 def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, energy):
-    deform, _ = tumour
+    deform = tumour
     deform.live = False
     deform.model.energy.value = energy
     with qtbot.waitSignal(deform.finished, timeout=240_000):
@@ -208,7 +212,7 @@ def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, ene
 
 
 def test_what_is_seen_while_tissue_is_pulled_is_the_field_of_python(tumour, qtbot):
-    _, grab = tumour
+    grab = tumour
     assert grab.start()
     seen = []
     grab.seen.connect(seen.append)

@@ -14,8 +14,9 @@ from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Arrow, Drawing, History, Landmark, Rendering, Stroke
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.drawing.pull import Grip, Pull
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
@@ -42,7 +43,7 @@ def drag(pull, *points, reach=1.0, grip=None, **options):
 def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, history):
     assert drag(pull, (10, 10), (11, 10), (14, 13)) == "drew an arrow"
     assert history.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
-    assert history.undo() == "drew an arrow"
+    assert history.edits.undo().word == "drew an arrow"
     assert not history.drawing.marks
 
 
@@ -64,9 +65,9 @@ def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(pull,
     assert history.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
     drag(pull, (10, 10), (11, 10))
     assert history.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head stays"
-    assert history.undo() == "moved an arrow"
-    assert history.undo() == "moved an arrow"
-    assert history.undo() == "drew an arrow"
+    assert history.edits.undo().word == "moved an arrow"
+    assert history.edits.undo().word == "moved an arrow"
+    assert history.edits.undo().word == "drew an arrow"
 
 
 def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, history):
@@ -94,7 +95,7 @@ def test_the_selected_arrow_is_changed_and_removed(pull, history):
     assert len(history.drawing.marks) == 1
     assert pull.selected is None
     assert not pull.remove()
-    history.undo()
+    history.edits.undo()
     assert pull.selected is None, "what comes back is not selected"
 
 

@@ -2,15 +2,16 @@
 
 from qtpy.QtCore import QSettings
 
-from napari_hmrf.solver.priors import SeilerPrior
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.solver.priors import ElasticPrior
 
 
 def another(qtbot, viewer=None):
     from napari.components import ViewerModel
 
-    from napari_hmrf.ui.deform_dock import DeformTissue
+    from napari_hmrf.ui.soft_tissue import SoftTissue
 
-    made = DeformTissue(ViewerModel() if viewer is None else viewer)
+    made = SoftTissue(ViewerModel() if viewer is None else viewer)
     qtbot.addWidget(made.native)
     return made
 
@@ -21,18 +22,23 @@ def test_the_device_is_remembered(qtbot):
 
 
 def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
+    def drawn(dock):
+        return dock.arrows, dock.grid, dock.outputs, dock.colours
+
     first = another(qtbot)
-    before = first.outputs
-    first.outputs = (*before, "grid", "folds")
-    assert another(qtbot).outputs == before == ("image", "arrows")
+    before = drawn(first)
+    first.grid, first.outputs = True, ("labels",)
+    first.colours = "magnitude"
+    assert drawn(another(qtbot)) == before == (True, False, ("image", "arrows"), "nothing")
 
 
-def test_what_is_computed_begins_with_the_paper_each_time(qtbot):
+def test_what_is_computed_begins_with_elastic_tissue_each_time(qtbot):
     first = another(qtbot)
-    first.model.energy.value = "elastic"
-    first.settings.accuracy.value = 1e-4
+    first.model.energy.value = "paper"
+    first.settings.sweeps.value = 7
     second = another(qtbot)
-    assert second.settings.prior == SeilerPrior()
+    assert (second.settings.prior, second.settings.optimizer) == (ElasticPrior(), Multigrid())
+    second.settings.back_to_the_paper()
     assert second.settings.is_the_papers
 
 
@@ -41,30 +47,19 @@ def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
     first.model.energy.value = "elastic"
     first.model.plane.value = "strain"
     first.settings.accuracy.value = 1e-4
-    first.outputs = ("image", "magnitude")
     again = another(qtbot, first._viewer)
     for each in ("prior", "optimizer", "backend"):
         assert getattr(again.settings, each) == getattr(first.settings, each)
     assert again.settings.optimizer.tolerance == 1e-4
-    assert again.outputs == first.outputs
     again.settings.back_to_the_paper()
     assert another(qtbot, first._viewer).settings.is_the_papers
 
 
 def test_how_many_arrows_are_drawn_is_remembered_but_not_that_they_are_longer_than_true(qtbot):
-    from napari.components import ViewerModel
-
-    from napari_hmrf.ui.look.look_dock import LookAtResult
-
-    first, second = None, None
-    for _ in range(2):
-        made = LookAtResult(ViewerModel())
-        qtbot.addWidget(made.native)
-        first, second = second, made
-        if first is None:
-            made._face.count.value, made._face.length.value, made._face.grid.value = 50, 2.5, True
-    assert (second._face.count.value, second._face.length.value) == (50, 1.0)
-    assert second._face.grid.value is False
+    first = another(qtbot)
+    first.arrow_count, first.arrow_length = 50, 2.5
+    second = another(qtbot)
+    assert (second.arrow_count, second.arrow_length) == (50, 1.0)
 
 
 def test_nonsense_in_the_file_is_left_alone(qtbot):

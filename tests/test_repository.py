@@ -229,7 +229,7 @@ def test_modules_are_one_sitting_s_reading():
     too_long = {
         part(module): lines
         for module in MODULES
-        if (lines := len(module.read_text(encoding="utf-8").splitlines())) > 400
+        if (lines := len(module.read_text(encoding="utf-8").splitlines())) > 500
     }
     assert too_long == {}
 
@@ -299,7 +299,7 @@ def test_the_readme_names_the_menus_as_napari_does():
     plugin, what = manifest["display_name"], manifest["contributions"]
     menus = " ".join(" ".join(re.findall(r"\*\*([^*]+ > [^*]+)\*\*", read("README.md"))).split())
     for widget in what["widgets"]:
-        assert f"Plugins > {plugin} > {widget['display_name']} ({plugin})" in menus
+        assert f"Plugins > {widget['display_name']} ({plugin})" in menus
     opened = re.findall(r"File > Open Sample > ([^>]+) > (.+?)(?= File| Plugins|$)", menus)
     assert opened
     for name, sample in opened:

@@ -16,7 +16,7 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.io import figures
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.material_tables import save_materials
-from napari_hmrf.ui.look.saving import save_canvas
+from napari_hmrf.ui.result.saving import save_canvas
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
 

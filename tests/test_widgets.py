@@ -1,8 +1,8 @@
-"""What the user does with *Deform tissue*, and what then happens."""
+"""What the user does with *Soft tissue*, and what then happens."""
 
 import numpy as np
 import pytest
-from conftest import quick
+from conftest import dock_in, quick
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Vectors
 from napari.utils.notifications import notification_manager
@@ -10,14 +10,14 @@ from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
-from screen import Cell, head
+from screen import Cell, Screen, head
 
-from napari_hmrf import ICM, SeilerPrior
+from napari_hmrf import ICM, ElasticPrior, HmrfError, Multigrid, SeilerPrior
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.ui.deform_dock import DeformTissue
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
 def names(viewer):
@@ -55,15 +55,16 @@ def popped_up():
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_opening_a_sample_leaves_one_button_to_press(docked, run, name):
+def test_opening_a_sample_leaves_one_button_to_press(docked, run, at_rest, name):
     viewer = viewer_of(docked)
     viewer.open_sample("napari-hmrf", name)
+    at_rest()
     assert docked.status == "Press Deform."
     assert [material.stiffness for material in docked.materials if material.label] != []
     docked.settings.sweeps.value = 1
     outputs = run(docked)
     assert outputs is not None
-    added = set(names(viewer)) - {"Tissue", "Boundary", "boundary preview"}
+    added = set(names(viewer)) - {"Tissue", "Boundary"}
     assert any(layer.endswith("arrows") for layer in added)
     assert any(layer.endswith("deformed") for layer in added)
     assert docked.status.startswith("Tissue moved up to ")
@@ -73,10 +74,10 @@ def test_opening_a_sample_leaves_one_button_to_press(docked, run, name):
 def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, small_sample):
     viewer = make_napari_viewer()
     image, tissue, boundary = small_sample(viewer)
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    widget = dock_in(viewer)
     assert (widget.image, widget.tissue, widget.boundary) == (image, tissue, boundary)
     assert widget.rules[1].vector == (0.0, 3.0)
-    assert widget.status == "Press Deform."
+    assert widget.status == widget.invitation
 
 
 def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_sample, run):
@@ -93,28 +94,36 @@ def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_samp
     assert picture[tissue_before.max() + 2] != 0 or picture[tissue_before.max() + 3] != 0
 
 
-def test_all_outputs_can_be_had(widget, small_sample, run):
+def see_all(widget, at_rest):
+    """Have all be drawn that can be seen of a result."""
+    widget.outputs = ("labels",)
+    widget.grid = True
+    widget.colours = "magnitude"
+    at_rest.until(lambda: not widget.busy)
+
+
+def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
-    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     run(widget)
-    assert [name for name in names(viewer_of(widget)) if "preview" not in name] == [
+    see_all(widget, at_rest)
+    assert [name for name in names(viewer_of(widget)) if name != "Arrows"] == [
         "MR",
         "MR deformed",
-        "MR magnitude (px)",
+        "MR displacement (px)",
         "Tissue deformed",
         "Tissue",
         "Boundary",
-        "MR grid",
         "MR arrows",
+        "MR grid",
     ]
-    with pytest.raises(ValueError, match="no outputs"):
-        widget.outputs = ("hologram",)
+    with pytest.raises(ValueError, match="no colours 'hologram'"):
+        widget.colours = "hologram"
 
 
-def test_running_again_updates_the_layers_in_place(widget, small_sample, run):
+def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
-    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     run(widget)
+    see_all(widget, at_rest)
     before = state(viewer_of(widget))
     arrows = by_name(widget, "MR arrows")
     arrows.edge_color = "red"
@@ -122,12 +131,13 @@ def test_running_again_updates_the_layers_in_place(widget, small_sample, run):
     longest = arrows.data[:, 1].max()
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
     run(widget)
+    at_rest.until(lambda: not widget.busy)
     after = state(viewer_of(widget))
     assert [identity for _, identity, _ in after] == [identity for _, identity, _ in before]
     assert arrows.data[:, 1].max() > 1.5 * longest
     assert arrows.name == "mine"
     np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
-    assert by_name(widget, "MR magnitude (px)").contrast_limits[1] > 4
+    assert by_name(widget, "MR displacement (px)").contrast_limits[1] > 4
 
 
 def test_a_deleted_result_is_made_again(widget, small_sample, run):
@@ -156,7 +166,7 @@ def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, 
     assert (deformed.visible, tissue.visible, boundary.visible) == (True, False, True)
     assert names(viewer).index("MR deformed") < names(viewer).index("Tissue")
     assert names(viewer)[-1] == "MR arrows"
-    widget._face.tissue.table.add()
+    widget._form.tissue.table.add()
     assert (deformed.visible, tissue.visible, tissue.mode) == (False, True, "paint")
     assert "hidden meanwhile" in widget.status
     run(widget)
@@ -204,7 +214,7 @@ def test_tables_stay_with_their_layer(widget, small_sample):
 
 def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._face.tissue.seen
+    table = widget._form.tissue.seen
     Cell(table, 1, 2).write("12,5")
     assert widget.materials[1].stiffness == 12.5
     for nonsense in ("stiff", "-3", "nan", "-inf", "1e400", "1e39", ""):
@@ -220,7 +230,7 @@ def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
 @pytest.mark.parametrize("typed", ["rigid", " Rigid", "inf"])
 def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_sample, typed):
     small_sample(viewer_of(widget))
-    table = widget._face.tissue.seen
+    table = widget._form.tissue.seen
 
     def shown():
         """Stiffness and Poisson's ratio, and whether the latter can be typed."""
@@ -240,7 +250,7 @@ def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_
 
 def test_boundary_cells_follow_the_action(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._face.boundary.seen
+    table = widget._form.motion.boundary.seen
     assert [Cell(table, 1, column).text() for column in (3, 4)] == ["0", "3"]
     action = Cell(table, 1, 2)
     action.choose("expands")
@@ -271,7 +281,7 @@ def highlighted(table):
 def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
-    tissues, boundaries = widget._face.tissue.seen, widget._face.boundary.seen
+    tissues, boundaries = widget._form.tissue.seen, widget._form.motion.boundary.seen
     for table, layer, row, label in [
         (tissues, tissue, 1, 1),
         (boundaries, boundary, 1, 2),
@@ -285,7 +295,7 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
         assert highlighted(table) == [row]
         assert highlighted(boundaries if table is tissues else tissues) == []
         assert f"'{layer.name}'" in widget.status
-    assert widget._face.boundary.table.add() == 3
+    assert widget._form.motion.boundary.table.add() == 3
     assert viewer.layers.selection.active is boundary
     assert boundary.selected_label == 3
 
@@ -293,7 +303,7 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
 def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, small_sample):
     viewer = viewer_of(widget)
     image, tissue, _ = small_sample(viewer)
-    table = widget._face.tissue.seen
+    table = widget._form.tissue.seen
     viewer.layers.selection.active = tissue
     tissue.selected_label = 0
     assert highlighted(table) == [0]
@@ -305,7 +315,7 @@ def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, smal
 
 def test_rows_wear_the_colour_of_their_label(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
-    label = Cell(widget._face.tissue.seen, 1, 0)
+    label = Cell(widget._form.tissue.seen, 1, 0)
     for selected in (False, True):
         shown = label.colour(selected)
         np.testing.assert_allclose(shown, tissue.get_color(1)[:3], atol=0.01)
@@ -315,12 +325,12 @@ def test_rows_wear_the_colour_of_their_label(widget, small_sample):
 def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sample, preset):
     small_sample(viewer_of(widget))
     widget.materials = (*widget.materials, Material(9, "odd", 1e6))
-    widget._face.tissue.table.apply_preset(preset)
+    widget._form.tissue.table.apply_preset(preset)
     by_label = {material.label: material for material in widget.materials}
     assert by_label[0].stiffness == 0  # void stays void
     assert by_label[1] == preset.materials[0]
     assert by_label[9].stiffness == preset.materials[0].stiffness  # units are never mixed
-    assert preset.unit in head(widget._face.tissue.seen, 2)
+    assert preset.unit in head(widget._form.tissue.seen, 2)
 
 
 def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
@@ -341,7 +351,7 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, 
     boundary.data[10:20, 20:25] = 2
     boundary.refresh()
     assert run(widget) is not None
-    assert "mm" in head(widget._face.boundary.seen, 3)
+    assert "mm" in head(widget._form.motion.boundary.seen, 3)
 
 
 @pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
@@ -373,32 +383,19 @@ def test_paint_on_another_image_is_not_taken_for_paint_on_this_one(widget, small
 
 
 def test_without_an_image_there_is_nothing_to_paint_on(widget, run):
-    assert not widget._face.make.enabled
-    widget.make_layers()
-    assert widget.status.startswith("Open an image first (File > Open), or a sample")
+    assert not widget._form.make.enabled
+    with pytest.raises(HmrfError, match=r"^Open an image first \(File > Open\), or a sample"):
+        widget.make_layers()
     assert run(widget) is None
     assert widget.status.startswith("Open an image first (File > Open), or a sample")
     assert names(viewer_of(widget)) == []
-
-
-def test_the_preview_follows_the_table(widget, small_sample, wait_for):
-    viewer = viewer_of(widget)
-    small_sample(viewer)
-    wait_for(lambda: "boundary preview" in names(viewer))
-    preview = viewer.layers["boundary preview"]
-    np.testing.assert_array_equal(preview.data[0, 1], (0, 3))
-    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(2.0, 0.0)))
-    wait_for(lambda: bool((preview.data[:, 1] == (2, 0)).all()))
-    widget.rules = (widget.rules[0], BoundaryRule(2, "fixed"))
-    wait_for(lambda: not preview.data[:, 1].any())
-    widget._face.boundary.preview.value = False
-    wait_for(lambda: "boundary preview" not in names(viewer))
 
 
 def test_a_boundary_that_cannot_be_drawn_is_explained_while_painting(
     widget, small_sample, wait_for
 ):
     small_sample(viewer_of(widget))
+    widget.live = True
     widget.rules = (widget.rules[0], BoundaryRule(2, "expand", amount=1.0))
     wait_for(lambda: "open line" in widget.status)
 
@@ -453,9 +450,12 @@ def test_settings_become_prior_and_optimizer(widget):
     assert "Stiff-soft borders lock" in settings.sentence.value
 
 
-def test_untouched_settings_are_the_papers(qtbot):
-    widget = DeformTissue(ViewerModel())
+def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_click_away(qtbot):
+    widget = SoftTissue(ViewerModel())
     qtbot.addWidget(widget.native)
+    assert widget.settings.prior == ElasticPrior()
+    assert widget.settings.optimizer == Multigrid()
+    Screen(widget).press("Back to the paper's")
     assert widget.settings.prior == SeilerPrior()
     assert widget.settings.optimizer == ICM()
     assert widget.settings.backend == "auto"
@@ -464,7 +464,7 @@ def test_untouched_settings_are_the_papers(qtbot):
 # Place
 
 
-def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample, run):
+def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample, run, at_rest):
     place = {
         "scale": (0.5, 2.0),
         "translate": (3.0, 4.0),
@@ -473,8 +473,8 @@ def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample
         "axis_labels": ("row", "col"),
     }
     image, _, _ = small_sample(viewer_of(widget), **place)
-    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     outputs = run(widget)
+    see_all(widget, at_rest)
     assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
     farthest = widget.status.removesuffix(".")
     assert farthest.endswith(" mm"), "there is no one length of a pixel"
@@ -531,11 +531,11 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
     widget.settings.sweeps.value = 60
     outputs = run(widget)
-    assert "5 boundary pixels outside tissue were ignored." in widget.status
+    assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
-    assert f"at {outputs.folds} pixels, worst at row {outputs.worst[0]}" in widget.status
+    assert f"at {outputs.folds} pixels, worst at row {outputs.worst[0]}" in widget.warning
     # And they can be seen, without solving again.
-    widget.outputs = ("image", "arrows", "folds")
+    Screen(widget).press(f"⚠  Folds at {outputs.folds} pixels")
     wait_for(lambda: "MR folds" in names(viewer_of(widget)))
     assert by_name(widget, "MR folds").data.sum() == outputs.folds
 
@@ -566,43 +566,13 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
     run(widget)
     before = widget.solution
-    widget.outputs = ("image", "arrows", "grid")
-    wait_for(lambda: "MR grid" in names(viewer))  # drawn at once, from the same solution
+    widget.outputs = ("labels",)
+    wait_for(lambda: "Tissue deformed" in names(viewer))  # drawn at once, from the same solution
     assert widget.solution.provenance == before.provenance
     while viewer.layers:
         viewer.layers.pop()
-    wait_for(lambda: widget.status.startswith("Open an image first"))
+    wait_for(lambda: "open another image" in widget.status)
     assert widget.solution is None
-
-
-def test_air_around_the_image_can_be_made_no_tissue(widget):
-    viewer = viewer_of(widget)
-    head = np.zeros((30, 40))
-    head[5:25, 8:32] = 1
-    head[12:15, 15:20] = 0  # dark, but inside
-    viewer.add_image(head, name="head")
-    widget.make_layers()
-    widget.tissue.data[:3, :3] = 2  # what is painted already stays
-    widget.mark_background()
-    air = (head == 0) & (widget.tissue.data != 2)
-    air[12:15, 15:20] = False
-    (background,) = [row for row in widget.materials if row.stiffness == 0]
-    np.testing.assert_array_equal(widget.tissue.data == background.label, air)
-    widget.tissue.undo()
-    assert not (widget.tissue.data == background.label).any()
-
-
-def test_air_is_marked_on_a_hidden_layer_too_and_is_then_seen(widget):
-    viewer = viewer_of(widget)
-    head = np.zeros((30, 40))
-    head[5:25, 8:32] = 1
-    viewer.add_image(head, name="head")
-    widget.make_layers()
-    widget.tissue.visible = False
-    viewer.dims.ndisplay = 3
-    widget.mark_background()
-    np.testing.assert_array_equal(widget.tissue.data > 0, head == 0)
-    assert widget.tissue.visible
 
 
 def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
@@ -614,18 +584,45 @@ def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
 # Errors
 
 
+def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.layers.remove("Boundary")
+    widget.hold_edge = False
+    assert run(widget) is None
+    assert widget.status.startswith("Nothing is held or moved yet")
+    widget.hold_edge = True
+    assert not run(widget).solution.displacement.any()
+    assert widget.status.startswith("Nothing moves yet")
+
+
+def test_the_edge_is_let_go_for_a_boundary_that_comes_painted_and_held_for_the_next(
+    widget, small_sample
+):
+    viewer = viewer_of(widget)
+    viewer.add_image(np.ones((20, 24)), name="T1")
+    assert widget.hold_edge
+    small_sample(viewer)
+    assert not widget.hold_edge
+    viewer.layers.remove("Boundary")
+    assert widget.hold_edge
+    widget.make_layers()
+    assert widget.hold_edge
+    widget.hold_edge = False
+    widget.boundary = None
+    assert not widget.hold_edge, "somebody said so"
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda v: v.layers.remove("Tissue"), "No tissue layer is chosen"),
-        (lambda v: v.layers.remove("Boundary"), "No boundary layer is chosen"),
         (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
         (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
         (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
         (lambda v: setattr(v.layers["Tissue"], "data", np.ones((7, 7), int)), "7 x 7"),
         (lambda v: setattr(v.layers["MR"], "data", np.zeros((9, 9))), "9 x 9"),
     ],
-    ids=["no tissue", "no boundary", "unpainted", "all void", "elsewhere", "size", "image size"],
+    ids=["unpainted", "all void", "elsewhere", "size", "image size"],
 )
 def test_bad_input_is_one_error_and_changes_nothing(
     widget, small_sample, run, spoil, said, popped_up
@@ -652,11 +649,11 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     def fail(*_, **__):
         raise MemoryError("no room")
 
-    monkeypatch.setattr("napari_hmrf.ui.job.run_here", fail)
+    monkeypatch.setattr("napari_hmrf.study.engine.run_here", fail)
     assert run(docked) is None
     assert "MemoryError: no room" in docked.status
     assert [each.severity for each in popped_up] == ["error"], "it stays"
-    assert [entry for entry in state(viewer) if entry[0] != "boundary preview"] == before
+    assert state(viewer) == before
 
 
 def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_for):
@@ -665,20 +662,20 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
 
     def places():
         QApplication.processEvents()
-        button, bar = docked._face.footer.deform.native, docked._face.footer._bar
+        button, bar = docked._form.footer.deform.native, docked._form.footer._bar
         return [button.mapTo(docked.native, button.rect().topLeft()), button.size(), bar.height()]
 
     before = places()
     docked.deform()
     assert not docked.idle
-    assert docked._face.footer._bar.maximum() == 0  # nobody knows how long preparing takes
+    assert docked._form.footer._bar.maximum() == 0  # nobody knows how long preparing takes
     assert places() == before
     busy_thread.set()
     wait_for(lambda: docked.idle)
     assert places() == before
     docked.say("word " * 300)
     assert places() == before
-    assert not docked._face.energy.isExpanded()
+    assert not docked._form.energy.isExpanded()
 
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
@@ -713,7 +710,7 @@ def test_one_sweep_is_told_as_one():
 def test_the_energy_is_drawn_in_the_colours_of_the_theme(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)
-    plot = widget._face.energy
+    plot = widget._form.energy
     plot.expand(animate=False)
     run(widget)
     colours = []
@@ -745,17 +742,16 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
-    wait_for(lambda: "boundary preview" in names(viewer))
     before = state(viewer)
     widget.deform()
     assert not widget.idle
-    assert not widget._face.footer.deform.enabled
-    assert widget._face.footer.cancel.enabled
+    assert not widget._form.footer.deform.enabled
+    assert widget._form.footer.cancel.enabled
     widget.cancel()
     assert not busy_thread.is_set()
     assert widget.idle
-    assert widget._face.footer.deform.enabled
-    assert not widget._face.footer.cancel.enabled
+    assert widget._form.footer.deform.enabled
+    assert not widget._form.footer.cancel.enabled
     assert "Cancelled" in widget.status
     busy_thread.set()
     at_rest()
@@ -816,12 +812,13 @@ def test_a_layer_removed_while_napari_draws_the_progress_ends_the_work(
     viewer = viewer_of(widget)
     image, _, _ = small_sample(viewer)
     viewer.add_image(np.zeros((20, 24)), name="another")
+    widget.image = image
 
     def remove(_):
         if "Boundary" in viewer.layers:
             viewer.layers.remove("Boundary")
 
-    monkeypatch.setattr(widget._face.footer, "progress", remove)
+    monkeypatch.setattr(widget._form.footer, "progress", remove)
     widget.deform()
     wait_for(lambda: widget.idle)
     assert widget.status == "Cancelled: 'Boundary' was removed."
@@ -832,7 +829,7 @@ def test_closing_the_viewer_while_working_is_quick_and_quiet(
     make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    widget = dock_in(viewer)
     quick(widget)
     small_sample(viewer)
     widget.deform()
@@ -848,7 +845,7 @@ def test_closing_the_dock_while_working_leaves_the_viewer_alone(
     make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
-    dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
     quick(widget)
     small_sample(viewer)
     widget.deform()
@@ -866,7 +863,7 @@ def test_two_widgets_queue_and_both_finish(make_napari_viewer, small_sample, wai
     viewers = [make_napari_viewer(), make_napari_viewer()]
     widgets = []
     for viewer in viewers:
-        _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+        widget = dock_in(viewer)
         small_sample(viewer)
         widgets.append(quick(widget))
     for widget in widgets:
@@ -876,10 +873,10 @@ def test_two_widgets_queue_and_both_finish(make_napari_viewer, small_sample, wai
         assert "MR arrows" in names(viewer)
 
 
-def test_the_kinds_of_result_layers(widget, small_sample, run):
+def test_the_kinds_of_result_layers(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
-    widget.outputs = ("image", "arrows", "grid", "magnitude", "labels")
     run(widget)
+    see_all(widget, at_rest)
     kinds = [type(layer) for layer in results_of(widget)]
     assert kinds == [Image, Image, Labels, Vectors, Vectors]
 
@@ -889,7 +886,7 @@ def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_r
     small_sample(viewer)
     points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
     points.selected_data = {0, 1}
-    table = widget._face.tissue.seen
+    table = widget._form.tissue.seen
     table.selectRow(0)
     QTest.keyClick(table, Qt.Key.Key_Delete)
     at_rest()

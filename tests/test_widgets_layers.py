@@ -4,9 +4,9 @@ import dask.array as da
 import numpy as np
 import pytest
 from napari.layers import Labels
-from study_reader import read_layers
 
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.label_sync import labels_in
 
@@ -43,10 +43,10 @@ def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, smal
     widget.native.setVisible(shown)
     widget.boundary = viewer.add_vectors(np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float))
     widget.confidence = viewer.add_image(np.full((20, 24), 0.5), name="sure")
-    c = read_layers(widget.request()).problem.confidence
+    c = statement_of(widget.study).problem.confidence
     assert set(np.unique(c)) == {0.0, 0.5}
     widget.boundary = viewer.layers["Boundary"]
-    assert widget.request().confidence is None
+    assert statement_of(widget.study).problem.confidence.max() == 1, "of paint it says nothing"
 
 
 # Which image
@@ -56,7 +56,6 @@ def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.image = None
-    widget.outputs = ("magnitude", "arrows")
     for _ in range(2):
         assert run(widget) is not None
         assert widget.image is None
@@ -67,16 +66,20 @@ def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
 def test_no_image_chosen_in_the_menu_is_a_choice_too(widget, small_sample):
     viewer = viewer_of(widget)
     small_sample(viewer)
-    widget._face.image.value = None
+    widget._form.image.value = None
     viewer.add_image(np.zeros((20, 24)), name="another")
     assert widget.image is None
 
 
-def test_the_first_image_that_comes_is_chosen(widget):
+def test_the_image_in_front_is_chosen_until_somebody_chooses(widget):
     viewer = viewer_of(widget)
     viewer.add_labels(np.ones((20, 24), int))
     first = viewer.add_image(np.zeros((20, 24)), name="first")
-    viewer.add_image(np.zeros((20, 24)), name="second")
+    assert widget.image is first
+    second = viewer.add_image(np.zeros((20, 24)), name="second")
+    assert widget.image is second
+    widget.image = first
+    viewer.add_image(np.zeros((20, 24)), name="third")
     assert widget.image is first
 
 
@@ -88,7 +91,7 @@ def test_in_place_of_an_image_that_is_gone_comes_the_next(widget):
     assert widget.image is None
     second = viewer.add_image(np.zeros((20, 24)), name="second")
     third = viewer.add_image(np.zeros((20, 24)), name="third")
-    assert widget.image is second
+    widget.image = second
     viewer.layers.remove(second)
     assert widget.image is third
 
@@ -101,13 +104,11 @@ def test_a_result_of_before_is_not_taken_for_an_image(widget):
     assert widget.image is mine
 
 
-# Preview
+# Units
 
 
 @pytest.mark.parametrize("unit", ["mm", "um"])
-def test_the_preview_is_as_long_as_the_motion_whatever_the_units(
-    widget, small_sample, run, wait_for, unit
-):
+def test_the_motion_is_as_long_as_the_table_says_whatever_the_units(widget, small_sample, unit):
     """3 mm of motion on pixels of 0.5 x 2 mm, whichever unit the boundary layer counts in."""
     viewer = viewer_of(widget)
     small_sample(viewer, scale=(0.5, 2.0), units=("mm", "mm"))
@@ -115,11 +116,7 @@ def test_the_preview_is_as_long_as_the_motion_whatever_the_units(
     viewer.layers["Boundary"].scale = (0.5 * factor, 2.0 * factor)
     viewer.layers["Boundary"].units = (unit, unit)
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 3.0)))
-    wait_for(lambda: "boundary preview" in viewer.layers)
-    preview = viewer.layers["boundary preview"]
-    wait_for(lambda: bool((preview.data[:, 1, 0] != 0).all()))
-    np.testing.assert_allclose(preview.data[:, 1], [(2, 1.5)] * len(preview.data))
-    problem = read_layers(widget.request()).problem
+    problem = statement_of(widget.study).problem
     np.testing.assert_allclose(problem.observed[10, -3] / problem.spacing, (2, 1.5))
 
 
@@ -140,20 +137,25 @@ def test_a_layer_that_breaks_while_painting_is_named_and_nothing_is_raised(
     widget, small_sample, wait_for
 ):
     data = broken_labels(widget, small_sample)
+    widget.live = True
     data.broken = True
+    widget.touch()
     assert len(labels_in(widget.boundary, None)) == 0
-    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 0.0)))
+    widget.boundary.events.data()
     wait_for(lambda: "could not be read: block 7 is corrupt. Check" in widget.status)
     assert "'lazy'" in widget.status
 
 
-def test_a_preview_that_fails_for_any_reason_is_told(widget, small_sample, wait_for, monkeypatch):
+def test_a_field_that_cannot_be_found_for_any_reason_is_told(
+    widget, small_sample, wait_for, monkeypatch
+):
     small_sample(viewer_of(widget))
+    widget.live = True
 
     def fail(*_, **__):
         raise ZeroDivisionError("no such arrow")
 
-    monkeypatch.setattr("napari_hmrf.ui.preview.preview_arrows", fail)
+    monkeypatch.setattr("napari_hmrf.study.ground.boundary_images", fail)
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 0.0)))
     wait_for(lambda: "no such arrow" in widget.status)
 
@@ -170,25 +172,27 @@ def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
     wait_for(lambda: bool(said))
     assert said[0] is not None
     widget.boundary.events.data()
-    wait_for(lambda: "Changed since the last result" in widget.status)
+    wait_for(lambda: "'lazy' could not be read" in widget.status)
+    assert widget.status.endswith("The last result stays.")
+    assert widget.solution is said[0].solution
 
 
-def test_whatever_goes_wrong_in_looking_again_means_changed(
-    widget, small_sample, busy_thread, wait_for, monkeypatch
+def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
+    widget, small_sample, run, wait_for, monkeypatch
 ):
     small_sample(viewer_of(widget))
-    said = []
-    widget.finished.connect(said.append)
-    widget.deform()
+    outputs = run(widget)
 
     def fail(*_, **__):
-        raise ZeroDivisionError
+        raise ZeroDivisionError("no such slice")
 
-    monkeypatch.setattr(type(widget), "request", fail)
-    busy_thread.set()
-    wait_for(lambda: bool(said))
-    assert said[0] is not None
-    assert "Changed since the last result" in widget.status
+    with monkeypatch.context() as broken:
+        broken.setattr("napari_hmrf.ui.live_study.read_study", fail)
+        widget.touch()
+        wait_for(lambda: "no such slice The last result stays." in widget.status)
+    assert widget.solution is outputs.solution
+    widget.touch()
+    wait_for(lambda: widget.status.startswith("Tissue moved up to"))
 
 
 def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, run):
@@ -213,10 +217,10 @@ def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
     assert (
         outputs.overlaps == 16 * 4
     )  # its sites from column 13 come to columns 6.5 and on; up to column 10
-    assert "at 64 pixels one part of the tissue has moved onto another" in widget.status
+    assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -1.0)))
     assert run(widget).overlaps == 0
-    assert "onto another" not in widget.status
+    assert "onto another" not in widget.warning
 
 
 def test_results_of_an_image_go_with_it_and_the_next_has_its_own(

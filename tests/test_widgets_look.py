@@ -1,4 +1,4 @@
-"""What the user sees of a result with *Look at the result*."""
+"""What the user sees of a result."""
 
 from functools import partial
 from itertools import count
@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import quick
+from conftest import dock_in, quick
 from napari.layers import Image, Labels, Vectors
 from person import SHIFT, Person
 from qtpy.QtCore import Qt
@@ -26,9 +26,8 @@ from napari_hmrf.layers.strain_layers import quantity_layer
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.look.look_dock import LookAtResult
-from napari_hmrf.ui.look.look_messages import at_point, how_far, stiffness_of
-from napari_hmrf.ui.look.saving import save_canvas
+from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
+from napari_hmrf.ui.result.saving import save_canvas
 
 
 def names(viewer):
@@ -41,21 +40,19 @@ def viewer_of(widget):
 
 @pytest.fixture
 def deformed(widget, small_sample, run):
-    """*Deform tissue* with a result: a block of gel, held left, pushed 3 px right at the right."""
+    """The dock with a result: a block of gel, held left, pushed 3 px right at the right."""
     small_sample(viewer_of(widget))
     widget.settings.sweeps.value = 60
-    widget.outputs = ("image", "arrows", "labels")
+    widget.outputs = ("labels",)
     run(widget)
     return widget
 
 
 @pytest.fixture
-def look(deformed, qtbot, wait_for):
-    """*Look at the result*, beside it."""
-    found = LookAtResult(viewer_of(deformed))
-    qtbot.addWidget(found.native)
-    wait_for(lambda: found.idle)
-    return found
+def look(deformed, wait_for):
+    """The same, when all of the result is drawn."""
+    wait_for(lambda: not deformed.busy)
+    return deformed
 
 
 @pytest.fixture
@@ -65,7 +62,7 @@ def set_to(wait_for):
     def set_and_wait(look, **choices):
         for name, choice in choices.items():
             setattr(look, name, choice)
-        wait_for(lambda: look.idle)
+        wait_for(lambda: not look.busy)
 
     return set_and_wait
 
@@ -83,37 +80,36 @@ def test_the_newest_result_is_looked_at_and_the_image_it_came_from(look):
     assert look.result is viewer.layers["MR arrows"]
     assert look.image is viewer.layers["MR"]
     assert look.percent == 100
-    assert "100 %: tissue moved up to 3 px" in look._face.how_far.value
+    assert "100 %: tissue moved up to 3 px" in look._form.result.how_far.value
 
 
 def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
-    widget, small_sample, run, qtbot, wait_for
+    widget, small_sample, run, wait_for
 ):
     small_sample(viewer_of(widget))
-    look = LookAtResult(viewer_of(widget))
-    qtbot.addWidget(look.native)
+    look = widget
     assert look.result is None
-    assert look.status.startswith("There is no result to look at yet. Press Deform")
-    assert not look._face.slider.enabled
+    assert not look._form.result.slider.enabled
     look.play()
+    assert look.status.startswith("There is no result to look at yet: drag tissue, or press Deform")
     look.percent = 30
     look.colours = "jacobian"
     assert not look.playing
     run(widget)
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
     assert look.result is viewer_of(widget).layers["MR arrows"]
-    assert look._face.slider.enabled
-    assert look.status == ""
+    assert look._form.result.slider.enabled
+    assert look.status.startswith("Tissue moved up to 3")
+    assert look.colours == "jacobian", "what was asked for before there was a result is kept"
+    assert "MR Jacobian (area ratio)" in names(viewer_of(widget))
 
 
-def test_a_renamed_image_is_found_by_its_place(deformed, qtbot, wait_for):
-    viewer = viewer_of(deformed)
+def test_a_renamed_image_is_the_one_that_moves(look, set_to):
+    viewer = viewer_of(look)
     viewer.layers["MR"].name = "T1"
     viewer.add_image(np.zeros((7, 7)), name="small")
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
-    assert look.image is viewer.layers["T1"]
-    assert viewer.layers["small"] not in look._face.image.offered
+    set_to(look, percent=0)
+    np.testing.assert_array_equal(viewer.layers["MR deformed"].data, viewer.layers["T1"].data)
 
 
 # The slider
@@ -128,7 +124,7 @@ def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(loo
     expected = warp(image.data, solution.displacement / 2, tissue=solution.tissue)
     np.testing.assert_array_equal(moved.data, expected)
     assert known_of(moved)["percent"] == 50
-    assert "50 %: tissue moved up to 1.5 px" in look._face.how_far.value
+    assert "50 %: tissue moved up to 1.5 px" in look._form.result.how_far.value
     set_to(look, percent=0)
     np.testing.assert_array_equal(moved.data, image.data)
     set_to(look, percent=100)
@@ -157,19 +153,19 @@ def test_labels_and_grid_move_along(look, set_to):
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
     # A clock that goes on by a tenth of the way whenever it is looked at, however slow the machine.
     clock = SimpleNamespace(monotonic=partial(next, count(0.0, 0.1)))
-    monkeypatch.setattr("napari_hmrf.ui.look.player.time", clock)
-    monkeypatch.setattr("napari_hmrf.ui.look.player.SECONDS", 1.0)
+    monkeypatch.setattr("napari_hmrf.ui.result.player.time", clock)
+    monkeypatch.setattr("napari_hmrf.ui.result.player.SECONDS", 1.0)
     seen = []
-    look._scene.player.moved.connect(seen.append)
-    look._face.play.native.click()
+    look._view.player.moved.connect(seen.append)
+    look._form.result.play.native.click()
     assert look.playing
-    assert look._face.play.text == "Pause"
+    assert look._form.result.play.text == "Pause"
     wait_for(lambda: len(seen) > 8 and min(seen) < 30 and max(seen[seen.index(min(seen)) :]) > 60)
     assert np.abs(np.diff([100, *seen])).max() <= 12, "it turns round at either end"
-    look._face.play.native.click()
+    look._form.result.play.native.click()
     assert not look.playing
-    assert look._face.play.text == "Play"
-    wait_for(lambda: look.idle)
+    assert look._form.result.play.text == "Play"
+    wait_for(lambda: not look.busy)
     assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == look.percent == seen[-1]
 
 
@@ -177,17 +173,15 @@ def test_the_slider_in_the_hand_stops_playing(look, wait_for):
     look.play()
     wait_for(lambda: look.percent < 100)
     look.percent = 70
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
     assert not look.playing
     assert look.percent == 70
 
 
-def test_an_image_that_was_not_moved_yet_is_moved_now(deformed, qtbot, set_to, wait_for):
-    viewer = viewer_of(deformed)
+def test_an_image_that_was_not_moved_yet_is_moved_now(look, set_to):
+    viewer = viewer_of(look)
     whole = viewer.layers["MR deformed"].data.copy()
     viewer.layers.remove("MR deformed")
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
     set_to(look, percent=99)
     assert "MR deformed" in names(viewer)
     set_to(look, percent=100)
@@ -200,25 +194,24 @@ def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_
         look.percent = percent  # which would never end if it waited for the thread
         QApplication.processEvents()
     assert viewer_of(look).layers["MR deformed"].data is before
-    assert not look.idle
+    assert look.busy
     busy_thread.set()
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
     assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == 40
 
 
 def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
-    look, deformed, run, set_to, wait_for
+    look, run, set_to, wait_for
 ):
     set_to(look, percent=50, colours="magnitude", arrow_count=40)
-    few = len(look.result.data)
-    deformed.rules = (deformed.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
-    outputs = run(deformed)
-    wait_for(lambda: look.idle and look.percent == 100)
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    outputs = run(look)
+    wait_for(lambda: not look.busy and look.percent == 100)
     moved = viewer_of(look).layers["MR deformed"]
     np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
-    assert "up to 1 px" in look._face.how_far.value
+    assert "up to 1 px" in look._form.result.how_far.value
     assert viewer_of(look).layers["MR displacement (px)"].contrast_limits == [0, 1]
-    assert len(look.result.data) == few
+    assert len(look.result.data) <= 40, "as few as before"
     set_to(look, percent=99)
     set_to(look, percent=100)
     np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
@@ -231,7 +224,7 @@ def test_before_is_seen_as_long_as_the_button_is_held(look, qtbot):
     viewer = viewer_of(look)
     image, moved, arrows = (viewer.layers[name] for name in ("MR", "MR deformed", "MR arrows"))
     viewer.layers["Tissue deformed"].visible = False
-    button = look._face.before.native
+    button = look._form.result.before.native
     qtbot.mousePress(button, Qt.MouseButton.LeftButton)
     assert look.before
     assert image.visible
@@ -246,7 +239,7 @@ def test_before_is_seen_as_long_as_the_button_is_held(look, qtbot):
 
 def test_the_grid_is_still_ticked_after_a_look_at_before(look, set_to):
     set_to(look, grid=True)
-    layer = look._scene.shown.layer("grid")
+    layer = look._view.shown.layer("grid")
     look.before = True
     assert not layer.visible
     assert look.grid
@@ -275,13 +268,13 @@ def test_before_is_on_a_key_as_well(look):
 
 
 def test_how_many_arrows_can_be_typed(look, wait_for):
-    box = look._face.count.native
+    box = look._form.result.count.native
     for typed, about in (("50", 50), ("250", 250), ("2000", 2000), ("5", 10)):
         box.selectAll()
         QTest.keyClicks(box.lineEdit(), typed)
         QTest.keyClick(box.lineEdit(), Qt.Key.Key_Return)
         assert look.arrow_count == about
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
 
 
 def test_arrows_can_be_fewer_and_longer(look, set_to):
@@ -338,7 +331,7 @@ def test_arrows_end_where_the_tissue_is_seen(look, set_to):
     assert arrows.length == 2
     np.testing.assert_array_equal(arrows.data, stored)
     set_to(look, percent=50)
-    look._scene.rest()
+    look._view.rest()
     assert arrows.length == 2
 
 
@@ -364,16 +357,15 @@ def column_of_edge_of_colours(layer):
     return int(np.flatnonzero(np.isfinite(layer.data[10])).max())
 
 
-def test_folds_are_told_and_marked(widget, small_sample, run, qtbot, set_to, wait_for):
+def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     small_sample(viewer_of(widget))
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
     widget.settings.sweeps.value = 60
     outputs = run(widget)
-    look = LookAtResult(viewer_of(widget))
-    qtbot.addWidget(look.native)
-    set_to(look, colours="jacobian", percent=0)
-    assert f"At {outputs.folds} pixels the tissue folds over itself" in look.status
-    layer = viewer_of(look).layers["MR Jacobian (area ratio)"]
+    set_to(widget, colours="jacobian", percent=0)
+    assert f"at {outputs.folds} pixels" in widget.warning
+    assert "(it folds)" in widget.warning
+    layer = viewer_of(widget).layers["MR Jacobian (area ratio)"]
     assert (layer.data <= 0).sum() == outputs.folds
     assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
     np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
@@ -433,7 +425,7 @@ def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, se
 
 def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
     def said():
-        return look._scene.cursor.at((10, 12))[1]
+        return look._view.cursor.at((10, 12))[1]
 
     set_to(look, colours="columns")
     solution = known_of(look.result)["solution"]
@@ -449,7 +441,7 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
 
 def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
     def said():
-        return look._scene.cursor.at((10, 20))[1]
+        return look._view.cursor.at((10, 20))[1]
 
     assert said().startswith("moves")
     set_to(look, percent=30)
@@ -458,17 +450,16 @@ def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
 
 def test_reading_under_the_cursor_waits_for_nothing(look, busy_thread):
     look.percent = 50
-    assert look._scene.cursor.at((10.0, 12.0))[1].startswith("at 100 %: moves")
-    assert not look.idle
+    assert look._view.cursor.at((10.0, 12.0))[1].startswith("at 100 %: moves")
+    assert look.busy
 
 
 # Stacks, files, colours
 
 
-def test_a_slice_of_a_stack_moves_in_its_place(make_stack, qtbot, set_to, wait_for):
-    viewer, outputs = make_stack
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
+def test_a_slice_of_a_stack_moves_in_its_place(make_stack, set_to):
+    look, outputs = make_stack
+    viewer = viewer_of(look)
     set_to(look, percent=50, colours="jacobian", grid=True)
     assert "MR Jacobian (area ratio) (z = 2)" in names(viewer)
     moved = viewer.layers["MR deformed (z = 2)"]
@@ -481,17 +472,16 @@ def test_a_slice_of_a_stack_moves_in_its_place(make_stack, qtbot, set_to, wait_f
         tissue=solution.tissue,
     )
     np.testing.assert_array_equal(moved.data[0], expected)
-    assert look._face.how_far.value.endswith("mm")
+    assert look._form.result.how_far.value.endswith("mm")
     assert look.at((6, 20, 2.5)) is not None
     assert look.at((3, 20, 2.5)) is None, "that is another slice"
 
 
-def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack, qtbot, wait_for):
-    viewer, _ = make_stack
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
-    wait_for(lambda: look.idle)
-    line = look._face.how_far
+def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack, wait_for):
+    look, _ = make_stack
+    viewer = viewer_of(look)
+    wait_for(lambda: not look.busy)
+    line = look._form.result.how_far
     assert line.value.endswith("mm")
     viewer.dims.set_current_step(0, 1)
     assert line.value.endswith("mm. Of slice z = 2; you look at z = 1.")
@@ -502,17 +492,27 @@ def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack,
     assert line.value.endswith("mm")
 
 
+def test_the_result_of_a_slice_may_go_at_any_time(make_stack, wait_for):
+    look, _ = make_stack
+    viewer = viewer_of(look)
+    wait_for(lambda: not look.busy)
+    viewer.layers.remove("MR arrows (z = 2)")
+    wait_for(lambda: not look.busy)
+    assert look.result is None
+    assert look._form.result.how_far.value == ""
+
+
 @pytest.fixture
 def make_stack(widget, small_sample, run):
     viewer = viewer_of(widget)
     place = {"scale": (3.0, 2.0, 0.5), "units": ("mm",) * 3, "axis_labels": ("z", "y", "x")}
     small_sample(viewer, (4, 20, 24), **place)
     viewer.dims.set_current_step(0, 2)
-    return viewer, run(widget)
+    return widget, run(widget)
 
 
 def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
-    widget, tmp_path, qtbot, set_to, wait_for
+    widget, tmp_path, set_to, wait_for
 ):
     y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
     c[:, 0] = c[:, -1] = 1
@@ -525,30 +525,26 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     ((data, attributes, _),) = open_solution(path)(path)
     viewer = viewer_of(widget)
     viewer.add_vectors(data, **attributes)
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
-    wait_for(lambda: look.idle)
+    look = widget
+    wait_for(lambda: not look.busy)
     look.percent = 50
     assert look.status.startswith("There is no image on the pixels of this result")
     set_to(look, colours="magnitude")
     assert "displacement (px)" in names(viewer)
     set_to(look, percent=40)
     viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
-    look.image = viewer.layers["late"]
     set_to(look, percent=50)
     assert known_of(viewer.layers["late deformed"])["percent"] == 50
 
 
-def test_a_photograph_moves_in_colour(widget, small_sample, run, qtbot, set_to):
+def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
     viewer = viewer_of(widget)
     small_sample(viewer)
     colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
     widget.image = viewer.add_image(colours, name="photo", rgb=True)
-    widget.outputs = ("arrows",)
+    widget.tissue, widget.boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
     run(widget)
-    look = LookAtResult(viewer)
-    qtbot.addWidget(look.native)
-    set_to(look, percent=50)
+    set_to(widget, percent=50)
     assert viewer.layers["photo deformed"].rgb
     assert viewer.layers["photo deformed"].data.shape == (20, 24, 3)
 
@@ -557,7 +553,7 @@ def test_a_photograph_moves_in_colour(widget, small_sample, run, qtbot, set_to):
 
 
 def test_a_picture_has_the_scale_that_the_viewer_shows(look):
-    result = look._taken
+    result = look._view.shown.result
     for quantity, drawn in (
         ("jacobian", jacobian_picture),
         ("equivalent", strain_picture),
@@ -584,7 +580,7 @@ def test_pictures_are_saved_without_holding_up_the_window(look, busy_thread, tmp
 
 def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
     look.save_pictures(tmp_path / "nowhere")
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
     assert "nowhere" in look.status
 
 
@@ -593,14 +589,13 @@ def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
 
 def test_where_there_is_no_result_nothing_is_seen_as_it_was(make_napari_viewer, qtbot):
     viewer = make_napari_viewer()
-    _, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
+    look = quick(dock_in(viewer))
     image = viewer.add_image(np.zeros((8, 9)), visible=False)
     person = Person(viewer, qtbot)
     person.key(Qt.Key.Key_B, SHIFT)
     look.before = True
     assert not look.before
     assert not image.visible
-    assert look.status.startswith("There is no result to look at yet")
 
 
 def test_a_result_that_is_not_looked_at_is_not_hidden(window, qtbot):
@@ -620,38 +615,33 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     viewer.layers.remove("MR")
     look.colours = "jacobian"
     viewer.layers.remove("MR arrows")
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
     assert look.result is None
     assert not look.playing
     assert look.at((10, 10)) is None
 
 
-def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(
-    look, deformed, run, wait_for
-):
+def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, run, wait_for):
     viewer_of(look).layers.remove("MR arrows")
-    wait_for(lambda: look.idle)
+    wait_for(lambda: not look.busy)
     told = look.status
     assert "The result was in the layer 'MR arrows', which was deleted" in told
     assert "Press Deform" in told
     assert "tick" in told
-    look.play()
-    assert look.status == told
-    run(deformed)
-    wait_for(lambda: look.idle)
-    assert look.status == ""
+    run(look)
+    wait_for(lambda: not look.busy)
+    assert look.status.startswith("Tissue moved up to")
     assert look.result is viewer_of(look).layers["MR arrows"]
 
 
 @pytest.fixture
 def window(make_napari_viewer, small_sample, run, wait_for):
-    """A real window with both docks and a result."""
+    """A real window with the dock and a result."""
     viewer = make_napari_viewer()
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Deform tissue")
+    dock, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
     small_sample(viewer)
-    run(quick(widget))
-    dock, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
-    wait_for(lambda: look.idle)
+    run(quick(look))
+    wait_for(lambda: not look.busy)
     return viewer, dock, look
 
 
@@ -679,8 +669,8 @@ def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wai
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
     assert "Jacobian" not in str(viewer.status)
-    _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
-    wait_for(lambda: again.idle)
+    again = quick(dock_in(viewer))
+    wait_for(lambda: not again.busy)
     assert again.result is viewer.layers["MR arrows"]
     assert "Shift+B" in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
@@ -693,7 +683,7 @@ def test_what_others_drew_since_is_not_put_back(look, set_to):
     set_to(look, percent=20)
     newer = np.zeros_like(moved.data)
     moved.data = newer
-    look._scene.put_back()
+    look._view._put_back()
     assert moved.data is newer
 
 
@@ -737,7 +727,7 @@ def test_nothing_of_the_cursor_is_in_a_picture_of_the_canvas(
 
     viewer = make_napari_viewer(show=True)
     viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
-    viewer.window.add_plugin_dock_widget("napari-hmrf", "Look at the result")
+    dock_in(viewer)
     at_rest()
     arrows = viewer.add_vectors(np.array([[[2.0, 2.0], [0.0, 1.0]]]))
     viewer.mouse_over_canvas = True
@@ -764,7 +754,7 @@ def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_fo
     look.saved.connect(got.append)
     for _ in range(2):
         got.clear()
-        look._face.save.native.click()
+        look._form.result.save.native.click()
         wait_for(lambda: bool(got))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
 
@@ -789,7 +779,7 @@ def test_what_is_added_says_what_it_is(look, set_to):
 
 
 def test_what_was_deformed_is_not_offered_as_stiffness(deformed):
-    offered = deformed._face.tissue.choice.offered
+    offered = deformed._form.tissue.choice.offered
     image = viewer_of(deformed).layers["MR deformed"]
     assert image not in offered
     assert viewer_of(deformed).layers["MR"] in offered

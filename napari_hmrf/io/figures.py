@@ -34,9 +34,9 @@ from napari_hmrf.field.deformation import (
 )
 from napari_hmrf.field.strain import equivalent_strain, folds, green_lagrange_strain
 from napari_hmrf.field.warp import warp
+from napari_hmrf.io.energy_figure import draw_energy
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.models import is_multigrid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -219,28 +219,7 @@ def energy_picture(solution: Solution) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(np.arange(1, len(solution.energy) + 1), solution.energy, color=_GRID_COLOUR, lw=1.2)
-    first = 0
-    for level in solution.levels:
-        axes.axvline(first + 0.5, color="0.85", lw=0.8, zorder=0)
-        middle = first + 0.5 + level.iterations / 2
-        axes.annotate(
-            str(level.number),
-            (middle, 0.97),
-            xycoords=("data", "axes fraction"),
-            ha="center",
-            va="top",
-            color="0.5",
-        )
-        first += level.iterations
-    if (solution.energy > 0).any():
-        axes.set_yscale("log", nonpositive="mask")
-    axes.margins(x=0, y=0.15)
-    cycles = is_multigrid(solution.provenance.parameters)
-    words = "cycle over all levels" if cycles else "iteration (number of the scale level on top)"
-    axes.set_xlabel(words)
-    axes.set_ylabel("mean energy per site / pixel²")
+    draw_energy(figure.subplots(), solution)
     return figure
 
 

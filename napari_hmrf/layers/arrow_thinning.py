@@ -47,14 +47,3 @@ def apart(
             for col in (-1, 0, 1):
                 claimed[rows + row, cols + col] = True
     return np.sort(np.array(kept, dtype=np.intp))
-
-
-def one_per_cell(
-    pixels: npt.NDArray[np.intp], width: float, spacing: Sequence[float] = (1.0, 1.0)
-) -> npt.NDArray[np.intp]:
-    """Choose the first pixel in each square cell of a width in the unit of `spacing`."""
-    cells = (pixels * np.asarray(spacing) / width).astype(np.int64)
-    if not len(cells):
-        return np.zeros(0, dtype=np.intp)
-    _, first = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_index=True)
-    return np.sort(first)

@@ -123,7 +123,8 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     solution = known.get("solution") if isinstance(known, dict) else None
     if not isinstance(solution, Solution):
         raise ValueError(
-            f"the Vectors layer '{attributes.get('name', '')}' is not a result of Deform tissue, "
-            "so there is no solution to save. Save the layer of displacement arrows that it made."
+            f"the Vectors layer '{attributes.get('name', '')}' is not a result of "
+            "'Soft tissue', so there is no solution to save. Save the layer of displacement arrows "
+            "that it made."
         )
     return [str(solution.save(path))]

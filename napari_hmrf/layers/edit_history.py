@@ -17,14 +17,12 @@ from napari_hmrf.layers.slice_view import View, unit_factor
 from napari_hmrf.layers.table_state import Table
 from napari_hmrf.layers.undo_keys import UndoKeys
 from napari_hmrf.layers.viewer_shared import shared
-from napari_hmrf.tissue.drawing.edits import Edits, Step
+from napari_hmrf.study.study_model import Step, StudyModel
 
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
 DRAWING = "drawing"
 #: And that with the curve of a layer of stiffness.
 CURVE = "curve"
-#: And that with what was painted as no tissue at once, in a slice.
-BACKGROUND = "background"
 #: And that with the points of a Points layer, or the lines of a Shapes layer.
 POINTS = "points"
 
@@ -92,7 +90,7 @@ class ViewerSteps:
 
     Attributes
     ----------
-    edits : Edits
+    edits : StudyModel
         By `Slot`.
     said : Signal(str, object)
         What was taken back or done again, in words, and the `Slot` it was of, or None.
@@ -101,7 +99,7 @@ class ViewerSteps:
     said = Signal(str, object)
 
     def __init__(self, viewer: Any) -> None:
-        self.edits = Edits()
+        self.edits = StudyModel()
         self._viewer = weakref.ref(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
         self._keys: UndoKeys | None = None
@@ -146,7 +144,7 @@ class ViewerSteps:
         if viewer is None or self._keys is not None:
             return
         go = {"undo": self.undo, "redo": self.redo}
-        self._keys = UndoKeys(viewer, self.edits, _is_paint, go)
+        self._keys = UndoKeys(viewer, self.edits, go)
 
     def unbind_keys(self, owner: Owner) -> None:
         """Leave the viewer's keys alone, unless somebody else still wants them."""
@@ -219,10 +217,6 @@ class ViewerSteps:
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
     return shared(unwrapped(viewer), ViewerSteps)
-
-
-def _is_paint(slot: Any) -> bool:
-    return isinstance(slot, Slot) and slot.what == BACKGROUND
 
 
 def _index_shown(layer: Any, view: View) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,15 +15,14 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: What computes results.
-Maker = Literal["deform", "grab"]
 #: A layer of a result: what was made with it, or the colours that it is looked at with.
 Part = Kind | Literal["colours"]
 #: What fills its pixels, lowest first: directly above the image, so that paint stays above it.
-FILLING: tuple[Part, ...] = ("image", "magnitude", "colours", "labels")
+FILLING: tuple[Part, ...] = ("image", "stiffness", "confidence", "colours", "labels")
 #: What has a bar of colours, and which of its looks belong to the numbers it shows.
 _BARS: dict[Part, tuple[str, ...]] = {
-    "magnitude": ("contrast_limits",),
+    "stiffness": ("contrast_limits",),
+    "confidence": (),
     "colours": ("colormap", "contrast_limits"),
 }
 _WHOLE = 100
@@ -38,11 +37,8 @@ class _Held:
     #: The name meant for it, and what napari made of that.
     meant: str
     name: str
-    #: Whose result it shows.
-    by: Maker | None = None
-    #: Why it was hidden, by us and not by hand: somebody paints on the image ("aside"), a newer
-    #: result does not have it yet ("stale"), or nobody has asked to see it ("unasked").
-    hidden: Literal["", "aside", "stale", "unasked"] = ""
+    #: Whether it was hidden, not by hand, as a newer result does not have it yet.
+    stale: bool = False
     #: Whether it was put there to be looked at, and not made with the result.
     added: bool = False
     #: Its data, if nobody else holds them: they can be written to.
@@ -62,20 +58,13 @@ class Result:
         What was deformed; of a result from a file the layer of arrows that holds it.
     where : str
         The slice, as in the layers' metadata.
-
-    Attributes
-    ----------
-    by : {"deform", "grab"}, optional
-        Who is at work here.
-    aside : bool
-        Whether the image is to be seen as it was, until there is another result.
     """
 
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
         self._viewer_ref, self._anchor = weakref.ref(viewer), weakref.ref(anchor)
         self.where = where
-        self.by: Maker | None = None
-        self.aside = False
+        #: Whether its layers go by our own doing.
+        self.leaving = False
         self._frame: Frame | None = None
         self._held: dict[Part, _Held] = {}
         self._before: list[tuple[weakref.ref[Any], bool]] = []
@@ -99,12 +88,7 @@ class Result:
         """Whether a part is seen, or will be with what comes next."""
         layer = self.layer(part)
         shown = layer is not None and layer.visible
-        return shown or (layer is not None and self._held[part].hidden in ("aside", "stale"))
-
-    @property
-    def maker(self) -> Maker | None:
-        """Who computed the picture that is there; None if there is none."""
-        return None if self.layer("image") is None else self._held["image"].by
+        return shown or (layer is not None and self._held[part].stale)
 
     def is_added(self, part: Part) -> bool:
         """Whether a part was put there to be looked at."""
@@ -140,44 +124,35 @@ class Result:
         source : napari.layers.Layer, optional
             The image that is moved, where that is not what was deformed.
         """
-        arrows = self._held.get("arrows")
-        held = self._put(part, made, None if arrows is None else arrows.by, source)
+        held = self._put(part, made, source)
         layer, held.added = held.layer(), True
-        layer.visible = not self.aside
-        held.hidden = "aside" if self.aside else ""
+        layer.visible, held.stale = True, False
+        self._keep_before()
         return layer
 
     def show(
-        self,
-        frame: Frame,
-        layers: Mapping[Kind, LayerData],
-        by: Maker,
-        unasked: Collection[Kind] = (),
-        moving: bool = False,
+        self, frame: Frame, layers: Mapping[Kind, LayerData], moving: bool = False
     ) -> dict[Kind, Any]:
         """Show another state of the result; as of `ResultLayers.show`."""
         quick = moving and frame == self._frame
-        self._frame, self.by, self.aside = frame, by, False
+        self._frame = frame
         for kind, held in self._held.items():
             if kind not in layers:
-                first = kind in unasked and held.by != by
-                self._hide(held, "unasked" if first else "stale")
+                self._hide(held)
         shown: dict[Kind, Any] = {}
         for kind, made in layers.items():
             before, layer = self._held.get(kind), self.layer(kind)
-            known = layer is not None and before is not None and before.by == by
+            known = layer is not None and before is not None
             if before is None or not (quick and known and _same(before, made)):
-                held = self._put(kind, made, by, visible=kind not in unasked)
+                held = self._put(kind, made)
             else:
                 held = before
                 if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
                     layer.data = held.own = np.array(made.data)
             layer = shown[kind] = held.layer()
-            if kind in unasked and not known:
-                if held is not before or layer.visible or held.hidden:
-                    layer.visible, held.hidden = False, "unasked"
-            elif held.hidden and not (kind in unasked and held.hidden == "unasked"):
-                layer.visible, held.hidden = True, ""
+            if held.stale:
+                layer.visible, held.stale = True, False
+        self._keep_before()
         return shown
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
@@ -207,31 +182,10 @@ class Result:
 
     # What is hidden
 
-    def set_aside(self, parts: Collection[Part] | None = None) -> bool:
-        """Hide some parts, or all, until there is another result, or it is brought back.
-
-        Returns
-        -------
-        bool
-            Whether anything is hidden.
-        """
-        self.aside = True
-        for part, held in self._held.items():
-            if parts is None or part in parts:
-                self._hide(held, "aside")
-        return any(held.hidden == "aside" for _, held in self._there())
-
-    def bring(self, by: Maker | None = None) -> None:
-        """Show what was set aside, or what of it is somebody's."""
-        self.aside = False
-        for layer, held in self._there():
-            if held.hidden == "aside" and by in (None, held.by):
-                layer.visible, held.hidden = True, ""
-
     def hide(self, part: Part) -> None:
         """Hide a part that nobody wants to see; no result brings it back."""
         if (layer := self.layer(part)) is not None:
-            layer.visible, self._held[part].hidden = False, ""
+            layer.visible, self._held[part].stale = False, False
 
     def leave(self) -> None:
         """Hide what was added, as another result is looked at."""
@@ -241,10 +195,10 @@ class Result:
 
     def hold_before(self, source: Any) -> None:
         """Show the image as it was, and nothing of the result, until `release`."""
-        if self._before:
+        if self._before or not self.visible:
             return
+        self._before = [(weakref.ref(layer), layer.visible) for layer, _ in self._there()]
         for layer, _ in self._there():
-            self._before.append((weakref.ref(layer), layer.visible))
             layer.visible = False
         if still_there(self._viewer, source) is not None:
             self._before.append((weakref.ref(source), source.visible))
@@ -264,11 +218,21 @@ class Result:
 
     def remove(self) -> None:
         """Take the layers out of the viewer, but for those that somebody has named."""
+        self.leaving = True
         for layer, held in self._there():
             if layer.name == held.name:
                 self._viewer.layers.remove(layer)
+        self.leaving = False
 
     # How it is done
+
+    def _keep_before(self) -> None:
+        """What comes while the image is seen as it was is seen later."""
+        if self._before:
+            for layer, _ in self._there():
+                if layer.visible:
+                    self._before.append((weakref.ref(layer), True))
+                    layer.visible = False
 
     def _there(self) -> Iterator[tuple[Any, _Held]]:
         """The layers that are in the viewer."""
@@ -280,9 +244,7 @@ class Result:
         self,
         part: Part,
         made: LayerData,
-        by: Maker | None,
         source: Any = None,
-        visible: bool = True,
     ) -> _Held:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
@@ -291,9 +253,9 @@ class Result:
             if held is None or layer is None or not _fits(layer, made):
                 if layer is not None:
                     layers.remove(layer)
-                layer = Layer.create(made.data, {**made.attributes, "visible": visible}, made.kind)
+                layer = Layer.create(*made)
                 # Who hears that it comes can ask whose it is.
-                held = self._held[part] = _Held(weakref.ref(layer), name, name, by)
+                held = self._held[part] = _Held(weakref.ref(layer), name, name)
                 layers.insert(self._index(part, source), layer)
                 held.name = layer.name
                 if part in _BARS:
@@ -305,7 +267,7 @@ class Result:
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
-        held.by, held.added, held.own, held.part, held.whole = by, False, None, None, None
+        held.added, held.own, held.part, held.whole = False, None, None, None
         return held
 
     def _index(self, part: Part, source: Any) -> int:
@@ -320,10 +282,10 @@ class Result:
             below += [source, *(each for each in layers if _is_moved(each, self.where))]
         return max((layers.index(each) + 1 for each in below if each in layers), default=0)
 
-    def _hide(self, held: _Held, why: Literal["aside", "stale", "unasked"]) -> None:
+    def _hide(self, held: _Held) -> None:
         layer = held.layer()
-        if layer is not None and (layer.visible or held.hidden == "aside"):
-            layer.visible, held.hidden = False, why
+        if layer is not None and layer.visible:
+            layer.visible, held.stale = False, True
 
 
 def _percent_of(layer: Any) -> int:

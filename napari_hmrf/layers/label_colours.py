@@ -8,8 +8,8 @@ import numpy as np
 
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, RISING, opacity
 
-#: Of the arrows that show what a boundary will do.
-PREVIEW = "magenta"
+#: Of the arrows that show what is known of the motion.
+OBSERVED = "magenta"
 #: Of the arrows of a result: seen on black, grey and white.
 ARROWS = "#ff6000"
 #: Of stiffness: evenly ever lighter, and of other colours than what is measured of a result.

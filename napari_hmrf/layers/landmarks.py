@@ -43,18 +43,6 @@ class LandmarkLayers:
     confidence: float = 1.0
 
 
-def landmarks_of(
-    where: Any,
-    should: Any,
-    frame: Frame,
-    shape: tuple[int, int],
-    radius: float,
-    confidence: float = 1.0,
-) -> tuple[Landmark, ...]:
-    """Pair the points of two layers by their order; as the marks of `read_landmarks`."""
-    return read_landmarks(LandmarkLayers(where, should, radius, confidence), frame, shape)[0].marks
-
-
 def read_landmarks(
     layers: LandmarkLayers, frame: Frame, shape: tuple[int, int], view: View | None = None
 ) -> tuple[Landmarks, tuple[str, ...]]:

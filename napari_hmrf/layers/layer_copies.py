@@ -85,6 +85,8 @@ class _Copies:
     def __init__(self, layer: Any) -> None:
         # Newest first.
         self._slices: dict[Any, list[npt.NDArray[Any]]] = {}
+        # Of slices that are not shown any more, as far as somebody has kept them.
+        self._others: dict[Any, list[weakref.ref[npt.NDArray[Any]]]] = {}
         self._fresh: set[Any] = set()
         self.made: tuple[tuple[Any, ...], Any] | None = None
         for name in _EVENTS:
@@ -97,7 +99,7 @@ class _Copies:
         if known and key in self._fresh:
             return known[0]
         if not known:
-            self._slices.clear()  # of a stack the slice that is shown is enough
+            known = self._turn_to(key)
         now = np.array(layer.data) if own is None else copy_slice(layer, own)
         now.setflags(write=False)
         found = next((each for each in known if _same(each, now)), now)
@@ -105,6 +107,13 @@ class _Copies:
         self._slices[key] = [found, *others][:_KEPT]
         self._fresh.add(key)
         return found
+
+    def _turn_to(self, key: Any) -> list[npt.NDArray[Any]]:
+        """Keep copies of another slice: of a stack the one that is shown is enough."""
+        for other, copies in self._slices.items():
+            self._others[other] = [weakref.ref(copy) for copy in copies]
+        self._slices.clear()
+        return [copy for each in self._others.pop(key, ()) if (copy := each()) is not None]
 
     def doubt(self) -> None:
         self._fresh.clear()

@@ -1,26 +1,14 @@
-"""What was observed, from arrows drawn elsewhere; and arrows that show what is painted."""
+"""What was observed, from arrows drawn elsewhere."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.arrow_thinning import apart, one_per_cell
-from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
-from napari_hmrf.study.layer_names import naming
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 
 FloatArray = npt.NDArray[np.float32]
-
-#: Arrows of a preview that fit beside each other across the image.
-PREVIEW_ACROSS = 40
-#: Of a slice this large, in pixels, every stroke would have to wait for its preview.
-PREVIEW_LARGEST = 2_000_000
 
 
 def arrow_observations(
@@ -90,48 +78,3 @@ def arrow_observations(
             f"{tuple(at[first].tolist())}. Keep one for each pixel.",
         )
     return y, c, int((here & outward).sum())
-
-
-def preview_arrows(
-    layer: Any,
-    rules: tuple[BoundaryRule, ...],
-    view: View | None,
-    reference: Frame | None = None,
-) -> tuple[Frame, FloatArray]:
-    """Arrows that show what painted rules will do, few enough to see the paint.
-
-    Parameters
-    ----------
-    layer : napari.layers.Labels
-    rules : tuple of BoundaryRule
-    view : View, optional
-    reference : Frame, optional
-        The slice of the image, in whose unit of length the rules are; by default the layer's own.
-
-    Returns
-    -------
-    Frame
-        The slice they lie on.
-    ndarray, shape (N, 2, 2), float32
-        (start, step) in pixels of the slice; none where tissue stays fixed.
-
-    Raises
-    ------
-    ProblemError
-        As `boundary_images`, naming the layer.
-    """
-    frame = Frame.of(layer, view)
-    labels = copy_slice(layer, frame)
-    spacing = (reference or frame).spacing
-    known = {rule.label for rule in rules}
-    with naming(observed=layer, confidence=layer):
-        painted = np.where(np.isin(labels, list(known)), labels, 0)
-        y, c = boundary_images(painted, rules, spacing=spacing)
-    # An arrow shows what is believed: components without confidence are not drawn.
-    steps = np.where(c > 0, y, 0) / np.array(spacing, dtype=np.float32)
-    starts = np.argwhere(steps.any(axis=-1))
-    across = max(size * step for size, step in zip(labels.shape, spacing, strict=True))
-    width = max(across / PREVIEW_ACROSS, *spacing)
-    starts = starts[one_per_cell(starts, width / 2, spacing)]
-    arrows = np.stack([starts, steps[tuple(starts.T)]], axis=1).astype(np.float32)
-    return frame, arrows[apart(arrows, width / 2, spacing)]

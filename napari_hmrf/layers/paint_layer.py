@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from napari.layers import Labels
 
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.label_colours import SELECTED
@@ -91,7 +92,7 @@ def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray
 
 def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Any]:
     """Red, green and blue, 0 to 1, of each tissue: those of its layer, if that has the table."""
-    if palette.own and layer is not None:
+    if palette.own and isinstance(layer, Labels):  # another may be chosen by now
         found = {row.label: layer.get_color(row.label) for row in palette.materials}
         return {
             label: tuple((0.5, 0.5, 0.5) if colour is None else map(float, colour[:3]))

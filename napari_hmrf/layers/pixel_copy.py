@@ -26,14 +26,6 @@ def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
     return int(shape[frame.plane[0]]), int(shape[frame.plane[1]])
 
 
-def take_slice(
-    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
-) -> npt.NDArray[Any]:
-    """Copy the slice of a layer that covers the same pixels as the reference's."""
-    check_size(layer, own, reference, frame, shape)
-    return copy_slice(layer, own)
-
-
 def check_size(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
 ) -> None:

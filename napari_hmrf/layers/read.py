@@ -58,6 +58,8 @@ class Request:
         What is drawn with a pointer, on top of everything; None where nobody draws.
     preset : Preset, optional
         The tissues that can be painted where the layer has no table of its own.
+    without_border : bool
+        Whether what is dark around the image is no tissue where its label is 0.
     """
 
     tissue: Any = None
@@ -71,6 +73,7 @@ class Request:
     hold_edge: bool = False
     drawing: Drawing | None = None
     preset: Preset | None = None
+    without_border: bool = False
 
     @property
     def layers(self) -> tuple[Any, ...]:
@@ -140,9 +143,10 @@ class _Reader:
             names["boundary"] = Named.of(request.boundary)
         if request.confidence is not None:
             names["confidence"] = Named.of(request.confidence)
-        if request.drawing is not None:
+        drawing = request.drawing
+        if drawing is not None and (drawing.marks or "boundary" not in names):
             names["drawing"] = Named(ARROWS, "Vectors layer")
-        elif "boundary" not in names:
+        if not {"boundary", "drawing"} & set(names):
             raise LayerError(reference, "has no boundary. Choose a boundary layer, or landmarks.")
         return Study(
             grid=Grid(self._shape, frame.spacing, frame.unit, frame),
@@ -183,6 +187,7 @@ class _Reader:
                 materials=rows,
                 unit=unit,
                 record=tissue_record(layer, rows),
+                without_border=request.without_border,
             )
         if layer.rgb:
             raise LayerError(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,6 @@ import numpy.typing as npt
 from napari_hmrf.field.deformation import (
     arrows,
     deformation_grid,
-    magnitude,
     pixels_between,
     smallest_determinant,
 )
@@ -22,23 +21,33 @@ from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers.arrow_thinning import apart
 from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
-from napari_hmrf.layers.label_colours import fold_colours
+from napari_hmrf.layers.label_colours import (
+    OBSERVED,
+    fold_colours,
+    quantity_colours,
+    stiffness_colours,
+)
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import unit_symbol
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.models import in_words, short_name
 from napari_hmrf.study.study import Pictures
 
-Kind = Literal["image", "arrows", "grid", "magnitude", "labels", "folds"]
-#: The layers there can be, in the order they are stacked, lowest first.
-KINDS: tuple[Kind, ...] = ("image", "magnitude", "labels", "folds", "grid", "arrows")
+Kind = Literal["image", "labels", "stiffness", "confidence", "folds", "observed", "grid", "arrows"]
+#: The layers there can be, in the order they are stacked, lowest first. What was given, m, y and c
+#: of the problem, lies where tissue was before it moved.
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 #: What a file of a solution alone can show.
 RESTORED: tuple[Kind, ...] = ("arrows",)
 
-#: Arrows enough to see the motion, few enough to see the image.
-ARROWS = 500
+#: Arrows enough to see the motion, few enough to see the image and each of them.
+ARROWS = 250
+#: What moves by less than this part of the farthest is not drawn: its arrow would be a dot.
+_LEAST = 0.1
+#: Arrows of what is given that fit beside each other across the image.
+_ACROSS = 40
 #: Lines of the deformation grid across the longer side.
 LINES = 30
 
@@ -83,7 +92,7 @@ def result_layers(
     pictures: Pictures | None = None,
     kinds: Collection[Kind] = ("arrows", "image"),
     checkpoint: Callable[[], None] = lambda: None,
-    moved: npt.NDArray[Any] | None = None,
+    problem: Problem | None = None,
 ) -> Outputs:
     """Turn a solution into layer data; the one way to do so. Needs neither window nor layer.
 
@@ -94,12 +103,12 @@ def result_layers(
         Where it lies; by default as its `frame` says, or at the origin.
     pictures : Pictures, optional
         What to deform with it.
-    kinds : collection of {"image", "arrows", "grid", "magnitude", "labels", "folds"}
-        The layers to make; those that lack their picture are left out.
+    kinds : collection of Kind
+        The layers to make; those that lack their picture, or the problem, are left out.
     checkpoint : callable
         Called between the parts; raises to stop the work.
-    moved : ndarray, shape (H, W) or (H, W, 3 or 4), optional
-        The image as it has moved, where that is known already.
+    problem : Problem, optional
+        What was solved.
 
     Returns
     -------
@@ -122,8 +131,8 @@ def result_layers(
         row, col = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
         worst = (int(row), int(col))
     # A file that is opened shows arrows, and need not wait for the compiler of the loops.
-    arrows_alone, pictures = pictures is None or moved is not None, pictures or Pictures()
-    maker = _Maker(solution, frame, pictures, folded, moved)
+    arrows_alone, pictures = pictures is None, pictures or Pictures()
+    maker = _Maker(solution, frame, pictures, folded, problem)
     overlaps = 0 if arrows_alone else maker.count_overlaps()
     layers: dict[Kind, LayerData] = {}
     for kind in KINDS:
@@ -146,6 +155,8 @@ def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[n
     found = arrows(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=about
     )
+    lengths = np.linalg.norm(found[:, 1], axis=1)
+    found = found[lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)]
     pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
     chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
     return found[chosen], pixels / 8
@@ -206,11 +217,11 @@ class _Maker:
         frame: Frame,
         pictures: Pictures,
         folded: npt.NDArray[np.bool_],
-        moved: npt.NDArray[Any] | None,
+        problem: Problem | None,
     ) -> None:
         self._solution = solution
         self._folded = folded
-        self._moved = moved
+        self._problem = problem
         self._frame = frame
         self._pictures = pictures
         self._field = (solution.displacement, solution.spacing)
@@ -233,11 +244,10 @@ class _Maker:
 
     def image(self) -> LayerData | None:
         """The image, moved with the tissue."""
-        picture, moved = self._pictures.image, self._moved
-        if moved is None and picture is not None:
-            moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
-        if moved is None:
+        picture = self._pictures.image
+        if picture is None:
             return None
+        moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
         parameters = self._solution.provenance.parameters
         return picture_layer(self._frame, self._pictures, moved, parameters, self._facts)
 
@@ -250,17 +260,39 @@ class _Maker:
         look = {**self._pictures.labels_look, "name": self._name("deformed", labels=True)}
         return self._picture("labels", moved, "deformed", look)._replace(kind="labels")
 
-    def magnitude(self) -> LayerData:
-        """How far the tissue moves."""
-        length = magnitude(self._solution.displacement)
-        look = {
-            "colormap": "viridis",
-            "blending": "translucent",
-            "opacity": 0.6,
-            "contrast_limits": (0.0, float(length.max()) or 1.0),
-        }
-        what = f"magnitude ({unit_symbol(self._frame.unit)})"
-        return self._picture("magnitude", length, what, {**look, "rgb": False})
+    def stiffness(self) -> LayerData | None:
+        """How stiff tissue was taken to be: m."""
+        if self._problem is None:
+            return None
+        m = self._problem.stiffness
+        finite = m[np.isfinite(m)]
+        most = float(finite.max(initial=0.0)) or 1.0
+        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), "opacity": 0.7}
+        return self._picture("stiffness", m, "stiffness", look)
+
+    def confidence(self) -> LayerData | None:
+        """How sure it was how tissue moves: c, the larger of its components."""
+        if self._problem is None:
+            return None
+        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0)}
+        c = self._problem.confidence.max(axis=-1)
+        return self._picture("confidence", c, "confidence", look)
+
+    def observed(self) -> LayerData | None:
+        """How tissue was to move where that was known: y; what was held has a dot."""
+        if self._problem is None:
+            return None
+        y, known = self._problem.observed, self._problem.known
+        apart_by = pixels_between(_ACROSS, known.shape[:2], self._solution.spacing)
+        starts = np.argwhere(known.any(axis=-1))
+        if len(starts):
+            _, first = np.unique(starts // apart_by, axis=0, return_index=True)
+            starts = starts[first]
+        steps = np.where(known, y, 0)[tuple(starts.T)] / self._solution.spacing
+        arrows = np.stack([starts, steps], axis=1).astype(np.float32)
+        width = max(known.shape[:2]) / 300
+        look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": width}
+        return self._vectors("observed", arrows, "motion given", look)
 
     def grid(self) -> LayerData:
         """A grid that has moved with the tissue."""

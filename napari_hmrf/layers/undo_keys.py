@@ -9,7 +9,7 @@ from typing import Any
 from napari.layers import Labels
 
 from napari_hmrf.layers.compat import paint_steps
-from napari_hmrf.tissue.drawing.edits import Edits
+from napari_hmrf.study.study_model import StudyModel
 
 #: Keys, and what they do.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
@@ -24,10 +24,8 @@ class UndoKeys:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    edits : Edits
+    edits : StudyModel
         Ours.
-    is_paint : callable
-        Whether a slot of `edits` is paint, too, which napari remembers for itself.
     go : mapping of str to callable
         Ours, by "undo" and "redo".
     """
@@ -35,11 +33,10 @@ class UndoKeys:
     def __init__(
         self,
         viewer: Any,
-        edits: Edits,
-        is_paint: Callable[[Any], bool],
+        edits: StudyModel,
         go: dict[str, Callable[[], None]],
     ) -> None:
-        self._edits, self._is_paint, self._go = edits, is_paint, go
+        self._edits, self._go = edits, go
         self._bound: list[tuple[Any, str]] = []
         self._layer: weakref.ref[Any] | None = None
         #: Whether what was done last was an edit of ours.
@@ -98,7 +95,7 @@ class UndoKeys:
     def _choose(self, owner: Any, name: str) -> None:
         """Take back, or do again, what is ours, or a layer's paint."""
         step = self._edits.next_undo
-        later = name == "undo" and self._ours and step is not None and not self._is_paint(step.slot)
+        later = name == "undo" and self._ours and step is not None
         if paint_steps(owner, name) and not later:
             getattr(owner, name)()
         else:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.layers.image_result import FILLING, Maker, Result
+from napari_hmrf.layers.image_result import Result
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 
 
 class ResultLayers:
-    """The results that a viewer shows, whoever computes them.
+    """The results that a viewer shows.
 
     A newer result of the same image and slice takes the place of the one before. What is hidden or
     named by hand stays so. The results of an image go with it.
@@ -47,6 +47,12 @@ class ResultLayers:
     def _viewer(self) -> Any:
         return self._viewer_ref()
 
+    @property
+    def sources(self) -> list[Any]:
+        """The layers of which a result is seen."""
+        known = [*self._results.items()]
+        return [each for each, of in known if any(result.visible for result in of.values())]
+
     def at(self, source: Any, where: str) -> Result:
         """The result of a layer and a slice, which need not be there yet."""
         known = self._results.setdefault(source, {})
@@ -66,11 +72,8 @@ class ResultLayers:
         source: Any,
         frame: Frame,
         layers: Mapping[Kind, LayerData],
-        by: Maker,
         *,
-        asked: bool = True,
         moving: bool = False,
-        unasked: Collection[Kind] = (),
     ) -> dict[Kind, Any]:
         """Show a result in place of the one there is of the same layer and slice.
 
@@ -84,58 +87,20 @@ class ResultLayers:
             Where.
         layers : dict of kind to LayerData
             In stacking order.
-        by : {"deform", "grab"}
-            Who computed it.
-        asked : bool
-            Whether somebody is at work there; else it takes nobody else's place, and does not
-            cover an image that is being painted on.
         moving : bool
             Whether more will follow soon, and only the canvas counts.
-        unasked : collection of kind
-            Layers that are made, and hidden until somebody opens their eye.
 
         Returns
         -------
         dict of kind to layer
-            Empty if it is not shown.
+            Empty if what was deformed is gone.
         """
-        result = self.at(source, frame.slice_name)
-        theirs = result.aside or result.by not in (None, by)
-        if source not in self._viewer.layers or (theirs and not asked):
+        if source not in self._viewer.layers:
             return {}
-        shown = result.show(frame, layers, by, unasked, moving)
-        if asked:
-            for other in self._all():
-                if other.by == by and other.aside:
-                    other.bring(by)
+        result = self.at(source, frame.slice_name)
+        shown = result.show(frame, layers, moving)
         self.changed.emit(result)
         return shown
-
-    def claim(self, source: Any, frame: Frame, by: Maker) -> None:
-        """Have nobody else's result seen of a layer and slice, nor put there unasked."""
-        result = self.at(source, frame.slice_name)
-        if result.by == by:
-            result.bring(by)
-        else:
-            result.set_aside()
-            result.by = by
-        self.changed.emit(result)
-
-    def set_aside(self, but: Maker | None = None) -> bool:
-        """Hide what covers images, until the next result; whether anything is hidden.
-
-        Paint says where tissue is before it moves, so it must be put on the image as it was.
-
-        Parameters
-        ----------
-        but : {"deform", "grab"}, optional
-            Whose results stay.
-        """
-        others = [result for result in self._all() if but is None or result.by != but]
-        hidden = [result.set_aside(FILLING) for result in others]
-        for result in others:
-            self.changed.emit(result)
-        return any(hidden)
 
     def remove_orphans(self) -> None:
         """Remove what is left of images that are gone."""

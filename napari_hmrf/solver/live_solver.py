@@ -86,7 +86,7 @@ class LiveSolver:
         By default elastic tissue. `prior` may be set at any time, for the edits to come.
     optimizer : Optimizer, optional
         By default multigrid, to `TOLERANCE`. The paper's schedule works, but starts from nothing
-        each time.
+        each time. `optimizer` may be set at any time, for the edits to come.
     backend : str
         As for `solve`.
     progress : callable, optional
@@ -125,7 +125,7 @@ class LiveSolver:
             doing=doing,
         )
         self.prior: Prior = prior or ElasticPrior()
-        self._optimizer = optimizer or Multigrid(TOLERANCE)
+        self.optimizer: Optimizer = optimizer or Multigrid(TOLERANCE)
         self._backend = backend
         self._deliver = deliver
         self._progress = progress
@@ -167,7 +167,12 @@ class LiveSolver:
                 raise RuntimeError("this live solver is closed; make a new one")
             self._number += 1
             request = _Request(
-                self._number, problem, self.prior, time.perf_counter(), self._dropped
+                self._number,
+                problem,
+                self.prior,
+                self.optimizer,
+                time.perf_counter(),
+                self._dropped,
             )
             self._waiting = request
             self._go_on()
@@ -251,7 +256,7 @@ class LiveSolver:
             check_arguments(problem=found, prior=prior)
             problem = found
             self._earlier.look_at(problem, request.dropped)
-            optimizer = self._optimizer
+            optimizer = request.optimizer
             stop: CancelFlag = request.dropped
             if self._takes_long(problem) and isinstance(optimizer, Multigrid):
                 glance = replace(optimizer, tolerance=GLANCE)
@@ -307,6 +312,7 @@ class _Request(NamedTuple):
     number: int
     problem: Input | Callable[[], Input]
     prior: Prior
+    optimizer: Optimizer
     submitted: float
     dropped: threading.Event
 

@@ -11,19 +11,24 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy.typing as npt
 
+from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
-from napari_hmrf.solver.live_solver import Input, LiveSolver, Update
+from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors import Prior
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.ground import Ground, Statement
+from napari_hmrf.solver.solve import run_here
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
 from napari_hmrf.tissue.drawing.canvas import Box
 
@@ -35,43 +40,11 @@ Array = npt.NDArray[Any]
 Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Array | None], Array | None]
 
 
-@dataclass(frozen=True, eq=False)
-class Deformation:
-    """A study, and how its tissue moves.
-
-    Attributes
-    ----------
-    study : Study
-    ground : Ground, optional
-        The study as it was understood; None if it could not be.
-    stated : Statement, optional
-        What was solved; None if it could not be stated.
-    solution : Solution, optional
-        None if nothing moves, or if there is an error.
-    image : ndarray, optional
-        The study's image, moved with the tissue.
-    overlay : ndarray, optional
-        What was drawn over it, moved likewise.
-    error : Exception, optional
-        Why there is no solution, in words of the study.
-    revision : int
-        Higher than that of all that were submitted before.
-    """
-
-    study: Study
-    ground: Ground | None = None
-    stated: Statement | None = None
-    solution: Solution | None = None
-    image: Array | None = None
-    overlay: Array | None = None
-    error: Exception | None = None
-    revision: int = 0
-
-
 class Engine:
     """Answers the newest study by a `Deformation`.
 
-    All methods may be called from any thread, and return at once.
+    All methods may be called from any thread, and return at once. A study in which nothing is held
+    or moved is answered by its image as it is.
 
     Parameters
     ----------
@@ -93,9 +66,11 @@ class Engine:
         self._doing = doing
         self._overlay = overlay
         self._live: LiveSolver | None = None
-        self._made_with: tuple[Any, ...] = ()
+        self._backend = ""
         self._reached = Monitor("starting", 0.0)
         self._closed = threading.Event()
+        self._cancelled = threading.Event()
+        self._settling: Future[Any] | None = None
         self._beside: Future[Any] | None = None
         # What follows only the compute thread looks at.
         self._asked: Deformation | None = None
@@ -109,7 +84,12 @@ class Engine:
     @property
     def busy(self) -> bool:
         """Whether an answer is still to come."""
-        return self._live is not None and self._live.busy
+        return self.settling or (self._live is not None and self._live.busy)
+
+    @property
+    def settling(self) -> bool:
+        """Whether a study is solved from nothing, or will be."""
+        return self._settling is not None and not self._settling.done()
 
     @property
     def monitor(self) -> Monitor:
@@ -118,31 +98,59 @@ class Engine:
         waits = waits or ("" if self._live is None else self._live.delay)
         return Monitor(waits, 0.0) if waits else self._reached
 
-    def submit(self, study: Study, ground: Ground | None = None, backend: str = "auto") -> None:
+    def submit(self, study: Study, backend: str = "auto") -> None:
         """Have this answered instead of what waits.
 
         Parameters
         ----------
         study : Study
-        ground : Ground, optional
-            The same study, understood; by default that is done on the compute thread.
         backend : str
             As for `solve`.
         """
-        made_with = (study.optimizer, backend)
         live = self._live
-        if live is None or made_with != self._made_with:
+        if live is None or backend != self._backend:
             if live is not None:
                 live.close()
-            self._made_with = made_with
+            self._backend = backend
             live = self._live = LiveSolver(
                 self._deliver,
-                optimizer=study.optimizer,
                 backend=backend,
                 progress=self.report,
                 doing=self._doing,
             )
-        live.submit(lambda: self._state(study, ground))
+        live.optimizer = study.optimizer
+        live.submit(lambda: self._state(study))
+
+    def settle(self, study: Study, backend: str = "auto") -> None:
+        """Have a study solved from nothing, bit by bit as `solve_study` does; drop what waits.
+
+        It is an error that nothing is held or moved.
+        """
+        self.forget()
+        cancelled = self._cancelled
+        self._reached = Monitor("reading what is painted", 0.0)
+
+        def checkpoint() -> None:
+            if cancelled.is_set():
+                raise Cancelled
+
+        def run(_: Deformation | None) -> None:
+            solution, failure = None, None
+            try:
+                checkpoint()
+                problem, prior = self._state(study, checkpoint, settle=True)
+                optimizer, report = study.optimizer, self.report
+                solution = run_here(problem, prior, optimizer, backend, report, cancelled)
+                checkpoint()
+            except Cancelled:
+                return
+            except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
+                if not isinstance(error, HmrfError | ValueError):
+                    _log.exception("the deformation failed")
+                failure = error
+            self._deliver(Update(0, None, solution, failure, True, 0.0))
+
+        self._settling = self.beside(run, self._doing)
 
     def beside(self, job: Callable[[Deformation | None], object], doing: str) -> Future[None]:
         """Have a job done on the compute thread, in its turn, given the latest deformation.
@@ -153,19 +161,24 @@ class Engine:
         doing : str
             What those who wait for it are told.
         """
+        cancelled = self._cancelled
         self._beside = compute_thread.submit(
-            lambda: job(self._latest), lambda: STOPPED if self._closed.is_set() else doing
+            lambda: job(self._latest), lambda: STOPPED if cancelled.is_set() else doing
         )
         return self._beside
 
     def forget(self) -> None:
         """Drop what waits, what is being solved, and what was found."""
+        self._cancelled.set()
+        self._cancelled = threading.Event()
+        self._settling = None
         if self._live is not None:
             self._live.forget()
 
     def close(self) -> None:
         """Drop everything, for good."""
         self._closed.set()
+        self.forget()
         if self._live is not None:
             self._live.close()
 
@@ -180,30 +193,34 @@ class Engine:
 
     # On the compute thread
 
-    def _state(self, study: Study, ground: Ground | None) -> Input:
+    def _state(
+        self,
+        study: Study,
+        checkpoint: Callable[[], None] = lambda: None,
+        settle: bool = False,
+    ) -> tuple[Problem, Prior]:
         """State the problem of a study, making anew only what differs from the one before."""
-        before, self._asked = self._asked, Deformation(study)
-        if ground is None:
-            known = None if before is None else before.ground
-            same = known is not None and known.study.lies_as(study)
-            ground = known if known is not None and same else Ground.of(study)
-        self._asked = asked = Deformation(study, ground)
-        if before is None or before.ground is not ground or self._rendering is None:
+        before, self._asked = self._asked, Deformation(study, settled=settle)
+        known = None if before is None else before.ground
+        same = known is not None and known.study.lies_as(study)
+        ground = known if known is not None and same else Ground.of(study, checkpoint)
+        self._asked = replace(self._asked, ground=ground)
+        if ground is not known or self._rendering is None:
             self._rendering, self._over = Rendering(ground.base), None
         drawing, canvas = study.motion.drawing, self._rendering.canvas
         window = self._rendering.show(drawing)
         if self._overlay is not None:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
-        stated = ground.statement(canvas)
-        self._asked = replace(asked, stated=stated)
+        if not (settle or drawing.marks or canvas.observed.any()):
+            raise _StillError
+        stated = replace(ground.statement(canvas), optimizer=study.optimizer)
+        self._asked = replace(self._asked, stated=stated)
         return stated.problem, stated.prior
 
     def _deliver(self, update: Update) -> None:
-        asked = self._asked
+        asked, error, latest = self._asked, update.error, self._latest
         assert asked is not None
-        asked = replace(asked, revision=update.number)
-        error = update.error
-        if update.solution is not None:
+        if update.solution is not None or isinstance(error, _StillError):
             try:
                 image, over = self._moved(asked, update.solution)
                 answer = replace(asked, solution=update.solution, image=image, overlay=over)
@@ -213,11 +230,9 @@ class Engine:
             except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
                 _log.exception("the image could not be moved")
                 error = failure
-        latest, over = self._latest, None
+        over = None if self._over is None else self._over.copy()
         if latest is not None and latest.ground is asked.ground and asked.ground is not None:
             over = self._moved(asked, latest.solution)[1]
-        elif self._over is not None:
-            over = self._over.copy()
         error = asked.study.in_words(error or RuntimeError("there is no solution"))
         self._tell(replace(asked, error=error, overlay=over))
 
@@ -238,3 +253,7 @@ class Engine:
             known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
         moved = known[2](solution.displacement, solution.tissue)
         return moved[0] if image is not None else None, moved[-1] if over is not None else None
+
+
+class _StillError(HmrfError):
+    """Nothing moves."""

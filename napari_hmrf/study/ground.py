@@ -42,7 +42,7 @@ from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.palette import OTHER, Palette
 from napari_hmrf.tissue.stiffness_curve import luminance
-from napari_hmrf.tissue.surroundings import air_that_is_tissue, background_of, surrounds
+from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -269,6 +269,10 @@ class _Where:
         if tissue.labels is not None:
             rows, self.notes = _completed(study, tissue.materials, tissue.labels)
             self.m = stiffness_image(tissue.labels, rows)
+            if tissue.without_border and study.pictures.image is not None:
+                dark = dark_border(study.pictures.image)
+                if dark is not None:
+                    self.m = np.where(dark & (tissue.labels == 0), np.float32(0), self.m)
             if isinstance(self.prior, ElasticPrior):
                 self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
             self.palette = Palette(rows, tissue.unit, own=True)
@@ -287,8 +291,8 @@ class _Where:
             self.labels = np.full(shape, OTHER, dtype=np.int32)
         else:
             if study.pictures.image is not None:
-                dark = background_of(study.pictures.image)
-                around = dark if surrounds(dark) else around
+                dark = dark_border(study.pictures.image)
+                around = around if dark is None else dark
             self.m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
             self.palette = Palette.of_preset(tissue.preset)
             self.labels = np.where(around, OTHER, self.palette.usual).astype(np.int32)
@@ -328,7 +332,7 @@ def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
                 notes.append(
                     f"label {label} of '{named.name}' is not in the table and was held fixed"
                 )
-        with study.naming():
+        with study.naming(drawn=False):
             y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]

@@ -98,9 +98,13 @@ def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
         Naming the boundary.
     """
     named, tissue = study.names.get("boundary"), study.names.get("tissue")
-    if named is None or "drawing" in study.names:
-        return  # the problem itself says it, of what is drawn
     somewhere = (c != 0).any(axis=-1)
+    drawn = study.names.get("drawing")
+    if drawn is not None and not somewhere.any():
+        sentence = "Nothing is held or moved yet: take a tool and drag tissue, or paint."
+        raise LayerError(drawn, "says nothing of how tissue moves.", sentence)
+    if named is None or drawn is not None:
+        return  # the problem itself says it, of what is drawn
     if not somewhere.any():
         if study.motion.labels is None and "confidence" not in study.names:
             sentence = (

@@ -72,6 +72,8 @@ class Tissue:
         Which tissues a brush can paint where there is no table; by default the first of all.
     unit : str
         Of stiffness; of no consequence, for only ratios matter.
+    without_border : bool
+        Whether what is dark around the image is no tissue where its label is 0.
     """
 
     labels: Array | None = None
@@ -81,6 +83,7 @@ class Tissue:
     preset: Preset | None = None
     unit: str = ""
     record: Mapping[str, Any] = field(default_factory=dict)
+    without_border: bool = False
 
     def __post_init__(self) -> None:
         given = [
@@ -275,15 +278,18 @@ class Study:
         )
 
     def lies_as(self, other: Study) -> bool:
-        """Whether the other differs in its drawing, or in nothing."""
+        """Whether the other differs in its drawing, in how it is solved, or in nothing."""
         motion = replace(self.motion, drawing=other.motion.drawing)
-        return replace(self, motion=motion).same_as(other)
+        return replace(self, motion=motion, optimizer=other.optimizer).same_as(other)
 
     @contextmanager
-    def naming(self) -> Iterator[None]:
-        """Let errors about the inputs of a problem name the parts that these came from."""
+    def naming(self, drawn: bool = True) -> Iterator[None]:
+        """Let errors about the inputs of a problem name the parts that these came from.
+
+        Of what holds and moves that is the drawing, if there is any, unless nothing is `drawn` yet.
+        """
         names = self.names
-        boundary = names.get("drawing") or names.get("boundary")
+        boundary = (names.get("drawing") if drawn else None) or names.get("boundary")
         tissue = names.get("tissue") or names.get("image")
         with naming(
             stiffness=tissue,

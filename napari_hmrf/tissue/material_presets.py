@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from napari_hmrf.resources import resource_folder
 from napari_hmrf.tissue.boundary_rules import Material
 
 
@@ -23,94 +25,17 @@ class Preset:
     materials: tuple[Material, ...]
 
 
+def _published() -> Iterator[Preset]:
+    """The presets of `sample_data/materials.json`."""
+    file = resource_folder("sample_data") / "materials.json"
+    for preset in json.loads(file.read_text(encoding="utf-8")):
+        materials = tuple(Material(*row) for row in preset.pop("materials"))
+        yield Preset(**preset, materials=materials)
+
+
 #: Published stiffnesses differ by orders of magnitude between studies; ratios within one agree
 #: better, and only ratios matter here.
-PRESETS: tuple[Preset, ...] = (
-    Preset(
-        "Paper: normal 20, soft 10, tumour 40",
-        "MPa",
-        "Seiler et al., Hierarchical Markov Random Fields Applied to Model Soft Tissue "
-        "Deformations on Graphics Hardware, section 2; it has no Poisson's ratio, so that is 0.45, "
-        "common for soft tissue",
-        (
-            Material(1, "normal tissue", 20.0),
-            Material(2, "soft tissue", 10.0),
-            Material(3, "tumour", 40.0),
-        ),
-    ),
-    Preset(
-        "Brain with tumour: healthy 2.1, fluid 0.1, tumour 8",
-        "kPa",
-        "parameters of the tumour growth solver GLIA (Subramanian, Biros and others), Poisson's "
-        "ratios 0.4, 0.1 and 0.45; fluid is modelled there as very soft tissue",
-        (
-            Material(1, "white and grey matter", 2.1, 0.4),
-            Material(2, "cerebrospinal fluid", 0.1, 0.1),
-            Material(3, "tumour", 8.0, 0.45),
-        ),
-    ),
-    Preset(
-        "Brain: white and grey matter 3, fluid 1",
-        "kPa",
-        "parameters of the glioma growth library glimslib (Abler, Büchler and others), Poisson's "
-        "ratio 0.45 for both",
-        (
-            Material(1, "white and grey matter", 3.0, 0.45),
-            Material(2, "cerebrospinal fluid", 1.0, 0.45),
-        ),
-    ),
-    Preset(
-        "Brain: grey matter 1.4, white matter 1.9",
-        "kPa",
-        "Budday, Nay, de Rooij, Steinmann, Wyrobek, Ovaert and Kuhl, Mechanical properties of gray "
-        "and white matter brain tissue by indentation, Journal of the Mechanical Behavior of "
-        "Biomedical Materials 46 (2015): means of indentations of bovine brains; no Poisson's "
-        "ratio, so that is 0.45, common for soft tissue",
-        (
-            Material(1, "grey matter", 1.389),
-            Material(2, "white matter", 1.895),
-        ),
-    ),
-    Preset(
-        "Muscle 3, fat 2.3",
-        "kPa",
-        "Strain-dependent shear properties of human adipose tissue in vivo, Journal of the "
-        "Mechanical Behavior of Biomedical Materials (2023): buttocks of volunteers by magnetic "
-        "resonance elastography at 50 Hz, not compressed; Young's modulus taken as three times the "
-        "shear modulus, of 1.0 and 0.752 kPa; Poisson's ratio 0.49, for tissue that hardly changes "
-        "its volume",
-        (
-            Material(1, "muscle", 3.0, 0.49),
-            Material(2, "fat", 2.256, 0.49),
-        ),
-    ),
-    Preset(
-        "Liver 5.4, carcinoma 70",
-        "kPa",
-        "table 1, from the literature, of an article in Physics in Medicine and Biology 64 (2019) "
-        "225001, doi 10.1088/1361-6560/ab5010; Young's modulus taken as three times the shear "
-        "modulus, of 1.8 and 23.4 kPa; Poisson's ratio 0.49, for tissue that hardly changes its "
-        "volume",
-        (
-            Material(1, "liver", 5.4, 0.49),
-            Material(2, "hepatocellular carcinoma", 70.2, 0.49),
-        ),
-    ),
-    Preset(
-        "Breast: fat and gland 3.2, carcinoma 10 to 43",
-        "kPa",
-        "Samani, Zubovits and Plewes, Elastic moduli of normal and pathological human breast "
-        "tissues, Physics in Medicine and Biology 52 (2007) 1565, doi 10.1088/0031-9155/52/6/002: "
-        "means of samples outside the body; no Poisson's ratio, so that is 0.45, common for soft "
-        "tissue",
-        (
-            Material(1, "fibroglandular tissue", 3.24),
-            Material(2, "fat", 3.25),
-            Material(3, "invasive ductal carcinoma, low grade", 10.4),
-            Material(4, "invasive ductal carcinoma, high grade", 42.52),
-        ),
-    ),
-)
+PRESETS: tuple[Preset, ...] = tuple(_published())
 
 
 def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ _APART = 0.35
 _PART = 0.02
 # Pixels along a side that say how bright air is.
 _ENOUGH = 400
+# Of how many pictures the border is known.
+_KEPT = 4
+_known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
 # What is dark surrounds something from this part of the picture's edge on.
 _AROUND = 0.75
 
@@ -54,6 +58,23 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
         if apart and min(len(air), len(rest)) > _PART * len(around):
             found = _surroundings(grey, below)
     return found
+
+
+def dark_border(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
+    """What is dark around a picture, if it surrounds something; else None.
+
+    Of a picture that cannot be written to it is found once.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+    """
+    known = next((mask for image, mask in _known if image() is picture), None)
+    if known is None:
+        known = background_of(picture)
+        if not picture.flags.writeable:
+            _known[:] = [(weakref.ref(picture), known), *_known][:_KEPT]
+    return known if surrounds(known) else None
 
 
 def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
@@ -98,12 +119,12 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
     picture : ndarray, shape (H, W) or (H, W, 3 or 4)
     tissue : ndarray of bool, shape (H, W)
     """
-    dark = background_of(picture)
-    if not surrounds(dark) or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
+    dark = dark_border(picture)
+    if dark is None or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
         return ()
     note = (
-        "the dark surroundings of the image move as tissue does, too: if they are air, 'Background "
-        "is no tissue' in Deform tissue makes them none"
+        "the dark surroundings of the image move as tissue does, too: if they are air, leave them "
+        "unpainted and tick 'the dark border is no tissue'"
     )
     return (note,)
 

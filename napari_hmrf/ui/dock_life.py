@@ -8,14 +8,12 @@ from typing import Any
 
 from magicgui.widgets import Container
 
-from napari_hmrf.ui.job import Job
-
 #: Qt's signals keep no strong reference to those they call: this does, until the window is gone.
 _living: set[Life] = set()
 
 
 class Life:
-    """Ends with a dock widget; then its job is cancelled and nothing of Qt's is touched any more.
+    """Ends with a dock widget; then nothing of Qt's is touched any more.
 
     It refers to its owner weakly. A closure over the owner would be called by Qt even while Python
     is taking both apart.
@@ -38,7 +36,6 @@ class Life:
         at_end: Callable[[], None],
     ) -> None:
         self.over = False
-        self.job: Job | None = None
         self._docked = False
         self._owner = weakref.ref(owner)
         self._at_opening = weakref.WeakMethod(at_opening)
@@ -53,13 +50,15 @@ class Life:
         """Whether the window is gone, or the dock was closed."""
         return self.over or (self._docked and not self._has_parent)
 
+    @property
+    def docked(self) -> bool:
+        """Whether there is a dock around the widget."""
+        return not self.over and self._has_parent
+
     def end(self, *_: Any) -> None:
         """The window is gone."""
         self.over = True
         _living.discard(self)
-        if self.job is not None:
-            self.job.cancel()
-            self.job = None
         _call(self._at_end)
 
     @property

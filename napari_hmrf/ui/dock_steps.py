@@ -1,156 +1,189 @@
-"""Undo and redo in the dock *Deform tissue*."""
+"""Tables, the curve and landmarks among the steps that are undone, by buttons and keys."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
+from napari.layers import Points, Shapes
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf.layers.compat import is_drawn
+from napari_hmrf.layers.edit_history import CURVE, POINTS, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
-from napari_hmrf.ui.deform_form import Face
-from napari_hmrf.ui.dock_life import Life
+from napari_hmrf.layers.points_state import placed_in
+from napari_hmrf.layers.table_state import Table, change
+from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
-from napari_hmrf.ui.point_steps import PointSteps
-from napari_hmrf.ui.table_steps import CurveSteps, TableSteps
+from napari_hmrf.ui.step_buttons import StepKeys
+from napari_hmrf.ui.timers import single_shot
 
-#: Whose drawings are taken back here, too.
-_GRAB = "in 'Grab and pull'"
-
-
-class AskedHere:
-    """The steps of a viewer, as the buttons and keys of one dock have them go back and forth.
-
-    Whatever dock a step was made in, the one it was taken back in says so.
-
-    Parameters
-    ----------
-    steps : ViewerSteps
-    say : callable
-        Called with what was done.
-    """
-
-    def __init__(self, steps: ViewerSteps, say: Callable[[str], None]) -> None:
-        self._steps, self._say = steps, say
-        self.edits = steps.edits
-
-    def undo(self) -> None:
-        """Take back what was done last."""
-        self._ask(self._steps.undo)
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
-        self._ask(self._steps.redo)
-
-    def _ask(self, go: Callable[[], None]) -> None:
-        said: list[tuple[str, Any]] = []
-
-        def hear(sentence: str, slot: Any) -> None:
-            said.append((sentence, slot))
-
-        self._steps.said.connect(hear)
-        try:
-            go()
-        finally:
-            self._steps.said.disconnect(hear)
-        if not said:
-            self._say(f"Took back what was half done, {_GRAB}.")
-        elif _is_drawing(said[-1][1]):
-            self._say(_drawn(said[-1][0]))
+#: How long points, or a curve, must rest until a drag of them is over, in milliseconds.
+_REST = 200
 
 
 class DockSteps:
-    """Has the tables, the curve and the landmarks of the dock undone, by its buttons and keys.
+    """Makes a step of each edit of what is chosen in a dock, and shows there what is undone.
+
+    Whatever is edited is read as it is now; napari has no undo of points, or of lines.
 
     Parameters
     ----------
-    face : Face
+    native : QWidget
+        The dock.
+    form : DockForm
         Of the dock.
     steps : ViewerSteps
-    points : PointSteps
-        Of the viewer, both.
-    life : Life
-        Of the dock.
-    say : callable
-        Called with what was done.
+        Of the viewer.
+    owner : Owner
+        Who may be in the middle of something.
+    away : callable
+        Whether the dock is closed, or gone.
     """
 
     def __init__(
         self,
-        face: Face,
+        native: Any,
+        form: DockForm,
         steps: ViewerSteps,
-        points: PointSteps,
-        life: Life,
-        say: Callable[[str], None],
+        owner: Owner,
+        away: Callable[[], bool],
     ) -> None:
-        self._buttons, self._steps, self._life, self._say = face.footer.steps, steps, life, say
-        self.steps = AskedHere(steps, say)
-        tissue, boundary = face.tissue, face.boundary
-        self._tables = (
-            TableSteps(TISSUE, tissue.painted, tissue.table, steps),
-            TableSteps(BOUNDARY, boundary.painted, boundary.table, steps),
-        )
-        self._curve = CurveSteps(tissue.curve, partial(setattr, tissue.choice, "value"), steps)
-        tissue.choice.changed.connect(self._curve.look)
-        self._landmarks = boundary.landmarks
-        self._points = points
-        self._landmarks.edited.connect(self._on_landmarks)
-        self._on_landmarks()
-        self._buttons.undo.changed.connect(self.steps.undo)
-        self._buttons.redo.changed.connect(self.steps.redo)
-        steps.edits.moved.connect(self._show)
-        steps.said.connect(self._on_said)
-        self._listening = Listening()
-        self._listen()
-        self._show()
+        self._form, self._steps, self._owner, self._away = form, steps, owner, away
+        self._model = steps.edits
+        self._undoing = False
+        # What was chosen when that was looked at last.
+        self._known: set[Slot] = set()
+        self._resting = single_shot(native, _REST, self._on_rest)
+        tissue, boundary = form.tissue, form.motion.boundary
+        for painted in (tissue.painted, boundary.painted):
+            painted.changed.connect(lambda each=painted: self.note(each.by_itself))
+        tissue.choice.changed.connect(lambda _: self.note())
+        tissue.curve.changed.connect(lambda _: self.note())
+        boundary.landmarks.edited.connect(lambda: self.note())
+        buttons = form.footer.steps
+        buttons.undo.changed.connect(steps.undo)
+        buttons.redo.changed.connect(steps.redo)
+        StepKeys(native, steps)
+        self._heard = Listening()
+        self.come()
 
     def come(self) -> None:
         """The dock is there: have the keys."""
-        self._steps.bind_keys(self)
-        self._listen()
-        self._curve.catch_up()
-        self._on_landmarks()
+        self._heard.release()
+        self._heard = Listening(
+            (self._model.changed, self._on_undone), (self._model.moved, self.show)
+        )
+        self._steps.bind_keys(self._owner)
+        curve = self._form.tissue.curve
+        if curve.layer is not None:  # it may have been undone while there was no dock
+            slot = Slot(CURVE, curve.layer)
+            if slot in self._model:
+                self._on_undone(slot, self._model.get(slot))
+        self._known = set()
+        self.note()
+        self.show()
 
     def leave(self) -> None:
-        """The dock is gone."""
-        self._steps.unbind_keys(self)
-        self._listening.release()
-        self._curve.leave()
-        # Where a process ends, the timers of what all docks share are gone before its windows.
-        if not self._life.over:
-            self._points.listen(self, ())
+        """The dock is closed, or its window is gone."""
+        self._steps.unbind_keys(self._owner)
+        self._heard.release()
+        self._drop_points(set())
 
-    def interrupt(self) -> bool:
-        """Nothing here is ever half done."""
-        return False
+    def show(self) -> None:
+        """Show what there is to take back, and to do again."""
+        if not self._away():
+            self._form.footer.steps.show(self._steps)
 
-    def _listen(self) -> None:
-        """Show what is undone; a dock that is closed leaves that to the others."""
-        self._listening.release()
-        changed = self._steps.edits.changed
-        shown = (*self._tables, self._curve)
-        self._listening = Listening(*((changed, each.show) for each in shown))
-
-    def _on_landmarks(self) -> None:
-        if not self._life.away:
-            self._points.listen(self, self._landmarks.layers)
-
-    def _show(self) -> None:
-        if not self._life.away:
-            self._buttons.show(self._steps)
-
-    def _on_said(self, sentence: str, slot: Any) -> None:
-        if self._life.away:
+    def note(self, by_itself: bool = False) -> None:
+        """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
+        if self._undoing or self._away():
             return
-        if not _is_drawing(slot):
-            self._say(sentence)
-        elif not self._buttons.undo.native.visibleRegion().isEmpty():  # a tab in front
-            self._say(_drawn(sentence))
+        known, self._known = self._known, set()
+        for slot, now in self._edited():
+            self._known.add(slot)
+            before = self._model.open(slot, now)
+            if now == before:
+                if slot.what == POINTS:
+                    before.look.update(now.look)
+            elif by_itself or slot not in known:
+                self._model.amend(slot, now)
+            else:
+                self._step(slot, before, now)
+        self._drop_points(self._known)
+
+    def _edited(self) -> Iterator[tuple[Slot, Any]]:
+        """What is chosen and can be edited, as it is now."""
+        form = self._form
+        for role, section in ((TISSUE, form.tissue), (BOUNDARY, form.motion.boundary)):
+            if (layer := section.painted.layer) is not None:
+                yield Slot(role, layer), Table.of(layer, role)
+        if (layer := form.tissue.curve.layer) is not None:
+            yield Slot(CURVE, layer), form.tissue.curve.curve
+        for layer in form.motion.boundary.landmarks.layers:
+            if isinstance(layer, Points | Shapes):
+                yield Slot(POINTS, layer), placed_in(layer)
+
+    def _step(self, slot: Slot, before: Any, now: Any) -> None:
+        """Make a step, or go on with one: a drag is one, however many times napari tells of it."""
+        model, layer = self._model, slot.layer
+        points, word = slot.what == POINTS, f"changed the curve of '{layer.name}'"
+        if points:
+            word = before.change(now, layer.name)
+        elif slot.what != CURVE:
+            word = change(before, now, layer.name)
+        if slot.what in (TISSUE, BOUNDARY) or (slot.what == CURVE and not _is_held()):
+            model.do(slot, now, word)
+            return
+        counted = points and now.count != before.count
+        if model.in_progress != slot or counted:
+            model.begin(slot, word)
+        model.update(now)
+        if counted and not is_drawn(layer):
+            model.end()
+        else:
+            self._resting.start()
+
+    def _drop_points(self, chosen: set[Slot]) -> None:
+        """Forget points that are no landmarks: what is done to them from now on is not heard."""
+        self._model.drop(
+            lambda slot: isinstance(slot, Slot) and slot.what == POINTS and slot not in chosen
+        )
+
+    def _on_rest(self) -> None:
+        slot = self._model.in_progress
+        if not isinstance(slot, Slot) or slot.what not in (CURVE, POINTS):
+            return
+        if _is_held() or (slot.what == POINTS and is_drawn(slot.layer)):
+            self._resting.start()
+        else:
+            self._model.end()
+
+    def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
+        """Put back what a slot holds: a table that is shown, a curve, or points."""
+        if not isinstance(slot, Slot) or self._undoing:
+            return
+        self._undoing = True
+        try:
+            if slot.what == CURVE:
+                self._show_curve(slot.layer, value)
+            elif slot.what == POINTS and placed_in(slot.layer) != value:
+                value.give_to(slot.layer)
+            for section in (self._form.tissue, self._form.motion.boundary):
+                if slot.what in (TISSUE, BOUNDARY) and section.painted.layer is slot.layer:
+                    section.table.show(value)
+        finally:
+            self._undoing = False
+
+    def _show_curve(self, layer: Any, value: Any) -> None:
+        curve = self._form.tissue.curve
+        if curve.layer is not layer:
+            self._form.tissue.choice.value = layer
+        if curve.layer is layer and curve.curve != value:
+            curve.curve = value
 
 
-def _drawn(sentence: str) -> str:
-    return f"{sentence.rstrip('.')}, {_GRAB}."
-
-
-def _is_drawing(slot: Any) -> bool:
-    return isinstance(slot, Slot) and slot.what == DRAWING
+def _is_held() -> bool:
+    """Whether a button of the mouse is down."""
+    return bool(QApplication.mouseButtons() != Qt.MouseButton.NoButton)

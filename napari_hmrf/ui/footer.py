@@ -2,75 +2,67 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Any
 
 from magicgui.widgets import CheckBox, PushButton
 from napari.utils import progress as napari_progress
-from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtGui import QFontMetricsF
-from qtpy.QtWidgets import (
-    QFrame,
-    QLabel,
-    QProgressBar,
-    QScrollArea,
-    QSizePolicy,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QLabel, QProgressBar, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.step_buttons import StepButtons
 
-#: Lines of text that are seen without scrolling.
-_LINES = 6
-#: What napari's style may draw around them, in pixels.
-_FRAME = 4
+#: Lines of the status that are seen; its tooltip has all of it.
+_LINES = 4
 #: Work shorter than this is over before anybody has looked at napari's activity panel, in seconds.
 _SHORT = 1.0
 #: How often that panel is told: it has the whole window drawn each time.
 _SELDOM = 0.5
-
-
-class _WholeLines(QObject):
-    """Keeps an area as high as so many lines of a label, of which none is cut."""
-
-    # How high a line is, is known when the window's style has come to the label.
-
-    def __init__(self, label: QLabel, area: QScrollArea, above: int) -> None:
-        super().__init__(label)
-        self._label, self._area, self._above = label, area, above
-        label.installEventFilter(self)
-        self._fit()
-
-    def _fit(self) -> None:
-        # Text that can be selected is laid out in whole pixels, the metrics' fractions rounded up.
-        lines = _LINES * math.ceil(QFontMetricsF(self._label.font()).lineSpacing())
-        self._area.setFixedHeight(lines + self._above + _FRAME)
-
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        if event.type() in (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show):
-            self._fit()
-        return False
+#: Dark words on amber: read on napari's dark theme and on its light one.
+_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
+_HELP = (
+    "Drag tissue: pull it. Click: hold it there. Drag an arrow's head or base: change it.\n"
+    "Shift+click: select what was drawn. Delete: remove it. Esc: cancel.\n"
+    "[ and ]: size. Hold Space: move the view. Hold Shift+B: the image as it was.\n"
+    "While napari paints: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
+    "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: all commands, by their words.\n"
+)
 
 
 class Footer:
-    """Buttons, bar and words; their height never changes, so nothing moves under the mouse."""
+    """Buttons, bar and words; their height never changes, so nothing moves under the mouse.
 
-    def __init__(self) -> None:
-        self.deform = PushButton(text="Deform", tooltip="Compute how the tissue moves")
+    Parameters
+    ----------
+    tools : str
+        Which keys the tools have.
+
+    Attributes
+    ----------
+    deform, cancel : PushButton
+    live : CheckBox
+    steps : StepButtons
+    chip : QPushButton
+        There only when there is something to know of the tissue that is seen.
+    """
+
+    def __init__(self, tools: str = "") -> None:
+        self.deform = PushButton(text="Deform", tooltip="Compute from nothing how the tissue moves")
         self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
         self.cancel.enabled = False
-        self._buttons = row(self.deform, self.cancel)
-        self._buttons.margins = (2, 2, 2, 2)
         self.live = CheckBox(text="Live", value=True)
         self.steps = StepButtons()
-        self._follow = row(self.live, self.steps.undo, self.steps.redo)
-        self._follow.margins = (2, 0, 2, 0)
+        self.help = PushButton(text="?", tooltip=_HELP + tools)
+        self.help.native.setFixedWidth(28)
+        self.chip = QPushButton()
+        self.warning = ""
         self._bar = QProgressBar()
-        self._bar.setTextVisible(True)
         self._status, self._details = QLabel(), QLabel()
+        self._rows = [
+            row(self.live, self.steps.undo, self.steps.redo, self.help),
+            row(self.deform, self.cancel),
+        ]
         self._activity: Any = None
         self._started = self._told = 0.0
 
@@ -80,39 +72,45 @@ class Footer:
         layout = QVBoxLayout(footer)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
-        layout.addWidget(self._follow.native)
-        layout.addWidget(self._buttons.native)
-        policy = self._bar.sizePolicy()
-        policy.setRetainSizeWhenHidden(True)
-        self._bar.setSizePolicy(policy)
-        self._bar.hide()
-        layout.addWidget(self._bar)
-        words = QWidget()
-        lines = QVBoxLayout(words)
-        lines.setContentsMargins(6, 2, 6, 2)
-        lines.setSpacing(3)
-        for label in (self._status, self._details):
+        for each in self._rows:
+            each.margins = (2, 0, 2, 0)
+            layout.addWidget(each.native)
+        self.chip.setStyleSheet(_CHIP)
+        self._bar.setFixedHeight(12)
+        for kept in (self._bar, self.chip):
+            policy = kept.sizePolicy()
+            policy.setRetainSizeWhenHidden(True)
+            kept.setSizePolicy(policy)
+            kept.hide()
+            layout.addWidget(kept)
+        for label, lines in ((self._status, _LINES), (self._details, 1)):
             label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            lines.addWidget(label)
-        lines.addStretch()
-        self._details.setStyleSheet("font-size: 10px")
-        area = QScrollArea()
-        area.setFrameShape(QFrame.Shape.NoFrame)
-        area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        area.setWidgetResizable(True)
-        area.setWidget(words)
-        self._whole_lines = _WholeLines(self._status, area, above=lines.contentsMargins().top())
-        layout.addWidget(area)
+            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+            label.setFixedHeight(lines * label.fontMetrics().lineSpacing() + 4)
+            label.setContentsMargins(4, 0, 4, 0)
+            layout.addWidget(label)
+        self.help.changed.connect(lambda _: self.say(self.help.tooltip))
         footer.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         return footer
 
-    def say(self, status: str, details: str = "") -> None:
-        """Show a sentence, and below it in small what few want to know."""
+    def say(self, status: str) -> None:
+        """Show a sentence."""
         self._status.setText(status)
-        self._details.setText(details)
+        self._status.setToolTip(status)
+
+    def tell(self, brief: str, details: str = "") -> None:
+        """Show a line about a result, and where the mouse rests on it what few want to know."""
+        self._details.setText(brief)
         self._details.setToolTip(details)
+
+    def warn(self, sentences: str, short: str = "") -> None:
+        """Show what is to be known of the tissue that is seen; "" if nothing."""
+        self.warning = sentences
+        self.chip.setVisible(bool(sentences))
+        self.chip.setText(f"⚠  {short or 'Good to know'}")
+        self.chip.setToolTip(sentences)
 
     def start(self, status: str) -> None:
         """Show at once that work begins, though the window may be busy for a moment yet."""
@@ -137,7 +135,7 @@ class Footer:
             return
         self._told = now
         if self._activity is None:
-            activity = napari_progress(total=1000, desc="Deform tissue")
+            activity = napari_progress(total=1000, desc="Soft tissue")
             if self.cancel.enabled:
                 self._activity = activity
             else:

@@ -135,6 +135,11 @@ class LabelTable(QAbstractTableModel):
         """The labels that have a row."""
         return tuple(int(value.label) for value in self._rows)
 
+    def show(self, table: Any) -> None:
+        """Show a table as a layer carries it, with `rows` and perhaps a `unit`."""
+        if self.rows != table.rows:
+            self.rows = table.rows
+
     def ensure(self, labels: Iterable[int]) -> None:
         """Give each label a row."""
         if new := sorted(set(labels) - set(self.labels)):

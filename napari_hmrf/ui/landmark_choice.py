@@ -1,4 +1,4 @@
-"""The fields of *Deform tissue* for landmarks: points or lines, and what goes with each."""
+"""The fields for landmarks: points or lines, and what goes with each."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QFileDialog, QInputDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.tissue.material_tables import (
@@ -39,6 +40,22 @@ def materials_of(layer: Any) -> Preset | None:
     if not rows or not any(row.stiffness > 0 for row in rows):
         return None
     return Preset(str(layer.name), unit, f"the layer '{layer.name}'", rows)
+
+
+def preset_of(materials: Preset | Any) -> Preset:
+    """A preset, the table of a layer, or that of a file, as a preset.
+
+    Raises
+    ------
+    LayerError
+        If the layer has none.
+    """
+    if isinstance(materials, str | Path):
+        return load_materials(materials)
+    found = materials if isinstance(materials, Preset) else materials_of(materials)
+    if found is None:
+        raise LayerError(materials, "has no table of materials. Choose another layer.")
+    return found
 
 
 class MaterialMenu(QPushButton):

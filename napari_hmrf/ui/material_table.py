@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
@@ -65,6 +66,11 @@ class MaterialTable(LabelTable):
     def contents(self, contents: Preset) -> None:
         self.unit = contents.unit
         self.rows = contents.materials
+
+    def show(self, table: Any) -> None:
+        """Show a table as a layer carries it, with its unit."""
+        self.unit = table.unit or self.unit
+        super().show(table)
 
     def apply_preset(self, preset: Preset) -> str:
         """Take over a preset's tissues; what became of others, in words, as of `take_over`."""

@@ -15,36 +15,28 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.models import Model, Schedule, in_words, is_multigrid
 from napari_hmrf.study.study import Study
-from napari_hmrf.ui.job import Done
+from napari_hmrf.ui.follower import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
-MAKE = "Press 'Make layers to paint on', or choose a tissue and a boundary layer."
-CHOOSE = "Open or choose an image first, or choose a tissue and a boundary layer."
+CHOOSE = "Choose an image above, or open one (File > Open)."
 READY = "Press Deform."
+STILL = "Nothing moves yet: take a tool and drag tissue, or paint what moves."
 PAINT = (
     "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
-    "paint with its label. Then press Deform."
+    "paint with its label."
 )
-PAINT_BOUNDARY = (
-    "Paint what holds or moves in 'Boundary': click a row of the table, then paint with its label. "
-    "Then press Deform."
-)
-UNPAINTED = "For landmarks nothing needs to be painted: what is left unpainted is tissue, too."
-CURVE = (
-    "A first guess: the brighter, the stiffer. Drag the points of the curve; 'Make layers to paint "
-    "on' then adds the boundary."
-)
-AIR = "The dark surroundings of the image are now no tissue, in the slice that is shown."
+CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
+MEANWHILE = "What was deformed is hidden meanwhile."
 CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
-NO_FOLDS = "Nothing folds: there is nothing to mark as 'folds'."
 CANCELLED = "Cancelled; nothing was changed."
+STAYS = "The last result stays."
 DRAWING = "Drawing the result; the first time after the start that takes some seconds."
 COMPILING = "Getting the kernels ready, as for the first time on this machine: some seconds."
 
 MODELS: dict[Model, str] = {
-    "paper": "paper's: Markov random field",
     "elastic": "elastic: as finite elements",
+    "paper": "paper's: Markov random field",
 }
 SCHEDULES: dict[Schedule, str] = {
     "paper": "paper's schedule: 70 sweeps per level",
@@ -79,6 +71,8 @@ ABOUT_POISSON = (
 PAPERS = "Back to the paper's"
 ELASTIC = "Take the elastic model"
 
+#: What moves by less than this part of a pixel has not moved, but for rounding.
+_UNSEEN = 1e-3
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
 
@@ -102,33 +96,38 @@ def cannot_be_rigid(names: Sequence[str]) -> str:
 
 
 def report(done: Done) -> str:
-    """What came out, and what to beware of; for people.
+    """What came out, in a sentence."""
+    place = done.moved.study.grid.place
+    where = f"S{place.slice_said[1:]}: tissue" if place.slice_said else "Tissue"
+    solution = done.outputs.solution
+    if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
+        return STILL
+    return f"{where} moved up to {_farthest(done)}."
 
-    Parameters
-    ----------
-    done : Done
-    """
-    outputs, frame = done.outputs, done.study.grid.place
-    where = f"S{frame.slice_said[1:]}: tissue" if frame.slice_said else "Tissue"
-    parts = [f"{where} moved up to {_farthest(done)}."]
+
+def warnings_of(done: Done) -> str:
+    """What to beware of, in sentences; "" if nothing."""
+    outputs, parts = done.outputs, []
     if outputs.folds > _HANDFUL and outputs.worst is not None:
         row, col = outputs.worst
-        where = "'folds' shows where" if "folds" in outputs.layers else "tick 'folds' to see where"
         parts.append(
             f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
-            f"pushed through itself (it folds), which no tissue does. {_less(done.study)}; "
-            f"{where}."
+            f"pushed through itself (it folds), which no tissue does. {_less(done.moved.study)}."
         )
     if outputs.overlaps > _HANDFUL:
         parts.append(
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
-    if done.ignored:
-        what = "1 boundary pixel" if done.ignored == 1 else f"{done.ignored} boundary pixels"
-        parts.append(f"{what} outside tissue {'was' if done.ignored == 1 else 'were'} ignored.")
-    parts += map(sentence_of, done.notes)
-    return " ".join(parts)
+    return " ".join([*parts, *map(sentence_of, done.notes)])
+
+
+def warned_of(done: Done) -> str:
+    """What to beware of, in a few words."""
+    outputs = done.outputs
+    if outputs.folds > _HANDFUL:
+        return f"Folds at {outputs.folds} pixels: show where"
+    return f"Overlaps at {outputs.overlaps} pixels" if outputs.overlaps > _HANDFUL else ""
 
 
 def sentence_of(clause: str) -> str:
@@ -140,6 +139,8 @@ def _less(study: Study) -> str:
     """What keeps tissue from folding, of what there is to change."""
     motion = study.motion
     painted = motion.observed is not None or (motion.labels is not None and motion.labels.any())
+    if motion.drawing.marks and not (painted or motion.landmarks.marks):
+        return "Move it less; far from all that is held take a larger patch, near it a smaller one"
     if not motion.landmarks.marks:
         return "Let it move less or over a wider boundary"
     if painted:
@@ -177,6 +178,16 @@ def details(done: Done) -> str:
     )
 
 
+def brief(done: Done) -> str:
+    """The model, how far tissue moved and how long that took, in a line."""
+    run = done.outputs.solution.provenance
+    return f"{run.model}: moved up to {_farthest(done)} in {_time(run.seconds)}"
+
+
+def _time(seconds: float) -> str:
+    return f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.2g} s"
+
+
 def painting(layer: Any) -> str:
     """What is painted with from now on, by its name in the table if it has one."""
     label, role = int(layer.selected_label), role_of(layer)
@@ -200,7 +211,7 @@ def _farthest(done: Done) -> str:
     solution = done.outputs.solution
     squares = (solution.displacement.astype(np.float32) ** 2).sum(axis=-1)
     length = float(np.sqrt(squares.max()))
-    unit, size = unit_symbol(done.study.grid.place.unit), solution.spacing[0]
+    unit, size = unit_symbol(done.moved.study.grid.place.unit), solution.spacing[0]
     if any(other != size for other in solution.spacing):
         return f"{length:.3g} {unit}"
     pixels = f"{length / size:.1f} px"

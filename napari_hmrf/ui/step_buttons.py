@@ -8,7 +8,7 @@ from magicgui.widgets import PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 
 from napari_hmrf.layers.edit_history import ViewerSteps
-from napari_hmrf.tissue.drawing.edits import Edits
+from napari_hmrf.study.study_model import StudyModel
 
 _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
@@ -17,7 +17,7 @@ _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
 class Steps(Protocol):
     """What can go back and forth."""
 
-    edits: Edits
+    edits: StudyModel
 
     def undo(self) -> None:
         """Take back what was done last."""

@@ -38,6 +38,8 @@ class HostModel:
     found: Found
     bodies: Bodies | None = None
     iterates: bool = True
+    #: Loops go through a cycle in a hundredth of the time that factors take.
+    slow = False
     _held: HeldPlanes | None
     #: What is left of a load: 0 where held.
     _rest: npt.NDArray[np.float32]

@@ -165,6 +165,11 @@ class LinearModel(Protocol):
         ...
 
     @property
+    def slow(self) -> bool:
+        """Whether cycles take so long where they run that factors are the shorter way."""
+        ...
+
+    @property
     def moves(self) -> HeldPlanes:
         """Which components of the finest level are unknown, with what is held now."""
         ...

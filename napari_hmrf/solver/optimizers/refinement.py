@@ -78,6 +78,7 @@ class Refinement:
         self._first: float | None = None
         self._doubt: float | None = None
         self._low: Planes | None = None
+        self._factors_tried = False
 
     def pull(self, d: Planes) -> Planes:
         """What tissue pulls with where the last run has left it: more digits than `d` carries."""
@@ -124,8 +125,8 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
-        vain = math.prod(self._model.shape) <= _FEW or self._model.material.laced
-        if vain and not self._model.mild and Factors.fit(self._model.shape):
+        if not self._model.mild and self._factors_first and Factors.fit(self._model.shape):
+            self._factors_tried = True
             return False
         if not self._entrain():
             return False
@@ -187,6 +188,14 @@ class Refinement:
             found.entrained = model.entrained(*self._iteration.steps)
         self._iteration.entrained = found.entrained
         return found.entrained is None or found.entrained.sure
+
+    @property
+    def _factors_first(self) -> bool:
+        """Whether cycles would be in vain, or take longer than factors do."""
+        few, laced = math.prod(self._model.shape) <= _FEW, self._model.material.laced
+        # Where observations slip, systems follow each other that are next to the same: what cycles
+        # have left to do is less each time, and what factors do is not.
+        return few or laced or (self._model.slow and not self._factors_tried)
 
     @property
     def _too_long(self) -> bool:

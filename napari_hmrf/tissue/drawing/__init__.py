@@ -1,12 +1,11 @@
 """What was drawn on an image: arrows, landmarks and brush strokes, as values that do not change.
 
-A `Drawing` is marks in their order; `Rendering` puts it on top of the images of a problem, and
-`History` goes back and forth between drawings. Nothing here needs Qt or napari.
+A `Drawing` is marks in their order; `Rendering` puts it on top of the images of a problem. Nothing
+here needs Qt or napari.
 """
 
 from napari_hmrf.tissue.drawing.canvas import Canvas
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit
-from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.rendering import Rendering
 
@@ -15,7 +14,6 @@ __all__ = [
     "Canvas",
     "Components",
     "Drawing",
-    "History",
     "Hit",
     "Landmark",
     "Mark",

@@ -9,9 +9,8 @@ from typing import Any
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing.canvas import refuse_open_line
-from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Action, Components, Mark, Point, Stroke
-from napari_hmrf.tissue.drawing.tool import Hand, Origin, unmoved
+from napari_hmrf.tissue.drawing.tool import Hand, History, Origin, unmoved
 
 #: The brush must have moved on by this part of its radius until that is a place of its own.
 _STEP = 0.1
@@ -53,6 +52,8 @@ class Paint:
 class Brush(Hand):
     """Paints strokes; where the selected one is gone over with the same paint, it is continued.
 
+    What moves by a step is dragged instead, once it is painted: the step leads where it is let go.
+
     What is under the brush is the tissue as it was seen when the button was pressed: that it moves
     meanwhile does not lead the brush astray.
 
@@ -76,6 +77,8 @@ class Brush(Hand):
         self._shape = shape
         self._origin: Origin = unmoved
         self._new = False
+        # Where a stroke that moves was taken hold of, and its step then.
+        self._dragged: tuple[Point, Point] | None = None
 
     @property
     def how(self) -> Paint | None:
@@ -88,14 +91,15 @@ class Brush(Hand):
         self.release()
         self._origin, self._holds = came_from, True
         drawing, at = self._history.drawing, self._place(point)
-        before = self.mark
+        before, number = self.mark, self.selected
+        covered = isinstance(before, Stroke) and before.distance(at, self._spacing) <= before.radius
+        self._dragged = None
+        if covered and isinstance(before, Stroke) and before.action == how.action == "move":
+            self._dragged, self._new = (point, before.by), False
+            self._history.begin("pushed what was painted")
+            return True
         self._history.begin(WORDS[how.action])
-        if (
-            isinstance(before, Stroke)
-            and Paint.of(before) == how
-            and before.distance(at, self._spacing) <= how.radius
-        ):
-            number = self.selected
+        if covered and isinstance(before, Stroke) and Paint.of(before) == how:
             assert number is not None
             self._new = False
             self._show(drawing.replaced(number, before.again(at)), number)
@@ -108,6 +112,15 @@ class Brush(Hand):
         """Go on to a point; nothing happens unless the brush is down."""
         stroke, number = self.mark, self.selected
         if not self.holding or number is None or not isinstance(stroke, Stroke):
+            return
+        if self._dragged is not None:
+            start, by = self._dragged
+            down, along = (
+                step + (now - was) * size
+                for step, now, was, size in zip(by, point, start, self._spacing, strict=True)
+            )
+            pushed = replace(stroke, by=(down, along))
+            self._show(self._history.drawing.replaced(number, pushed), number)
             return
         at, last = self._place(point), stroke.lines[-1][-1]
         steps = ((a - b) * size for a, b, size in zip(at, last, self._spacing, strict=True))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from napari_hmrf.tissue.drawing.drawing import Drawing
-from napari_hmrf.tissue.drawing.history import History
 from napari_hmrf.tissue.drawing.marks import Mark, Point
 
 #: Where the tissue seen at a point is when nothing moves; None if there is none.
@@ -17,6 +16,37 @@ Origin = Callable[[Point], Point | None]
 def unmoved(point: Point) -> Point | None:
     """The `Origin` of tissue that is seen where it is."""
     return point
+
+
+class History(Protocol):
+    """A drawing as it is now, and the steps that led there."""
+
+    @property
+    def drawing(self) -> Drawing:
+        """As it is now, an edit in progress included."""
+
+    @property
+    def in_progress(self) -> bool:
+        """Whether an edit was begun and not ended."""
+
+    @property
+    def undo_word(self) -> str:
+        """What was done last; empty if nothing."""
+
+    def do(self, drawing: Drawing, word: str) -> None:
+        """Make one step, said in the past tense."""
+
+    def begin(self, word: str) -> None:
+        """Begin an edit that takes a while."""
+
+    def update(self, drawing: Drawing) -> None:
+        """Go on with it."""
+
+    def end(self, word: str = "") -> None:
+        """End it; it is one step."""
+
+    def cancel(self) -> None:
+        """Drop it: all is as before."""
 
 
 class Hand:

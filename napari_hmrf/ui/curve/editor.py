@@ -9,19 +9,7 @@ from typing import Any, get_args
 
 import numpy.typing as npt
 from psygnal import Signal
-from qtpy.QtCore import QSignalBlocker
-from qtpy.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QHBoxLayout,
-    QLabel,
-    QLineEdit,
-    QPushButton,
-    QSizePolicy,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy import QtWidgets
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.stiffness_curve import Between, StiffnessCurve
@@ -32,7 +20,7 @@ from napari_hmrf.ui.curve.plot import CurvePlot
 _FAR = 1e12
 
 
-class CurveEditor(QWidget):
+class CurveEditor(QtWidgets.QWidget):
     """Edits a curve by mouse, keys or numbers.
 
     Parameters
@@ -58,21 +46,17 @@ class CurveEditor(QWidget):
     def __init__(self, curve: StiffnessCurve) -> None:
         super().__init__()
         self.plot = CurvePlot(curve)
-        self.intensity = _number("Of the selected point, in the image's own unit", -_FAR)
-        self.stiffness = _number(
-            "Young's modulus of tissue of that intensity; any unit, for only ratios matter", 0
-        )
-        self.unit = QLineEdit()
-        self.unit.setPlaceholderText("unit")
-        self.unit.setMaximumWidth(52)
-        self.unit.setToolTip("The unit of stiffness, such as kPa; shown only")
-        self.add = _button("+", "Add a point, halfway to the next")
-        self.remove = _button("−", "Remove the selected point (Delete)")
-        for button in (self.add, self.remove):
-            button.setFixedWidth(28)
-        self.void = QCheckBox("no tissue below")
-        self.void.setToolTip("What is darker than this, such as air, has stiffness 0")
-        self.void_below = _number("Intensity, in the image's own unit", -_FAR)
+        self.intensity = _Number(-_FAR, "Of the selected point, in the image's own unit")
+        self.stiffness = _Number(0, "Young's modulus of tissue of that intensity; any unit")
+        tip = "The unit of stiffness, such as kPa; shown only"
+        self.unit = QtWidgets.QLineEdit(placeholderText="unit", maximumWidth=52, toolTip=tip)
+        tip = "Add a point, halfway to the next"
+        self.add = QtWidgets.QPushButton("+", maximumWidth=28, toolTip=tip)
+        tip = "Remove the selected point (Delete)"
+        self.remove = QtWidgets.QPushButton("−", maximumWidth=28, toolTip=tip)
+        tip = "What is darker than this, such as air, has stiffness 0"
+        self.void = QtWidgets.QCheckBox("no tissue below", toolTip=tip)
+        self.void_below = _Number(-_FAR, "Intensity, in the image's own unit")
         self.between = _choice(
             {between: between for between in get_args(Between)},
             "How the points are joined; the smooth line overshoots none",
@@ -82,10 +66,9 @@ class CurveEditor(QWidget):
             "Of stiffness. Logarithmic: by equal factors, as tissues differ; linear: by equal "
             "amounts. It counts between the points, too",
         )
-        self.anew = _button(
-            "Start anew",
-            "The first guess again, from the slice that is shown: the brighter, the stiffer",
-        )
+        tip = "The first guess again, from the slice that is shown: the brighter, the stiffer"
+        self.anew = QtWidgets.QPushButton("Start anew", toolTip=tip)
+        self._showing = False
         self._assemble()
         self._connect()
         self._show()
@@ -106,146 +89,121 @@ class CurveEditor(QWidget):
         if self.curve.void_below is None:
             # What a first tick says: it is likely, and the dark end of the curve if nothing is.
             air = between_air_and_tissue(values)
-            with QSignalBlocker(self.void_below):
-                _set(self.void_below, self.curve.points[0][0] if air is None else air)
+            self._showing = True
+            self.void_below.show_value(self.curve.points[0][0] if air is None else air)
+            self._showing = False
 
     def _assemble(self) -> None:
-        layout = QVBoxLayout(self)
+        layout, label = QtWidgets.QVBoxLayout(self), QtWidgets.QLabel
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(3)
         layout.addWidget(self.plot)
+        wide = QtWidgets.QComboBox | QtWidgets.QDoubleSpinBox
         for row in (
-            [QLabel("intensity"), self.intensity, QLabel("stiffness"), self.stiffness, self.unit],
+            [label("intensity"), self.intensity, label("stiffness"), self.stiffness, self.unit],
             [self.void, self.void_below, self.add, self.remove, self.anew],
-            [QLabel("between points"), self.between, QLabel("axis"), self.scale],
+            [label("between points"), self.between, label("axis"), self.scale],
         ):
-            line = QHBoxLayout()
+            line = QtWidgets.QHBoxLayout()
             for widget in row:
-                line.addWidget(widget, int(isinstance(widget, QComboBox | QDoubleSpinBox)))
+                line.addWidget(widget, int(isinstance(widget, wide)))
             layout.addLayout(line)
 
     def _connect(self) -> None:
-        self.plot.edited.connect(self._on_plot)
-        self.plot.settled.connect(self.settled.emit)
-        self.plot.picked.connect(self._show)
-        self.intensity.valueChanged.connect(self._on_point)
-        self.stiffness.valueChanged.connect(self._on_point)
+        for told in (self.plot.edited, self.plot.picked):
+            told.connect(self._show)
+        self.plot.edited.connect(self.changed)
+        self.plot.settled.connect(self.settled)
+        for field in (self.intensity, self.stiffness):
+            field.valueChanged.connect(self._on_point)
+        for told in (self.void.toggled, self.void_below.valueChanged):
+            told.connect(self._on_void)
+        for box in (self.between, self.scale):
+            box.currentIndexChanged.connect(self._on_choice)
+        self.unit.editingFinished.connect(self._on_choice)
         self.add.clicked.connect(self._on_add)
         self.remove.clicked.connect(lambda: self.plot.remove())
-        self.void.toggled.connect(self._on_void)
-        self.void_below.valueChanged.connect(self._on_void)
-        self.between.currentIndexChanged.connect(self._on_choice)
-        self.scale.currentIndexChanged.connect(self._on_choice)
-        self.unit.editingFinished.connect(self._on_choice)
 
     def _show(self, *_: Any) -> None:
         """Show in the fields what the plot shows."""
-        curve, selected = self.plot.curve, self.plot.selected
-        numbers, choices = (self.intensity, self.stiffness), (self.between, self.scale)
-        fields = (*numbers, self.void, self.void_below, *choices, self.unit)
-        blocked = [QSignalBlocker(field) for field in fields]
-        for part, field in enumerate(numbers):
-            field.setEnabled(selected is not None)
-            if selected is None:
-                field.clear()
-            else:
-                _set(field, curve.points[selected][part])
-        self.remove.setEnabled(selected is not None and len(curve.points) > 2)
-        self.void.setChecked(curve.void_below is not None)
-        self.void_below.setEnabled(curve.void_below is not None)
-        if curve.void_below is not None:
-            _set(self.void_below, curve.void_below)
+        curve, at, edge = self.plot.curve, self.plot.selected, self.plot.curve.void_below
+        self._showing = True
+        for part, field in enumerate((self.intensity, self.stiffness)):
+            field.setEnabled(at is not None)
+            field.show_value(None if at is None else curve.points[at][part])
+        self.remove.setEnabled(at is not None and len(curve.points) > 2)
+        self.void.setChecked(edge is not None)
+        self.void_below.setEnabled(edge is not None)
+        if edge is not None:
+            self.void_below.show_value(edge)
         self.between.setCurrentIndex(self.between.findData(curve.between))
         self.scale.setCurrentIndex(self.scale.findData(curve.logarithmic))
         if not self.unit.hasFocus():
             self.unit.setText(curve.unit)
-        for blocker in blocked:
-            blocker.unblock()
-
-    def _on_plot(self, curve: StiffnessCurve) -> None:
-        self._show()
-        self.changed.emit(curve)
+        self._showing = False
 
     def _on_point(self, *_: Any) -> None:
-        if self.plot.selected is None:
+        if self.plot.selected is None or self._showing:
             return
-        stiffness = self.stiffness.value()
-        if stiffness <= 0:
+        if (stiffness := self.stiffness.value()) > 0:
+            self.plot.move((self.intensity.value(), stiffness))
+        else:
             self.refused.emit(
                 "Stiffness must be above 0; what is no tissue is said by 'no tissue below'."
             )
-        else:
-            self.plot.move((self.intensity.value(), stiffness))
         self._show()
 
     def _on_add(self) -> None:
         """Halfway to the next point, on the curve: nothing changes until it is moved."""
-        points, at = self.plot.curve.points, self.plot.selected or 0
-        at = min(at, len(points) - 2)
+        points = self.curve.points
+        at = min(self.plot.selected or 0, len(points) - 2)
         middle = (points[at][0] + points[at + 1][0]) / 2
-        whole = replace(self.plot.curve, void_below=None)
+        whole = replace(self.curve, void_below=None)
         self.plot.add((middle, float(f"{float(whole(middle)):.3g}")))
 
     def _on_void(self, *_: Any) -> None:
-        below = self.void_below.value() if self.void.isChecked() else None
-        self._take(void_below=below)
+        self._take(void_below=self.void_below.value() if self.void.isChecked() else None)
 
     def _on_choice(self, *_: Any) -> None:
-        self._take(
-            between=self.between.currentData(),
-            logarithmic=bool(self.scale.currentData()),
-            unit=self.unit.text().strip(),
-        )
+        between, logarithmic = self.between.currentData(), bool(self.scale.currentData())
+        self._take(between=between, logarithmic=logarithmic, unit=self.unit.text().strip())
 
     def _take(self, **values: Any) -> None:
+        if self._showing:
+            return
         try:
-            curve = replace(self.plot.curve, **values)
+            self.plot.take(replace(self.curve, **values))
         except ProblemError as error:
             self.refused.emit(str(error))
             self._show()
-            return
-        if curve != self.plot.curve:
-            self.curve = curve
-            self.changed.emit(curve)
-            self.settled.emit(curve)
 
 
-class _PlainNumber(QDoubleSpinBox):
+class _Number(QtWidgets.QDoubleSpinBox):
     """A number without the zeros behind it."""
+
+    def __init__(self, least: float, tooltip: str) -> None:
+        super().__init__(keyboardTracking=False, toolTip=tooltip, minimumWidth=50)
+        self.setRange(least, _FAR)
+        self.setSizePolicy(QtWidgets.QSizePolicy.Policy.Ignored, self.sizePolicy().Policy.Fixed)
+        self.setButtonSymbols(self.ButtonSymbols.NoButtons)
 
     def textFromValue(self, value: float) -> str:
         return f"{value:.10g}"
 
-
-def _number(tooltip: str, least: float) -> QDoubleSpinBox:
-    field = _PlainNumber()
-    field.setRange(least, _FAR)
-    field.setKeyboardTracking(False)
-    field.setToolTip(tooltip)
-    field.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-    field.setMinimumWidth(50)
-    field.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
-    return field
-
-
-def _button(text: str, tooltip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tooltip)
-    return button
+    def show_value(self, value: float | None) -> None:
+        """Show a number to as many digits as it has; None: nothing."""
+        if value is None:
+            self.clear()
+            return
+        size = math.floor(math.log10(abs(value))) if value else 0
+        self.setDecimals(min(12, max(0, 4 - size)))
+        self.setSingleStep(10.0 ** (size - 1))
+        self.setValue(value)
 
 
-def _choice(words: Mapping[Any, str], tooltip: str) -> QComboBox:
-    box = QComboBox()
+def _choice(words: Mapping[Any, str], tooltip: str) -> QtWidgets.QComboBox:
+    box = QtWidgets.QComboBox(toolTip=tooltip)
     for value, said in words.items():
         box.addItem(said, value)
-    box.setToolTip(tooltip)
-    box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    box.setSizePolicy(QtWidgets.QSizePolicy.Policy.Ignored, box.sizePolicy().Policy.Fixed)
     return box
-
-
-def _set(field: QDoubleSpinBox, value: float) -> None:
-    """Show a number to as many digits as it has."""
-    size = 0 if value == 0 else math.floor(math.log10(abs(value)))
-    field.setDecimals(min(12, max(0, 4 - size)))
-    field.setSingleStep(10.0 ** (size - 1))
-    field.setValue(value)

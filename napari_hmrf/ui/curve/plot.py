@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 from psygnal import Signal
-from qtpy.QtCore import QEvent, QPointF, Qt
-from qtpy.QtGui import QPainter
-from qtpy.QtWidgets import QSizePolicy, QToolTip, QWidget
+from qtpy.QtCore import QPointF, Qt
+from qtpy.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve, with_point
-from napari_hmrf.ui.curve.picture import CurvePicture
+from napari_hmrf.ui.figure_canvas import emptied, figure_canvas
 
-HEIGHT = 170
-#: Two points of one intensity are kept apart by so much of the width.
-_APART = 1e-3
-#: An arrow key moves a point by so much of the plot.
-_NUDGE = 1 / 200
+_HEIGHT, _BINS = 170, 128
+#: Of a large image so many pixels are counted.
+_COUNTED = 1_000_000
+#: Room to drag a point up: how far the axes reach beyond the stiffnesses.
+_ROOM = 2.5
+#: How near the mouse takes hold of a point or of the edge of what is no tissue, in pixels.
+_NEAR = 9
+#: Two points are kept apart by so much of the width; an arrow key moves one by so much of the plot.
+_APART, _NUDGE = 1e-3, 1 / 200
+_LINE, _SELECTED = "#4ea6dc", "#f0a030"
+_VOID = "void"
 _ARROWS = {
-    Qt.Key.Key_Left: (-1, 0),
-    Qt.Key.Key_Right: (1, 0),
-    Qt.Key.Key_Up: (0, 1),
-    Qt.Key.Key_Down: (0, -1),
-}
+    Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0),
+    Qt.Key.Key_Up: (0, 1), Qt.Key.Key_Down: (0, -1),
+}  # fmt: skip
 _PAGES = {Qt.Key.Key_PageUp: 1, Qt.Key.Key_PageDown: -1}
-HELP = (
-    "Drag a point. Double click: add one. Delete: remove the selected one.\n"
+_HELP = (
+    "Drag a point. Double click: add one. Delete or a right click: remove it.\n"
     "Arrow keys: nudge it (with Shift, further). Page Up, Page Down: select another.\n"
     "Drag the edge of the grey: what is darker is no tissue."
 )
@@ -53,33 +58,31 @@ class CurvePlot(QWidget):
 
     def __init__(self, curve: StiffnessCurve) -> None:
         super().__init__()
-        self.setFixedHeight(HEIGHT)
+        self.setFixedHeight(_HEIGHT)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.setMouseTracking(True)
         self.setAccessibleName("Stiffness by intensity")
-        self._picture = CurvePicture(curve)
+        QVBoxLayout(self).setContentsMargins(0, 0, 0, 0)
+        self._curve = self._before = curve
         self._selected: int | None = None
         #: What the mouse holds: a point's number, or the edge of what is no tissue.
         self._held: int | str | None = None
-        self._before = curve
+        self._counts, self._edges = np.zeros(0), np.array([curve.points[0][0], curve.points[-1][0]])
+        self._canvas: Any = None
 
     # What there is
 
     @property
     def curve(self) -> StiffnessCurve:
         """The curve shown; to set it is no edit of the user's."""
-        return self._picture.curve
+        return self._curve
 
     @curve.setter
     def curve(self, curve: StiffnessCurve) -> None:
-        self._picture.curve = curve
+        self._curve = curve
         if self._selected is not None and self._selected >= len(curve.points):
             self.select(None)
-        # While something is dragged, the numbers stay under the mouse.
-        if self._held is None:
-            self._picture.fit()
-        self.update()
+        self._draw()
 
     @property
     def selected(self) -> int | None:
@@ -91,17 +94,35 @@ class CurvePlot(QWidget):
         if number != self._selected:
             self._selected = number
             self.picked.emit(number)
-            self.update()
+            self._draw()
 
     def show_intensities(self, values: npt.NDArray[Any]) -> None:
         """Draw the histogram of an image, shape (H, W), behind the curve."""
-        self._picture.count(values)
-        self._picture.fit()
-        self.update()
+        finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values.ravel()
+        self._counts = np.zeros(0)
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+        if low < high and math.isfinite(high - low):
+            some = finite[:: max(1, finite.size // _COUNTED)].astype(float)
+            self._counts, self._edges = np.histogram(some, _BINS, (low, high))
+        self._draw()
+
+    @property
+    def canvas(self) -> Any:
+        """What the curve is drawn on, and feels the mouse; made when it is first asked for."""
+        if self._canvas is None:
+            self._canvas = canvas = figure_canvas("none")
+            canvas.figure.subplots_adjust(0.13, 0.13, 0.97, 0.95)
+            self.layout().addWidget(canvas)
+            canvas.mpl_connect("button_press_event", self._on_press)
+            canvas.mpl_connect("motion_notify_event", self._on_motion)
+            canvas.mpl_connect("button_release_event", self._on_release)
+            self._draw()
+        return self._canvas
 
     def place_of(self, point: Point) -> QPointF:
-        """Where a point of intensity and stiffness is seen, in pixels of the widget."""
-        return self._picture.place_of(point)
+        """Where a point of intensity and stiffness is seen, in pixels of the canvas."""
+        across, up = self._axes.transData.transform(point) / self._canvas.device_pixel_ratio
+        return QPointF(across, self._canvas.height() - up)
 
     # What can be done
 
@@ -111,128 +132,178 @@ class CurvePlot(QWidget):
 
     def remove(self) -> None:
         """Remove the selected point; two stay."""
-        if self._selected is not None and len(self.curve.points) > 2:
+        if self._selected is not None and len(self._curve.points) > 2:
             self._change(self._selected, None)
 
-    def move(self, point: Point) -> None:
+    def move(self, point: Point, settled: bool = True) -> None:
         """Move the selected point, as far as its neighbours let it."""
-        if self._selected is not None:
-            self._change(self._selected, self._between(self._selected, point))
-
-    def _between(self, number: int, point: Point) -> Point:
-        """Keep a point between its neighbours."""
-        points, axes = self.curve.points, self._picture.axes
-        gap = _APART * (axes.right - axes.left)
-        intensity, stiffness = point
-        if number > 0:
-            intensity = max(intensity, points[number - 1][0] + gap)
-        if number + 1 < len(points):
-            intensity = min(intensity, points[number + 1][0] - gap)
-        return intensity, stiffness
+        at, points = self._selected, self._curve.points
+        if at is not None:
+            gap = _APART * float(np.ptp(self._axes.get_xlim()))
+            least = points[at - 1][0] + gap if at else -math.inf
+            most = points[at + 1][0] - gap if at + 1 < len(points) else math.inf
+            self._change(at, (min(max(point[0], least), most), point[1]), settled)
 
     def _change(self, number: int | None, point: Point | None, settled: bool = True) -> None:
         try:
-            curve = with_point(self.curve, number, point)
+            curve = with_point(self._curve, number, point)
         except ProblemError:
             return  # there is a point of that intensity already, or nothing between two
-        self._take(curve, settled)
+        self.take(curve, settled)
         self.select(None if point is None else curve.points.index(point))
 
-    def _take(self, curve: StiffnessCurve, settled: bool) -> None:
-        if curve != self.curve:
+    def take(self, curve: StiffnessCurve, settled: bool = True) -> None:
+        """Show a curve that the user has made, and tell of it."""
+        if curve != self._curve:
             self.curve = curve
             self.edited.emit(curve)
             if settled:
                 self.settled.emit(curve)
 
-    def _nudge(self, right: int, up: int, step: float) -> None:
-        assert self._selected is not None
-        intensity, stiffness = self.curve.points[self._selected]
-        across, high = self._picture.axes.place((intensity, stiffness))
-        moved = self._picture.axes.point(across + right * step, high + up * step)
-        self.move((moved[0] if right else intensity, moved[1] if up else stiffness))
+    # Where it is
 
-    # What Qt tells
+    @property
+    def _axes(self) -> Any:
+        return self.canvas.figure.axes[0]
 
-    def resizeEvent(self, event: Any) -> None:
-        """Fill the width there is."""
-        self._picture.size = (float(self.width()), float(self.height()))
+    @property
+    def _places(self) -> Any:
+        """From intensities and stiffnesses to fractions of the axes."""
+        return self._axes.transScale + self._axes.transLimits
 
-    def mousePressEvent(self, event: Any) -> None:
-        """Take hold of what is under the mouse."""
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._held, self._before = self._picture.under(event.position()), self.curve
-            self.select(self._held if isinstance(self._held, int) else None)
+    def _point_at(self, across: float, up: float) -> Point:
+        """What lies at fractions of the axes, or at the nearest on them; to four digits."""
+        axes, within = self._axes, np.clip((across, up), 0, 1)
+        intensity, stiffness = self._places.inverted().transform(within).tolist()
+        step = 10 ** math.floor(math.log10(np.ptp(axes.get_xlim())) - 3)
+        if not self._curve.logarithmic:
+            stiffness = max(stiffness, axes.get_ylim()[1] / 1000)
+        return round(intensity / step) * step, float(f"{stiffness:.3g}")
 
-    def mouseMoveEvent(self, event: Any) -> None:
-        """Drag what is held, or show what could be."""
-        if self._held is None:
-            under = self._picture.under(event.position())
-            shapes = Qt.CursorShape
-            over = shapes.OpenHandCursor if isinstance(under, int) else shapes.SizeHorCursor
-            self.setCursor(shapes.ArrowCursor if under is None else over)
+    def _under(self, event: Any) -> int | str | None:
+        """What the mouse would take hold of: the number of a point, or else `_VOID`, or None."""
+        near, edge = _NEAR * self.canvas.device_pixel_ratio, self._curve.void_below
+        places = self._axes.transData.transform(self._curve.points)
+        away = np.hypot(*(places - (event.x, event.y)).T)
+        if away.min() <= near:
+            return int(away.argmin())
+        if edge is None:
+            return None
+        across, _ = self._axes.transData.transform((edge, self._curve.range[0]))
+        return _VOID if abs(across - event.x) <= near else None
+
+    # What is heard
+
+    def _pointed(self, event: Any) -> Point:
+        return self._point_at(*self._axes.transAxes.inverted().transform((event.x, event.y)))
+
+    def _on_press(self, event: Any) -> None:
+        under = self._under(event)
+        point = under if isinstance(under, int) else None
+        if event.dblclick:
+            if point is None and event.inaxes:
+                self.add(self._pointed(event))
             return
-        point = self._picture.point_at(event.position())
-        if isinstance(self._held, int):
-            self._change(self._held, self._between(self._held, point), settled=False)
-        else:
-            self._take(replace(self.curve, void_below=point[0]), settled=False)
+        self.select(point)
+        if event.button == 1:
+            self._held, self._before = under, self._curve
+        elif event.button == 3:
+            self.remove()
 
-    def mouseReleaseEvent(self, event: Any) -> None:
-        """Let go."""
+    def _on_motion(self, event: Any) -> None:
+        """Drag what is held, or show what could be."""
+        point = self._pointed(event)
+        if isinstance(self._held, int):
+            self.move(point, settled=False)
+        elif self._held is not None:
+            self.take(replace(self._curve, void_below=point[0]), settled=False)
+        else:
+            shapes, under = Qt.CursorShape, self._under(event)
+            over = shapes.SizeHorCursor if under == _VOID else shapes.OpenHandCursor
+            self.setCursor(shapes.ArrowCursor if under is None else over)
+            stiffness = float(self._curve(point[0]))
+            what = f"stiffness {stiffness:.3g} {self._curve.unit}" if stiffness else "no tissue"
+            self._canvas.setToolTip(f"Intensity {point[0]:g}: {what.rstrip()}.\n{_HELP}")
+
+    def _on_release(self, _: Any) -> None:
         held, self._held = self._held, None
         if held is not None:
-            self._picture.fit()
-            self.update()
-            if self.curve != self._before:
-                self.settled.emit(self.curve)
-
-    def mouseDoubleClickEvent(self, event: Any) -> None:
-        """Add a point where there is none."""
-        place = event.position()
-        taken = isinstance(self._picture.under(place), int)
-        if not taken and self._picture.area.contains(place):
-            self.add(self._picture.point_at(place))
+            self._draw()
+            if self._curve != self._before:
+                self.settled.emit(self._curve)
 
     def keyPressEvent(self, event: Any) -> None:
         """Do with keys what the mouse does."""
-        key, selected = event.key(), self._selected
-        if self._held is not None:
-            return
-        if key in _PAGES:
+        key, selected, points = event.key(), self._selected, self._curve.points
+        if key in _PAGES and self._held is None:
             first = -1 if _PAGES[key] > 0 else 0
-            at = (first if selected is None else selected) + _PAGES[key]
-            self.select(at % len(self.curve.points))
-        elif selected is not None and key in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
+            self.select(((first if selected is None else selected) + _PAGES[key]) % len(points))
+        elif selected is None or self._held is not None:
+            super().keyPressEvent(event)
+        elif key in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
             self.remove()
-        elif selected is not None and key in _ARROWS:
+        elif key in _ARROWS:
             far = event.modifiers() & Qt.KeyboardModifier.ShiftModifier
-            self._nudge(*_ARROWS[key], _NUDGE * (10 if far else 1))
+            (right, up), step = _ARROWS[key], _NUDGE * (10 if far else 1)
+            across, high = self._places.transform(points[selected])
+            moved = self._point_at(across + right * step, high + up * step)
+            old = points[selected]
+            self.move((moved[0] if right else old[0], moved[1] if up else old[1]))
         else:
             super().keyPressEvent(event)
 
-    def event(self, event: Any) -> bool:
-        """Say what lies under the mouse when it rests."""
-        if event.type() == QEvent.Type.ToolTip:
-            QToolTip.showText(event.globalPos(), self.words_at(event.pos()), self)
-            return True
-        return bool(super().event(event))
+    def showEvent(self, event: Any) -> None:
+        """Draw it from now on: somebody looks."""
+        super().showEvent(event)
+        assert self.canvas
 
-    def words_at(self, place: Any) -> str:
-        """What the curve says where the mouse is, and how to change it."""
-        intensity, _ = self._picture.point_at(QPointF(place))
-        stiffness, unit = float(self.curve(intensity)), self.curve.unit
-        what = f"stiffness {stiffness:.3g} {unit}".strip() if stiffness else "no tissue"
-        return f"Intensity {intensity:g}: {what}.\n{HELP}"
+    def changeEvent(self, event: Any) -> None:
+        """Take over other colours."""
+        super().changeEvent(event)
+        self._draw()
 
-    def paintEvent(self, event: Any) -> None:
-        """Draw the curve, and a frame if keys go to it."""
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        ink = self.palette().windowText().color()
-        self._picture.draw(painter, ink, self._selected)
-        if self.hasFocus():
-            painter.setPen(ink)
-            painter.setBrush(Qt.BrushStyle.NoBrush)
-            painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
-        painter.end()
+    # How it is drawn
+
+    def _draw(self) -> None:
+        if self._canvas is None:
+            return
+        curve, ink = self._curve, self.palette().windowText().color().name()
+        axes, points = emptied(self._canvas, ink), np.array(curve.points)
+        # While something is dragged, the numbers stay under the mouse.
+        if self._held is None:
+            self._ends = self._around(curve)
+        (left, right), (bottom, top) = self._ends
+        axes.set_yscale("log" if curve.logarithmic else "linear")
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+        if curve.logarithmic and top < 100 * bottom:
+            axes.set_yscale("log", subs=(2, 5))
+        elif curve.logarithmic:
+            axes.minorticks_off()
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set(major_formatter="{x:g}", minor_formatter="{x:g}")
+        unit = f" ({curve.unit})" if curve.unit else ""
+        inside = {"fontsize": 7, "color": ink, "transform": axes.transAxes}
+        axes.text(0.015, 0.97, f"stiffness{unit}", va="top", **inside)
+        axes.text(0.985, 0.03, "intensity", ha="right", **inside)
+        if self._counts.size:
+            # Of most images the background has more pixels than all the rest: roots show both.
+            heights = 0.9 * np.sqrt(self._counts / self._counts.max())
+            bars = axes.get_xaxis_transform()
+            axes.stairs(heights, self._edges, fill=True, color=ink, alpha=0.25, transform=bars)
+        begin = left
+        if curve.void_below is not None:
+            begin = min(max(curve.void_below, left), right)
+            axes.axvspan(left, begin, color="#808080", alpha=0.3, linewidth=0)
+            axes.axvline(begin, color=_LINE, linewidth=1, linestyle="--")
+        along = np.union1d(np.linspace(begin, right, 200), points[points[:, 0] >= begin, 0])
+        axes.plot(along, replace(curve, void_below=None)(along), color=_LINE, linewidth=2)
+        chosen = np.arange(len(points)) == self._selected
+        sizes, colours = np.where(chosen, 70, 40), np.where(chosen, _SELECTED, _LINE)
+        axes.scatter(*points.T, sizes, colours, edgecolors="white", zorder=3, clip_on=False)
+
+    def _around(self, curve: StiffnessCurve) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ends of the axes that have room for all intensities, all points, and some more."""
+        marks = [*self._edges[[0, -1]].tolist(), *(intensity for intensity, _ in curve.points)]
+        marks += [] if curve.void_below is None else [curve.void_below]
+        (softest, stiffest), room = curve.range, _ROOM if curve.logarithmic else _ROOM / 2
+        return (min(marks), max(marks)), (softest / room * curve.logarithmic, stiffest * room)

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from typing import Any
 
-from napari.layers import Image, Layer
 from psygnal import Signal
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.stiffness_layers import (
     curve_of,
     first_curve,
     intensities_of,
     source_name,
-    stiffness_layer,
     update_stiffness,
 )
-from napari_hmrf.study.layer_names import LayerError
+from napari_hmrf.layers.stiffness_sources import StiffnessSources
 from napari_hmrf.tissue.stiffness_curve import STIFFNESSES, StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.messages import in_short
@@ -59,9 +55,7 @@ class TissueCurve:
     def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View | None]) -> None:
         self._layers, self._view = layers, view
         self._layer: Any = None
-        self._sources: weakref.WeakKeyDictionary[Any, weakref.ref[Any]] = (
-            weakref.WeakKeyDictionary()
-        )
+        self._sources = StiffnessSources(layers)
         self._looked_at: Any = None
         self.editor = CurveEditor(_NOTHING)
         # Qt may report many moves of the mouse at a time; only the last of them is computed.
@@ -101,64 +95,40 @@ class TissueCurve:
             raise ProblemError("tissue", "has no curve: make it from the image's intensity first.")
         self._following.stop()
         before = curve_of(self._layer)
-        update_stiffness(self._layer, self._source(), curve)
+        update_stiffness(self._layer, self._sources.open_image_of(self._layer), curve)
         self.editor.curve = curve
         if curve != before:
             self.changed.emit(curve)
 
-    @property
-    def image(self) -> Any:
-        """The image that the layer comes from, or None if that is not open."""
-        layer = self._layer
-        if layer is None:
-            return None
-        known = self._sources.get(layer)
-        image = None if known is None else known()
-        if image is not None and image in self._layers():
-            return image
-        # A project was opened again, and all that is known is how the image was called.
-        for other in self._layers():
-            plain = isinstance(other, Image) and not known_of(other).get("kind")
-            if plain and other is not layer and other.name == source_name(layer):
-                self._sources[layer] = weakref.ref(other)
-                return other
-        return None
-
-    def made(self, image: Any) -> Any:
-        """The layer of stiffness of an image that there is already, or None."""
-        for layer in self._layers():
-            known = self._sources.get(layer)
-            if known is not None and known() is image and curve_of(layer) is not None:
-                return layer
-        return None
-
-    def make(self, image: Any, curve: StiffnessCurve | None = None) -> Any:
-        """Make a layer of stiffness from an image, to be added to the viewer.
+    def layer_of(self, image: Any, curve: StiffnessCurve | None = None) -> Any:
+        """The layer of stiffness of an image that there is already, or a new one.
 
         Parameters
         ----------
         image : napari.layers.Image
         curve : StiffnessCurve, optional
-            By default a first guess from the slice that is shown.
+            Of a new one; by default a first guess from the slice that is shown.
 
         Returns
         -------
         napari.layers.Image
+            A new one is to be added to the viewer.
 
         Raises
         ------
         ProblemError
             If the image cannot be read or is of one value.
         """
-        layer = Layer.create(*stiffness_layer(image, curve or first_curve(image, self._view())))
-        self._sources[layer] = weakref.ref(image)
-        return layer
+        known = self._sources.made(image)
+        if known is not None:
+            return known
+        return self._sources.make(image, curve or first_curve(image, self._view()))
 
     def look(self, *_: Any) -> None:
         """Look again at the image: another slice is shown, or it was opened or closed."""
         if self._layer is None:
             return
-        image = self.image
+        image = self._sources.image_of(self._layer)
         self.editor.setEnabled(image is not None)
         self.editor.setToolTip(
             ""
@@ -177,23 +147,12 @@ class TissueCurve:
         except ProblemError:
             self._looked_at = None  # nothing of it is in this slice; the curve stays what it is
 
-    def _source(self) -> Any:
-        image = self.image
-        if image is None:
-            name = source_name(self._layer)
-            raise LayerError(
-                self._layer,
-                f"comes from the image '{name}', which is not open. Open it, or give another that "
-                "name.",
-            )
-        return image
-
     def _follow(self) -> None:
         if self._layer is None or self._layer not in self._layers():
             return
         curve = self.editor.curve
         try:
-            update_stiffness(self._layer, self._source(), curve)
+            update_stiffness(self._layer, self._sources.open_image_of(self._layer), curve)
         except ProblemError as error:
             self.editor.curve = curve_of(self._layer) or curve
             self.refused.emit(in_short(error))
@@ -212,7 +171,7 @@ class TissueCurve:
 
     def _on_anew(self) -> None:
         try:
-            self.curve = first_curve(self._source(), self._view())
+            self.curve = first_curve(self._sources.open_image_of(self._layer), self._view())
         except ProblemError as error:
             self.refused.emit(in_short(error))
         else:

@@ -8,14 +8,9 @@ among threads as there.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int64, prange
+from numba import float32, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import (
-    callee,
-    contracted_reduction,
-    inline,
-    parallel,
-)
+from napari_hmrf.solver.backends.cpu.compiled import callee, contracted_reduction, parallel
 from napari_hmrf.solver.backends.cpu.forces import (
     left_of,
     moduli_of,
@@ -27,45 +22,29 @@ from napari_hmrf.solver.backends.cpu.forces import (
 from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
 
 
-@inline
-def _everywhere(d):
-    """A span of all sites."""
-    return int64(0), d.shape[2] - 4
-
-
 @callee
-def _pull_row(d, lame, shape, i, span, carry, out_row, out_col):
-    """- A d in row i, within a span."""
+def _balance_row(d, load, given, tissue, i, span, carry, share, out_row, out_col):
+    lame, inverse, shape = tissue
+    pull_row, pull_col = load[0, i], load[1, i]
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
     left = left_of(rows, moduli, shape, start + 1)
     for k in range(past - start):
         j = start + k + 2
         row, col, left = row_force(rows, moduli, shape, carry, left, j)
-        out_row[j] = -row
-        out_col[j] = -col
-
-
-@callee
-def _balance_row(pulls, load, given, inverse, i, span, share, out):
-    start, past = max(span[0], 0), span[1]
-    for component in range(2):
-        for k in range(past - start):
-            j = start + k + 2
-            here = float32(share * (pulls[component, j] + given * load[component, i, j]))
-            moves = inverse[component, i, j] > float32(0)
-            out[component, i, j] = here if moves else here - here
+        row, col = given * pull_row[j] - row, given * pull_col[j] - col
+        row, col = float32(share * row), float32(share * col)
+        out_row[j] = row if inverse[0, i, j] > float32(0) else row - row
+        out_col[j] = col if inverse[1, i, j] > float32(0) else col - col
 
 
 @callee
 def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squares, first, last):
-    lame, inverse, shape = tissue
-    carry, pulls = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
     for i in range(max(first - 1, 0), last):
-        span = reach(spans, i)
-        _pull_row(d, lame, shape, i + 2, span, carry, pulls[0], pulls[1])
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        _balance_row(d, load, given, tissue, i + 2, reach(spans, i), carry, share, row, col)
         if i >= first:
-            _balance_row(pulls, load, given, inverse, i + 2, span, share, out)
             row_most[i] = row_largest(out, i + 2)
             row_squares[i] = row_product(out, out, i + 2)
 
@@ -83,23 +62,26 @@ def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, r
 
 
 @contracted_reduction
-def _row_work(d, pulls, i):
+def _work_row(d, lame, shape, i, carry):
     """A row's product of displacement and forces, and the square of these."""
+    rows, moduli = rows_of(d, i), moduli_of(lame, i)
     product, square = 0.0, 0.0
-    for k in range(2):
-        for j in range(d.shape[2]):
-            product -= d[k, i, j] * pulls[k, j]
-            square += pulls[k, j] ** 2
+    left = left_of(rows, moduli, shape, 1)
+    for k in range(d.shape[2] - 4):
+        j = k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        product += d[0, i, j] * row + d[1, i, j] * col
+        square += row * row + col * col
     return product, square
 
 
 @callee
 def _work_part(d, lame, shape, row_products, row_squares, first, last):
-    carry, pulls = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    carry = np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
-        _pull_row(d, lame, shape, i + 2, _everywhere(d), carry, pulls[0], pulls[1])
+        product, square = _work_row(d, lame, shape, i + 2, carry)
         if i >= first:
-            row_products[i], row_squares[i] = _row_work(d, pulls, i + 2)
+            row_products[i], row_squares[i] = product, square
 
 
 @parallel
@@ -111,11 +93,22 @@ def work(d, lame, shape, row_products, row_squares, count):
 
 
 @callee
+def _pull_row(d, lame, shape, i, carry, out_row, out_col):
+    rows, moduli = rows_of(d, i), moduli_of(lame, i)
+    left = left_of(rows, moduli, shape, 1)
+    for k in range(d.shape[2] - 4):
+        j = k + 2
+        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        out_row[j] = -row
+        out_col[j] = -col
+
+
+@callee
 def _pull_part(d, lame, shape, out, first, last):
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
-        _pull_row(d, lame, shape, i + 2, _everywhere(d), carry, row, col)
+        _pull_row(d, lame, shape, i + 2, carry, row, col)
 
 
 @parallel

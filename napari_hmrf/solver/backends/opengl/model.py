@@ -47,6 +47,11 @@ class GLModel:
         return self._host.mild
 
     @property
+    def slow(self) -> bool:
+        """Whether factors are the shorter way."""
+        return False
+
+    @property
     def moves(self) -> HeldPlanes:
         """Which components of the finest level are unknown."""
         return self._host.moves

@@ -105,6 +105,15 @@ class GLSeilerModel(GLModel):
         host = _host(material)
         super().__init__(passes, host, [GLSeilerLevel(passes, level) for level in host.levels])
 
+    @property
+    def slow(self) -> bool:
+        """Whether factors are the shorter way, as they are where a program plays the GPU.
+
+        Blanket, cycles are many, rehearsal included, and their kernels read much: such a program
+        takes twice as long for them, at any size, and must compile them first.
+        """
+        return bool(self.material.blanket and self._passes.device.software)
+
 
 def _host(material: SeilerMaterial) -> LinearModel:
     """The host's model: of loops, or of arrays before these are compiled."""

@@ -1,0 +1,68 @@
+"""The mean energy after each sweep, coarse to fine, or after each cycle over all levels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.models import is_multigrid
+
+_LINE = "#4ea6dc"
+
+
+def draw_energy(axes: Any, solution: Solution, ink: str = "black", size: float = 10) -> None:
+    """Draw a solution's energies, with a line where each level begins.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Empty.
+    solution : Solution
+    ink : str
+        The colour of words and lines.
+    size : float
+        Of words, in points.
+    """
+    words = {"fontsize": size, "color": ink}
+    axes.set_ylabel("mean energy (px²)", **words)
+    if is_multigrid(solution.provenance.parameters):
+        axes.set_xlabel("cycle over all levels", **words)
+        _draw_cycles(axes, solution, words)
+    else:
+        axes.set_xlabel("sweep (levels on top, coarse to fine)", **words)
+        _draw_levels(axes, solution, {**words, "fontsize": size - 1})
+
+
+def _draw_cycles(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
+    """Cycles go over all levels, and there are few: a point for each, and how near they led."""
+    # No energy leads to where the centred update ends: of that, the last is all that is known.
+    energy = solution.energy
+    cycles = np.arange(1, len(energy) + 1)
+    known = slice(-1, None) if (energy == energy[-1]).all() else slice(None)
+    axes.plot(cycles[known], energy[known], color=_LINE, linewidth=1.2, marker="o", markersize=3)
+    axes.set_xlim(0.5, len(cycles) + 0.5)
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    if solution.convergence is not None:
+        axes.set_title(
+            f"within {solution.convergence.error:.1g} px of the converged field", **words
+        )
+
+
+def _draw_levels(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
+    count = len(solution.energy)
+    sweeps, positive = np.arange(1, count + 1), solution.energy > 0
+    if positive.any():
+        axes.set_yscale("log")
+        axes.plot(sweeps[positive], solution.energy[positive], color=_LINE, linewidth=1.2)
+    begin, above = 0, axes.get_xaxis_transform()
+    for level in solution.levels:
+        axes.axvline(begin + 0.5, color=words["color"], alpha=0.25, linewidth=0.6)
+        # Narrow levels get a line but no words.
+        if level.iterations >= 0.07 * count:
+            middle = begin + level.iterations / 2
+            place = {"transform": above, "ha": "center", "va": "bottom"}
+            axes.text(middle, 1.0, str(level.number), **place, **words)
+        begin += level.iterations
+    axes.set_xlim(0.5, max(1.5, count + 0.5))

@@ -1,0 +1,202 @@
+"""Which image a dock works on, and what goes with it: each image has choices of its own."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+from napari.layers import Labels, Vectors
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.edit_history import DRAWING, Slot, steps_of
+from napari_hmrf.layers.image_choice import image_in_front, painted_on
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.read import Request
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.viewer_results import ResultLayers
+from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.messages import CHOOSE, WELCOME
+
+
+class Choices:
+    """Chooses layers as they come, and those of an image when it is chosen.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    form : DockForm
+    changed : callable
+        Called when something else is chosen.
+    """
+
+    def __init__(self, viewer: Any, form: DockForm, changed: Callable[[], None]) -> None:
+        self._viewer, self._form, self._changed = viewer, form, changed
+        motion = form.motion
+        self._fields: dict[str, Any] = {
+            "tissue": form.tissue.choice,
+            "border": form.tissue.border,
+            "boundary": motion.boundary.choice,
+            "confidence": motion.boundary.confidence,
+            "where": motion.boundary.landmarks.where,
+            "should": motion.boundary.landmarks.should,
+            "edge": motion.edge,
+        }
+        self._beginning = {name: field.value for name, field in self._fields.items()}
+        self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
+        self._image: weakref.ref[Any] | None = None
+        # Whether somebody chose an image, or something that goes with the one that is chosen.
+        self._by_hand = self._begun = self._taking = False
+        # Whether the edge is let go because of what came painted.
+        self._let_go = False
+        motion.edge.changed.connect(lambda _: setattr(self, "_let_go", False))
+        motion.boundary.choice.changed.connect(self._on_boundary)
+        # Whether there is no image as the one that was worked on is gone.
+        self._lost = False
+        for name in ("tissue", "boundary", "confidence", "where", "should"):
+            self._fields[name].changed.connect(self._on_chosen)
+        form.image.changed.connect(self._on_image)
+
+    @property
+    def view(self) -> View:
+        """Which slice is shown."""
+        return View.of(self._viewer.dims)
+
+    @property
+    def request(self) -> Request:
+        """All that is chosen, with the slice that is shown and no drawing.
+
+        Raises
+        ------
+        HmrfError
+            If there is nothing to work on.
+        """
+        form, boundary = self._form, self._form.motion.boundary
+        image, tissue = form.image.value, form.tissue.choice.value
+        if image is None and (self._lost or not isinstance(tissue, Labels)):
+            raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
+        labelled = isinstance(tissue, Labels)
+        arrows = isinstance(boundary.choice.value, Vectors)
+        return Request(
+            image=image,
+            tissue=tissue,
+            materials=form.tissue.table.rows if labelled else None,
+            boundary=boundary.choice.value,
+            rules=boundary.table.rows if isinstance(boundary.choice.value, Labels) else None,
+            confidence=boundary.confidence.value if arrows else None,
+            view=self.view,
+            landmarks=boundary.landmarks.chosen,
+            hold_edge=form.motion.edge.value,
+            drawing=Drawing(),
+            preset=form.motion.fields.preset.value,
+            without_border=form.tissue.border.value,
+        )
+
+    def look(self) -> None:
+        """Look again at which layers there are; another image takes the place of one that left."""
+        form, before, by_hand = self._form, self._form.image.value, self._by_hand
+        for choice in form.choices:
+            choice.reset_choices()
+        self._by_hand = by_hand
+        form.motion.boundary.landmarks.look()
+        form.tissue.curve.look()
+        if before is not None and form.image.value is None:
+            others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
+            images = [layer for layer in form.image.offered if layer not in others]
+            self._by_hand = self._by_hand and bool(images)
+            self._lost = not images
+            if images:
+                self._choose(images[0])
+
+    def choose_first(self) -> None:
+        """Choose the image in front, or one that is worked on, and what is painted on it."""
+        results = shared(self._viewer, ResultLayers)
+        image = image_in_front(
+            self._viewer, self._form.image.offered, self._drawn_on or results.sources
+        )
+        layers = list(self._viewer.layers)
+        if image is not None:
+            self._choose(image)
+            layers = painted_on(image, layers, self.view)
+        for layer in layers:
+            self._take_painted(layer)
+
+    def begin(self) -> None:
+        """Work has begun with the image that is chosen: no other takes its place by itself."""
+        self._begun = True
+
+    def take(self, layers: list[Any]) -> None:
+        """Choose a sample's layers as they come; unless one was chosen, the image in front."""
+        form = self._form
+        by_role = {role_of(layer): layer for layer in layers}
+        stays = self._image is not None and bool(self._drawn_on)
+        if not (self._by_hand or stays or (self._begun and form.image.value is not None)):
+            offered = [layer for layer in form.image.offered if layer in layers]
+            image = image_in_front(self._viewer, offered, self._drawn_on)
+            if image is not None:
+                self._choose(by_role.get(IMAGE, image))
+                layers = painted_on(image, layers, self.view)
+        elif IMAGE in by_role and not stays:
+            self._choose(by_role[IMAGE])
+        for layer in layers:
+            self._take_painted(layer)
+
+    def _take_painted(self, layer: Any) -> None:
+        before, self._taking = self._taking, True
+        role = role_of(layer)
+        if role == TISSUE:
+            self._form.tissue.choice.value = layer
+        elif role == BOUNDARY:
+            self._form.motion.boundary.choice.value = layer
+            # What comes painted says all that is held.
+            if layer.data.any() and self._form.motion.edge.value:
+                self._form.motion.edge.value = False
+                self._let_go = True
+        self._taking = before
+
+    def _choose(self, image: Any) -> None:
+        by_hand = self._by_hand
+        self._form.image.value = image
+        self._by_hand = by_hand
+
+    @property
+    def _drawn_on(self) -> list[Any]:
+        """The images on any slice of which something is drawn."""
+        edits = steps_of(self._viewer).edits
+        slots = [slot for slot in edits.slots if isinstance(slot, Slot) and slot.what == DRAWING]
+        return [slot.layer for slot in slots if edits.get(slot).marks]
+
+    def _on_boundary(self, layer: Any) -> None:
+        """Without a boundary the edge is held again, unless somebody has said otherwise."""
+        if self._let_go and layer is None:
+            self._form.motion.edge.value = True
+
+    def _on_chosen(self, layer: Any) -> None:
+        self._begun = self._begun or (layer is not None and not self._taking)
+
+    def _on_image(self, image: Any) -> None:
+        """Keep what was chosen for the image before, and choose what goes with this one."""
+        self._by_hand = True
+        self._lost = self._lost and image is None
+        before = None if self._image is None else self._image()
+        if before is image:
+            return
+        if before is not None:
+            self._kept[before] = {name: field.value for name, field in self._fields.items()}
+        self._image = None if image is None else weakref.ref(image)
+        if image is None:
+            return
+        known = self._kept.get(image)
+        if known is None and before is None:  # what was chosen before an image stays with it
+            return
+        for name, value in (known or self._beginning).items():
+            field = self._fields[name]
+            layer = hasattr(field, "offered")
+            field.value = value if not layer or value in field.offered else None
+        if known is None:
+            for layer in painted_on(image, self._viewer.layers, self.view):
+                self._take_painted(layer)
+        self._begun = known is not None
+        self._changed()

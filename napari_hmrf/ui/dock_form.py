@@ -1,0 +1,178 @@
+"""How the dock looks: what scrolls, and what stays in sight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from magicgui.widgets import Container, PushButton
+from magicgui.widgets.bases import ValueWidget
+from napari.layers import Labels
+from psygnal import Signal
+from superqt import QCollapsible
+
+from napari_hmrf.layers.result_lookup import result_of
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.study.study import Grid
+from napari_hmrf.ui.energy_plot import EnergyPlot
+from napari_hmrf.ui.footer import Footer
+from napari_hmrf.ui.forms import put_scrolled, row
+from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
+from napari_hmrf.ui.material_table import POISSON
+from napari_hmrf.ui.model import TissueModel
+from napari_hmrf.ui.motion.motion_form import MotionForm
+from napari_hmrf.ui.motion.tools import TOOLS
+from napari_hmrf.ui.remembered_settings import remember
+from napari_hmrf.ui.result.result_form import ResultForm
+from napari_hmrf.ui.settings import SolverSettings
+from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
+
+#: Of the dock, in pixels.
+_WIDTH = 390
+
+
+class DockForm:
+    """The widgets of *Soft tissue*, put into its container.
+
+    Parameters
+    ----------
+    outer : Container
+        The dock widget.
+    layers, view : callable
+        The viewer's layers, and which slice it shows.
+
+    Attributes
+    ----------
+    image : LayerChoice
+    make, intensity : PushButton
+        Add layers to paint on, and one of stiffness.
+    tissue : TissueSection
+    motion : MotionForm
+    result : ResultForm
+    model : TissueModel
+    settings : SolverSettings
+    energy : EnergyPlot
+    footer : Footer
+    """
+
+    #: Something that a field depends on was changed by hand.
+    edited = Signal()
+
+    def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
+        self.image = LayerChoice(
+            layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
+        )
+        self.make = PushButton(
+            text="Make layers to paint on",
+            tooltip="Adds a tissue and a boundary layer on the image's pixels",
+        )
+        self.intensity = PushButton(
+            text="Tissue from brightness",
+            tooltip="Adds a layer of stiffness made from how bright the image is, by a curve that "
+            "you draw",
+        )
+        self.tissue = TissueSection(layers, view)
+        self.motion = MotionForm(layers, view)
+        self.result = ResultForm(layers, lambda layer: result_of(layer) is not None)
+        self.model = TissueModel()
+        self.settings = SolverSettings(self.model)
+        self.energy = EnergyPlot()
+        keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
+        self.footer = Footer(f"Tools: {keys}.")
+        self.tissue.edited.connect(self._on_tissue)
+        self.model.energy.changed.connect(self._on_energy)
+        self._on_energy()
+        remember("deform", {"device": self.settings.device})
+        for part in (self.tissue.edited, self.motion.boundary.edited):
+            part.connect(self.edited)
+        for field in (
+            self.model,
+            self.settings,
+            self.motion.edge,
+            self.motion.fields.preset,
+        ):
+            field.changed.connect(lambda _: self.edited.emit())
+        self._assemble(outer)
+
+    @property
+    def choices(self) -> tuple[LayerChoice, ...]:
+        """The menus of layers."""
+        boundary = self.motion.boundary
+        pair = (boundary.landmarks.where, boundary.landmarks.should)
+        return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *pair)
+
+    @property
+    def solved(self) -> dict[str, ValueWidget[Any]]:
+        """All that says how to solve, by names."""
+        model = self.model
+        fields: dict[str, ValueWidget[Any]] = {
+            "energy": model.energy,
+            "schedule": model.schedule,
+            "plane": model.plane,
+            "poisson": model.poisson,
+        }
+        return fields | self.settings.details
+
+    def show_place(self, grid: Grid, unit: str, ways: Directions) -> None:
+        """Say in which unit lengths are, and which way rows and columns run on the screen."""
+        rows, cols = grid.shape
+        self.motion.fields.show_place(unit, ways)
+        self.motion.boundary.table.show_place(unit, ways)
+        self.motion.boundary.landmarks.show_place(grid.place, (rows, cols))
+
+    def listen(self) -> None:
+        """Listen to the layers that are chosen, again."""
+        for section in (self.tissue, self.motion.boundary):
+            section.painted.layer = section.choice.value
+        self.motion.boundary.landmarks.listen()
+
+    def release(self) -> None:
+        """Stop listening to layers."""
+        self.tissue.painted.release()
+        self.motion.boundary.painted.release()
+        self.motion.boundary.landmarks.release()
+
+    def _assemble(self, outer: Container) -> None:
+        first = Container(widgets=[self.image])
+        ways = row(self.make, self.intensity)
+        body = Container(widgets=[first, ways], labels=False)
+        layout = body.native.layout()
+        for title, parts, open_ in (
+            ("1  Tissue", (self.tissue,), True),
+            ("2  Motion", (self.motion,), True),
+            ("3  Result", (self.result,), True),
+            ("Model", (self.model,), False),
+            ("Advanced", (self.settings, self.energy), False),
+        ):
+            step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
+            for inner in (step.layout(), step.content().layout()):
+                inner.setSpacing(2)
+                inner.setContentsMargins(0, 0, 0, 0)
+            for part in parts:
+                step.addWidget(getattr(part, "native", part))
+            if open_:
+                step.expand(animate=False)
+            layout.addWidget(step)
+        layout.setSpacing(4)
+        layout.addStretch()
+        put_scrolled(outer, body, _WIDTH)
+        self._body = body  # magicgui's containers end with the last reference
+        outer.native.layout().addWidget(self.footer.build())
+        for container in (
+            outer,
+            body,
+            first,
+            ways,
+            self.tissue,
+            self.motion,
+            self.result,
+            self.model,
+        ):
+            container.margins = (2, 2, 2, 2)
+
+    def _on_tissue(self) -> None:
+        layer = self.tissue.choice.value
+        self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
+
+    def _on_energy(self, *_: str) -> None:
+        # Only elastic tissue has it.
+        self.tissue.seen.setColumnHidden(POISSON, not self.model.is_elastic)

@@ -1,0 +1,274 @@
+"""Tissue that follows a study: solved and warped away from the window, the newest shown."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import Cancelled
+from napari_hmrf.layers.paint_layer import painted_marks, show_painted
+from napari_hmrf.layers.result_layers import Kind, Outputs, result_layers
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.engine import Engine
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_deformation import Deformation
+from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
+from napari_hmrf.tissue.drawing.canvas import Box
+from napari_hmrf.ui.newest_result import Newest
+from napari_hmrf.ui.rehearsal import rehearse, rehearse_the_rest
+from napari_hmrf.ui.repaint import Repainted
+
+_log = logging.getLogger("napari_hmrf")
+# What those who wait for it are told.
+_FOLLOWING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
+_BESIDE = "what 'Soft tissue' draws or gets ready, which closing that dock stops"
+_EDGE_MOVED = (
+    "the patch lies over the held edge, so that the edge moves, too, and leaves a gap: take hold "
+    "further inside, or of a smaller patch, if it should stay"
+)
+#: Lines that go with what is painted, and their colours, as of `painted_marks`.
+Marks = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+
+
+class Seen(NamedTuple):
+    """A deformation as it is shown.
+
+    Attributes
+    ----------
+    moved : Deformation
+    marks : tuple, optional
+        Of what brushes have painted; None if nothing is.
+    """
+
+    moved: Deformation
+    marks: Marks | None = None
+
+
+class Done(NamedTuple):
+    """A deformation at rest: the layers to show, and what people should know, as clauses."""
+
+    moved: Deformation
+    outputs: Outputs
+    notes: tuple[str, ...]
+
+
+class Follower:
+    """Has the tissue follow a study.
+
+    A study is solved once the answer to the one before is painted, and then only the newest: where
+    the processor paints, too, the two would take its cores from each other, and what is shown would
+    be older for it.
+
+    Parameters
+    ----------
+    show : callable
+        Called with what is to be `Seen`, by the event loop of the thread this was made on.
+    finish : callable
+        Called likewise with what is `Done`, some time after `complete`.
+    """
+
+    def __init__(self, show: Callable[[Seen], None], finish: Callable[[Done], None]) -> None:
+        self._show, self._finish = show, finish
+        self._newest = Newest(self._on_newest)
+        self._repainted = Repainted(self._on_repainted)
+        self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
+        # Whether what was submitted is not painted yet, and the newest that waits for that.
+        self._behind = False
+        self._next: tuple[Study, str] | None = None
+        self._jobs: list[Future[Any]] = []
+        self._rehearsed = False
+        # What was painted where, at rest; only the compute thread looks at it.
+        self._canvas: Canvas | None = None
+
+    def follow(self, study: Study, backend: str = "auto") -> None:
+        """Have the tissue move as a study says; returns at once."""
+        if self._behind:
+            self._next = study, backend
+        else:
+            self._submit(study, backend)
+
+    def settle(self, study: Study, backend: str = "auto") -> None:
+        """Have a study solved from nothing instead of all that waits; returns at once."""
+        self.forget()
+        self._behind = True
+        self._engine.settle(study, backend)
+
+    def complete(self, kinds: Collection[Kind]) -> None:
+        """Have what takes longer made of the latest result, unless there is a newer one then."""
+        engine = self._engine
+
+        def checkpoint() -> None:
+            if engine.busy:
+                raise Cancelled
+
+        def draw(latest: Deformation | None) -> None:
+            if latest is None or latest.solution is None or engine.busy:
+                return
+            try:
+                self._newest.put(drawn(latest, self._canvas, kinds, checkpoint))
+            except Cancelled:
+                return
+            except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
+                _log.exception("a result could not be drawn")
+                self._newest.put(Seen(replace(latest, error=error)))
+
+        self._ask(draw)
+
+    def forget(self) -> None:
+        """Show nothing of what is on its way."""
+        self._engine.forget()
+        self._newest.forget()
+        self._behind, self._next = False, None
+
+    @property
+    def busy(self) -> bool:
+        """Whether an answer is still to come."""
+        return self._behind or self._engine.busy
+
+    @property
+    def at_work(self) -> bool:
+        """Whether anything is computed, or will be."""
+        self._jobs = [job for job in self._jobs if not job.done()]
+        return self.busy or bool(self._jobs)
+
+    @property
+    def monitor(self) -> Monitor:
+        """What is going on, or waited for."""
+        return self._engine.monitor
+
+    def release(self) -> None:
+        """Follow nothing any more."""
+        self.forget()
+        self._engine.close()
+        self._newest.release()
+        self._repainted.release()
+
+    def rehearse(self, study: Study) -> None:
+        """Have what the first pull and the first brush will need be loaded, or compiled."""
+        if not self._rehearsed and study.pictures.image is not None:
+            self._rehearsed = True
+            engine = self._engine
+            self._ask(lambda _: rehearse(study, engine.report, engine.closed))
+            self._ask(lambda _: rehearse_the_rest(study, engine.closed))
+
+    # In the window's thread
+
+    def _submit(self, study: Study, backend: str) -> None:
+        self._behind, self._next = True, None
+        self._engine.submit(study, backend)
+
+    def _ask(self, job: Callable[[Deformation | None], None]) -> None:
+        self._jobs.append(self._engine.beside(job, _BESIDE))
+
+    def _on_newest(self, news: Seen | Done) -> None:
+        if isinstance(news, Done):
+            if not self.busy:
+                self._finish(news)
+            return
+        # What was wrong with an edit that has been replaced is put right by now, or said again.
+        if news.moved.error is None or self._next is None:
+            self._show(news)
+        self._repainted.ask()
+
+    def _on_repainted(self) -> None:
+        self._behind = False
+        if self._next is not None:
+            self._submit(*self._next)
+
+    # On the compute thread
+
+    def _overlay(
+        self,
+        ground: Ground,
+        drawing: Drawing,
+        canvas: Canvas,
+        window: Box | None,
+        paint: npt.NDArray[Any] | None,
+    ) -> npt.NDArray[Any] | None:
+        """Keep what was painted where, at rest; it moves with the picture once there is any."""
+        self._canvas = canvas
+        if paint is None and any(isinstance(mark, Stroke) for mark in drawing.marks):
+            paint, window = np.zeros(canvas.shape, np.uint8), canvas.whole
+        if paint is not None and window is not None:
+            show_painted(canvas, ground.base, window, paint)
+        return paint
+
+    def _deliver(self, moved: Deformation) -> None:
+        painted = moved.overlay is not None and bool(moved.overlay.any())
+        canvas = self._canvas if painted else None
+        self._newest.put(Seen(moved, None if canvas is None else painted_marks(canvas)))
+
+
+def drawn(
+    moved: Deformation,
+    canvas: Canvas | None,
+    kinds: Collection[Kind],
+    checkpoint: Callable[[], None] = lambda: None,
+) -> Done:
+    """Draw the layers of a deformation, and find what there is to say of it.
+
+    Parameters
+    ----------
+    moved : Deformation
+        With a solution.
+    canvas : Canvas, optional
+        Its ground, with what is drawn on top.
+    kinds : collection of str
+        The layers to make.
+    checkpoint : callable
+        Called between the parts; raises to stop the work.
+    """
+    study, ground, stated = moved.study, moved.ground, moved.stated
+    assert ground is not None
+    assert stated is not None
+    kept = _to_be_kept(moved, ground)
+    place, pictures = study.grid.place, study.pictures
+    outputs = result_layers(kept, place, pictures, kinds, checkpoint, stated.problem)
+    notes = ground.notes_on(stated)
+    if ground.ignored:
+        some = f"{ground.ignored} boundary pixels outside tissue were"
+        one = "1 boundary pixel outside tissue was"
+        notes = (f"{one if ground.ignored == 1 else some} ignored", *notes)
+    if canvas is not None and _moves_edge(ground, canvas):
+        notes = (*notes, _EDGE_MOVED)
+    return Done(moved, outputs, notes)
+
+
+def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
+    """The solution with what its tissue was made of and what was drawn; of air nobody asks."""
+    study, solution = moved.study, moved.solution
+    assert solution is not None
+    body = solution.tissue & ground.body
+    if not np.array_equal(body, solution.tissue):
+        field = np.where(body[..., None], solution.displacement, np.float32(0))
+        solution = replace(solution, displacement=field, tissue=body)
+    if study.motion.drawing.marks:
+        solution = replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
+    if study.tissue.record:
+        run = solution.provenance
+        parameters = {**run.parameters, "tissue": dict(study.tissue.record)}
+        solution = replace(solution, provenance=replace(run, parameters=parameters))
+    return solution
+
+
+def _moves_edge(ground: Ground, canvas: Canvas) -> bool:
+    """Whether a patch that was taken hold of lies over what is held without it."""
+    base = ground.base
+    if canvas.kinds is None:
+        return False
+    moved = (
+        (base.confidence > 0)
+        & (canvas.confidence > 0)
+        & (base.observed == 0)
+        & (canvas.observed != 0)
+    )
+    # What was painted was meant, and air has no edge that is seen.
+    return bool((moved.any(axis=-1) & (canvas.kinds == 0) & ground.body).any())

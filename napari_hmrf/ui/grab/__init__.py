@@ -1,1 +1,0 @@
-"""*Grab and pull*: tissue that follows the mouse."""

@@ -1,0 +1,200 @@
+"""What the dock says at its bottom: what was done, what is wrong, and what can be done next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from napari.layers import Labels
+
+from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
+from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.live_study import LiveStudy
+from napari_hmrf.ui.messages import CHOOSE, MEANWHILE, READY, WELCOME, painting
+from napari_hmrf.ui.motion.motion_messages import (
+    ARROWS_GONE,
+    COVERED,
+    FLAT,
+    OFF,
+    START,
+    covered,
+)
+from napari_hmrf.ui.motion.pointer import Pointer
+
+#: What is said until there is something else to say.
+_INVITATIONS = (WELCOME, CHOOSE, START, FLAT, OFF)
+
+
+class Guide:
+    """Knows which sentence may take the place of which.
+
+    What was taken back stays to be read until something new is begun; what goes on is said while it
+    does.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    form : DockForm
+    pointer : Pointer
+    live : LiveStudy
+    steps : ViewerSteps
+    away : callable
+        Whether the dock is closed, or gone: then nothing is said.
+    """
+
+    def __init__(
+        self,
+        viewer: Any,
+        form: DockForm,
+        pointer: Pointer,
+        live: LiveStudy,
+        steps: ViewerSteps,
+        away: Callable[[], bool],
+    ) -> None:
+        self._viewer, self._form, self._pointer, self._live = viewer, form, pointer, live
+        self._away = away
+        self._said = self._doing = self._step = self._painting = self._gone = ""
+        for section in (form.tissue, form.motion.boundary):
+            section.painted.found.connect(self._on_found)
+            section.table.refused.connect(self.say)
+        form.tissue.menu.said.connect(self.say)
+        form.tissue.menu.taken.connect(self._on_found)
+        form.tissue.curve.refused.connect(self.say)
+        pointer.said.connect(self._on_pointer)
+        for begun in (form.edited, pointer.drawn, pointer.begun):
+            begun.connect(self._on_begun)
+        live.said.connect(self._on_study)
+        live.doing.connect(self._on_doing)
+        live.moved_on.connect(self._on_other)
+        steps.said.connect(self._on_step)
+
+    @property
+    def shown(self) -> str:
+        """What is read."""
+        return self._doing or self._said
+
+    @property
+    def invitation(self) -> str:
+        """What can be done next."""
+        form, boundary = self._form, self._form.motion.boundary
+        if form.image.value is None:
+            return CHOOSE if self._viewer.layers else WELCOME
+        if self._covered or self._viewer.dims.ndisplay != 2:
+            return self._covered or FLAT
+        begun = boundary.choice.value is not None or bool(boundary.landmarks.layers)
+        how = START if self._live.live.on or not begun else READY
+        if self._pointer.active:
+            how = self._pointer.tool.how
+        return self._paused or form.model.objection or how
+
+    def say(self, sentence: str) -> None:
+        """Say something in place of all that was said."""
+        if not self._away():
+            self._said = sentence
+            self._form.footer.say(self.shown)
+
+    def invite(self) -> None:
+        """Say what can be done next, unless it is still to be read what was taken back."""
+        if not self._reads_step:
+            self.say(self.invitation)
+
+    def say_painting(self, layer: Any, before: bool) -> None:
+        """Say what is painted, as long as it is; `before`: on the image as it was."""
+        self._painting = f"{painting(layer)} {MEANWHILE if before else ''}".rstrip()
+        self.say(self._painting)
+
+    def say_gone(self, image: Any) -> None:
+        """Say that the image is gone, and which takes its place."""
+        chosen = self._form.image.value
+        next_one = (
+            "choose or open another image" if chosen is None else f"'{chosen.name}' is chosen now"
+        )
+        sentence = f"'{image.name}' is gone: {next_one}."
+        self._gone = sentence if chosen is None else ""
+        self.say(sentence)
+
+    def say_arrows_gone(self) -> None:
+        """Say how to have the arrows back, until something new is begun."""
+        self._say_step(ARROWS_GONE)
+
+    def look_at_mouse(self, stopped: bool) -> None:
+        """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
+        if stopped and self._paused:
+            self.say(self.invitation)
+        elif self._pointer.active and self._said == OFF:
+            self.invite()
+        paints = isinstance(self._viewer.layers.selection.active, Labels)
+        if not paints and self._said == self._painting:
+            self.invite()
+
+    def look_at_view(self) -> None:
+        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
+        invited = {*_INVITATIONS, self._pointer.tool.how}
+        if self._form.image.value is not None:
+            invited.add(self._gone)
+        if self._said in invited or self._said.startswith(COVERED):
+            self.invite()
+
+    @property
+    def _covered(self) -> str:
+        """That the image is hidden beneath another, if it is."""
+        image = still_there(self._viewer, self._form.image.value)
+        other = None if image is None else image_covering(self._viewer, image)
+        return "" if other is None else covered(other.name)
+
+    @property
+    def _paused(self) -> str:
+        """That a tool was taken up and put down, and how to go on; "" if it was not."""
+        arrows = self._pointer.display.arrows
+        if arrows.former is None or self._live.study is None or self._pointer.active:
+            return ""
+        return ARROWS_GONE if arrows.layer is None else OFF
+
+    @property
+    def _reads_step(self) -> bool:
+        return bool(self._step) and self._said == self._step
+
+    def _say_step(self, sentence: str) -> None:
+        self._step = sentence
+        self.say(sentence)
+
+    def _on_begun(self, *_: object) -> None:
+        """Something new is begun: what was taken back before has been read."""
+        self._step = ""
+
+    def _on_step(self, sentence: str, slot: object) -> None:
+        """Say what was taken back, on another slice, too; and that the mouse draws no more."""
+        drawn = isinstance(slot, Slot) and slot.what == DRAWING
+        self._say_step(f"{sentence} {self._paused if drawn else ''}".rstrip())
+
+    def _on_doing(self, sentence: str) -> None:
+        self._doing = sentence
+        if not self._away():
+            self._form.footer.say(self.shown)
+
+    def _on_pointer(self, sentence: str) -> None:
+        if sentence in (self._pointer.tool.how, OFF):
+            self.invite()
+        else:
+            self.say(sentence)
+
+    def _on_study(self, sentence: str) -> None:
+        """Say something of the study beside what was taken back; "": nothing is wrong any more."""
+        if sentence == WELCOME and self._said == self._gone:
+            return  # it has said as much
+        if not sentence:
+            self.invite()
+        else:
+            self.say(f"{self._step} {sentence}" if self._reads_step else sentence)
+
+    def _on_found(self, found: str) -> None:
+        """Say what was found in the paint, until the next result."""
+        self._live.note = found
+        self.say(found)
+
+    def _on_other(self) -> None:
+        """Another slice or image is worked on."""
+        if self._said in (WELCOME, CHOOSE):
+            self.invite()

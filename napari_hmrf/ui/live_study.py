@@ -1,0 +1,468 @@
+"""The study that a dock works on, as it is now, and the tissue that follows it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from napari.utils.notifications import show_error, show_warning
+from psygnal import Signal
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.layer_copies import LayerCopies
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.result_layers import KINDS, Kind
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.slice_view import unit_symbol
+from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.refusals import refuse_rigid
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.ui.choices import Choices
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.follower import Done, Follower, Seen
+from napari_hmrf.ui.live_choice import LiveChoice
+from napari_hmrf.ui.messages import (
+    CANCELLED,
+    CHANGED,
+    CHOOSE,
+    OTHER_SLICE,
+    STAYS,
+    STILL,
+    WELCOME,
+    brief,
+    details,
+    in_short,
+    progress,
+    report,
+    warned_of,
+    warnings_of,
+)
+from napari_hmrf.ui.motion.pointer import Pointer
+from napari_hmrf.ui.timers import repeating, single_shot
+
+_log = logging.getLogger("napari_hmrf")
+#: How often it is asked how far a solve is, in milliseconds.
+_POLL = 30
+#: How long there must be no answer until it is said that there is none yet, in seconds.
+_PATIENCE = 0.4
+#: How long tissue must rest until all layers of a result are drawn, in milliseconds.
+_REST = 200
+
+
+class LiveStudy:
+    """Reads what is chosen, has the tissue follow it, and shows what comes of that.
+
+    Parameters
+    ----------
+    native : QWidget
+        The dock.
+    viewer : napari.Viewer or ViewerModel
+    form : DockForm
+    choices : Choices
+    pointer : Pointer
+    away : callable
+        Whether the dock is closed, or gone.
+
+    Attributes
+    ----------
+    study : Study or None
+        As it was read last; None if it cannot be read.
+    source : napari.layers.Layer or None
+        What is deformed.
+    latest : Done or None
+        The latest result that has come to rest.
+    settling : bool
+        Whether a study is solved from nothing.
+    live : LiveChoice
+        Whether every edit is followed.
+    note : str
+        What was found in the paint, to be said with the next result.
+    """
+
+    #: The tissue as it is seen from now on: a `Deformation`.
+    seen = Signal(object)
+    #: Tissue has come to rest, and all layers of the result are drawn: `Outputs`.
+    followed = Signal(object)
+    #: Solving from nothing has ended: `Outputs`, or None if it was cancelled or failed.
+    finished = Signal(object)
+    #: What there is to say; "" if what was said is over.
+    said = Signal(str)
+    #: What goes on, to be said until it is over; then "".
+    doing = Signal(str)
+    #: Another slice or image is worked on.
+    moved_on = Signal()
+
+    def __init__(
+        self,
+        native: Any,
+        viewer: Any,
+        form: DockForm,
+        choices: Choices,
+        pointer: Pointer,
+        away: Callable[[], bool],
+    ) -> None:
+        self._viewer, self._form, self._choices, self._pointer = viewer, form, choices, pointer
+        self._away = away
+        self.study: Study | None = None
+        self.source: Any = None
+        self.latest: Done | None = None
+        self.settling = False
+        self.note = ""
+        self._layers: tuple[Any, ...] = ()
+        self._outdated = False
+        self._copies = shared(viewer, LayerCopies)
+        self._follower = Follower(self._on_seen, self._on_done)
+        self._asked: Study | None = None
+        self._since = 0.0
+        self._folds = False
+        self._failed = ""
+        self._looking = single_shot(native, 0, self.look)
+        self._resting = single_shot(native, _REST, self.complete)
+        self._poll = repeating(native, _POLL, self._on_poll)
+        self.live = LiveChoice(form.footer.live, self.touch)
+        pointer.drawn.connect(self._on_drawn)
+        for box in form.result.kinds.values():
+            box.changed.connect(self.complete)
+        form.footer.chip.clicked.connect(self._on_chip)
+
+    # What there is
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything that was asked for is not seen yet."""
+        # What is drawn at rest waits for as long as a drag is held.
+        resting = self._resting.isActive() and not self._pointer.hand.holding
+        words = self._poll.isActive()
+        return self._looking.isActive() or resting or words or self._follower.at_work
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the latest result is of the study as it is."""
+        latest, study = self.latest, self.study
+        return latest is not None and study is not None and latest.moved.study.same_as(study)
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The layers that a result makes."""
+        ticked = [kind for kind, box in self._form.result.kinds.items() if box.value]
+        return ("image", "arrows", *ticked, *(("folds",) if self._folds else ()))
+
+    @kinds.setter
+    def kinds(self, kinds: tuple[Kind, ...]) -> None:
+        unknown = set(kinds) - set(KINDS)
+        if unknown:
+            raise ValueError(f"there are no layers {sorted(unknown)}; take some of {list(KINDS)}")
+        for kind, box in self._form.result.kinds.items():
+            box.value = kind in kinds
+        self._folds = "folds" in kinds
+
+    def request(self) -> Request:
+        """All that is chosen, with the slice that is shown and what is drawn on it.
+
+        Raises
+        ------
+        HmrfError
+            If there is nothing to work on.
+        """
+        request = self._choices.request
+        here = self.study is not None and request.layers[0] is self.source
+        return replace(request, drawing=self._pointer.drawing if here else Drawing())
+
+    def read(self, request: Request) -> Study:
+        """Read what is chosen, and how it is to be solved."""
+        settings = self._form.settings
+        return read_study(request, settings.prior, settings.optimizer, self._copies)
+
+    # What can be done
+
+    def touch(self, *_: Any) -> None:
+        """Something was edited: look what, when Qt has nothing more urgent to do."""
+        if not self._away():
+            self._looking.start()
+
+    def look(self) -> bool:
+        """Read what is chosen, and have the tissue follow; whether it could be read."""
+        self._looking.stop()
+        if self._away():
+            return False
+        try:
+            request = self.request()
+            study = self.read(request)
+            refuse_rigid(study)
+        except Exception as error:  # noqa: BLE001 - a layer may raise anything
+            if not isinstance(error, HmrfError | ValueError):
+                _log.exception("what is chosen could not be read")
+            self._asked, self._outdated = None, True
+            self._cannot(error)
+            return False
+        study = self._stand_on(study, request.layers[0])
+        if self.live.on or self._pointer.active:
+            self._follow(study)
+        else:
+            self._compare(study)
+            self._succeed()
+        return True
+
+    def settle(self) -> None:
+        """Solve from nothing; `finished` is emitted at the end."""
+        self._looking.stop()
+        self._form.footer.start("Reading layers ...")
+        try:
+            request = self.request()
+            assert request.drawing is not None
+            self._copies.forget()  # a script may have changed an array in place
+            # Without a drawing a boundary that is not painted is refused, in words of its own.
+            alone = request.boundary is None and request.landmarks is None
+            marks = request.drawing.marks
+            study = self.read(request if marks or alone else replace(request, drawing=None))
+            refuse_rigid(study)
+        except (HmrfError, ValueError) as error:
+            self._refuse(error)
+            return
+        study = self._stand_on(study, request.layers[0])
+        self.settling, self._since, self._asked = True, time.monotonic(), study
+        self._layers = request.layers
+        self.note = ""
+        self._follower.settle(study, self._form.settings.backend)
+        self._poll.start()
+
+    def is_solving(self, layer: Any) -> bool:
+        """Whether a layer is among those of which something is solved from nothing."""
+        return self.settling and any(layer is each for each in self._layers)
+
+    def cancel(self, why: str = CANCELLED) -> None:
+        """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
+        was = self._follower.busy
+        self._follower.forget()
+        self._asked = None
+        if self.settling:
+            self._end_settling(why)
+            self.finished.emit(None)
+        elif was:
+            self._form.footer.following(False)
+            self.doing.emit("")
+            self.said.emit(f"{CANCELLED} {STAYS}" if why == CANCELLED and self.latest else why)
+
+    def complete(self, *_: Any) -> None:
+        """Have all layers of the latest result drawn, once nothing is held or on its way."""
+        if self._away() or self.study is None:
+            return
+        if self._pointer.hand.holding or self._follower.busy:
+            self._resting.start()
+            return
+        moved = self._pointer.display.moved
+        if moved is not None and moved.study.optimizer != self.study.optimizer:
+            self._asked = None  # a drag is over
+            self._follow(self.study)
+        else:
+            self._resting.stop()
+            self._pointer.display.arrows.keep(self._pointer.drawing)
+            self._follower.complete(self.kinds)
+
+    def let_go(self) -> None:
+        """End a drag where it is: another slice is shown."""
+        self._pointer.release()
+
+    def show_before(self, before: bool) -> None:
+        """Show the image as it was before it moved, or as it has moved again."""
+        result = self._pointer.display.result
+        if result is not None and before:
+            result.hold_before(self.source)
+        elif result is not None:
+            result.release()
+
+    def forget(self) -> None:
+        """Work on nothing."""
+        self._looking.stop()
+        self._resting.stop()
+        self._follower.forget()
+        self._copies.forget()  # nobody listens to layers any more
+        self._poll.stop()
+        self.study = self.source = self.latest = self._asked = None
+        self._pointer.stand_on(None)
+        self._form.energy.show_solution(None)
+        self._form.footer.warn("")
+
+    def release(self) -> None:
+        """The window is gone."""
+        self._follower.release()
+
+    # How it goes on
+
+    def _stand_on(self, study: Study, source: Any) -> Study:
+        """Work on a study; returns it, with what is drawn on its slice."""
+        before = self.study
+        self._pointer.tissue = self._form.tissue.choice.value
+        place, self.study = study.grid, study
+        if before is None or source is not self.source or before.grid != place:
+            self.source = source
+            self._asked = None
+            self._pointer.stand_on(study, source)
+            self._form.footer.warn("")
+            rows, cols = study.grid.shape
+            self.live.judge((rows, cols))
+            self._follower.rehearse(study)
+            self.moved_on.emit()
+        ways = Directions.of(place.place, self._viewer)
+        self._form.show_place(place, unit_symbol(place.unit), ways)
+        motion = replace(study.motion, drawing=self._pointer.drawing)
+        self.study = study = replace(study, motion=motion)
+        return study
+
+    def _compare(self, study: Study) -> None:
+        """Say that the latest result is of something else, and when it is true again."""
+        latest, before = self.latest, self._outdated
+        if latest is None:
+            return
+        self._outdated = not self.fresh
+        if self._outdated:
+            here = study.grid.place == latest.moved.study.grid.place
+            self.said.emit(f"{CHANGED if here else OTHER_SLICE} {self.note}".rstrip())
+        elif before:
+            self.said.emit(report(latest))
+
+    def _on_drawn(self) -> None:
+        """The drawing is another: nothing else has to be read."""
+        if self.study is not None:
+            motion = replace(self.study.motion, drawing=self._pointer.drawing)
+            self.study = replace(self.study, motion=motion)
+            self._follow(self.study)
+
+    def _follow(self, study: Study) -> None:
+        if self._asked is not None and self._asked.same_as(study):
+            return
+        if not self._follower.busy:
+            self._since = time.monotonic()
+        self._asked = study
+        self._resting.stop()
+        if self._is_hasty(study):
+            study = replace(study, optimizer=Multigrid(TOLERANCE))
+        self._follower.follow(study, self._form.settings.backend)
+        if not self._poll.isActive():
+            self._poll.start()
+
+    def _is_hasty(self, study: Study) -> bool:
+        """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
+        optimizer = study.optimizer
+        near = isinstance(optimizer, Multigrid) and optimizer.tolerance < TOLERANCE
+        return near and self._pointer.hand.holding
+
+    def _on_seen(self, seen: Seen) -> None:
+        study, moved = self.study, seen.moved
+        if study is None or moved.study.grid != study.grid or self._away():
+            return
+        self._since = time.monotonic()
+        if moved.error is not None and moved.settled:
+            self._refuse(moved.error)
+            return
+        self._pointer.show(seen)
+        if moved.error is not None:
+            self._asked = None
+            if not self._pointer.active:  # else it has said so
+                self._cannot(moved.error)
+            return
+        self.seen.emit(moved)
+        if moved.solution is None:
+            self._come_to_rest()
+        self._resting.start(0 if moved.settled else _REST)
+
+    def _on_done(self, done: Done) -> None:
+        study = self.study
+        if study is None or done.moved.study.grid != study.grid or self._away():
+            return
+        if self._looking.isActive():  # what was edited since is known first
+            self.look()
+        failed, self._failed = self._failed, ""
+        self.latest, self._outdated = done, not self.fresh
+        for made in done.outputs.layers.values():
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
+        self._pointer.display.finish(done)
+        self._form.energy.show_solution(done.outputs.solution)
+        footer = self._form.footer
+        footer.warn(warnings_of(done), warned_of(done))
+        footer.tell(brief(done), details(done))
+        settled = self.settling
+        if settled:
+            self._end_settling("")
+        if settled or not self._pointer.active:
+            self.said.emit(f"{report(done)} {self.note}".rstrip())
+        elif failed:
+            self.said.emit("")
+        if self.study is not None and self._outdated and not self.live.on:
+            self._compare(self.study)
+        self.note = ""
+        self.followed.emit(done.outputs)
+        if settled:
+            self.finished.emit(done.outputs)
+
+    def _on_poll(self) -> None:
+        if self._away() or not (self._follower.busy or self.settling):
+            self._poll.stop()
+            self._form.footer.following(False)
+            self.doing.emit("")
+            return
+        waited, monitor = time.monotonic() - self._since, self._follower.monitor
+        if self.settling:
+            self._form.footer.progress(monitor.fraction)
+            if self.settling:  # Qt may have answered whatever waited, Cancel among it
+                self.doing.emit(progress(monitor, waited))
+        elif waited > _PATIENCE:
+            self._form.footer.following(True)
+            doing = progress(monitor, waited)
+            self.doing.emit(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
+
+    def _cannot(self, error: Exception) -> None:
+        """Say why the tissue does not follow, once; the last result stays."""
+        sentence = in_short(error)
+        if sentence in (WELCOME, CHOOSE):
+            if sentence == WELCOME:
+                self.said.emit(WELCOME)
+            return  # nobody has done anything yet
+        if sentence != self._failed:
+            self._failed = sentence
+            stays = f" {STAYS}" if self.latest is not None else ""
+            self.said.emit(f"The tissue does not follow yet. {sentence}{stays}")
+
+    def _come_to_rest(self) -> None:
+        """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
+        before, self.latest = self.latest, None
+        self._succeed()
+        self._form.energy.show_solution(None)
+        self._form.footer.warn("")
+        self._form.footer.tell("")
+        if before is not None and not self._pointer.active:
+            self.said.emit(STILL)
+
+    def _succeed(self) -> None:
+        """What was wrong no longer is."""
+        failed, self._failed = self._failed, ""
+        if failed and (self.latest is None or self._pointer.active):
+            self.said.emit("")
+
+    def _refuse(self, error: Exception) -> None:
+        self._end_settling(in_short(error))
+        # A warning goes by itself; an error would still be there beside the next good result.
+        show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
+        show(in_short(error))
+        self.finished.emit(None)
+
+    def _on_chip(self) -> None:
+        """Say what there is to know, and mark where tissue folds."""
+        self.said.emit(self._form.footer.warning)
+        if self.latest is not None and self.latest.outputs.folds:
+            self._folds = True
+            self.complete()
+
+    def _end_settling(self, status: str) -> None:
+        self.settling = False
+        self._form.footer.stop()
+        self.doing.emit("")
+        if status:
+            self.said.emit(status)

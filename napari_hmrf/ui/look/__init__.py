@@ -1,1 +1,0 @@
-"""The dock widget *Look at the result*."""

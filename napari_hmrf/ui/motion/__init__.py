@@ -1,0 +1,1 @@
+"""Tools of the mouse, and tissue that follows them."""

@@ -1,0 +1,276 @@
+"""The layer *Arrows*: shows what is drawn, and feels the mouse and the keys while it is active."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+from napari.layers import Layer
+
+from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
+from napari_hmrf.layers.compat import thin_thumbnail
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.ui.motion.keys import Listener, bind_keys
+from napari_hmrf.ui.motion.pixel_update import Hush, spare_compiling
+
+#: How near the pointer must be to the end of an arrow, in pixels of the screen.
+_NEAR = 8.0
+HELP = "Shift+click picks up what is drawn, Delete removes, Esc cancels, Ctrl+Z undoes"
+
+
+class ArrowsLayer:
+    """A Vectors layer of the viewer, made when it is first needed.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    told : Listener
+        Who is told.
+    """
+
+    def __init__(self, viewer: Any, told: Listener) -> None:
+        self._viewer = viewer
+        self._told = told
+        self._layer: Any = None
+        self._frame: Frame | None = None
+        self._panning = self._circle_hidden = False
+        self._hush = Hush(viewer)
+        self._radius = 1.0
+        self._does = HELP
+        #: Counts drags: one that was ended from elsewhere does not go on.
+        self._drag = 0
+
+    @property
+    def layer(self) -> Any:
+        """The layer, if it is in the viewer."""
+        return still_there(self._viewer, self._layer)
+
+    @property
+    def former(self) -> Any:
+        """The layer, whether or not it still is in the viewer."""
+        return self._layer
+
+    @property
+    def active(self) -> bool:
+        """Whether the layer is the one that feels the mouse, in two dimensions."""
+        layer = self.layer
+        flat = self._viewer.dims.ndisplay == 2
+        return flat and layer is not None and self._viewer.layers.selection.active is layer
+
+    def take(self, frame: Frame, shape: tuple[int, int], radius: float) -> None:
+        """Have the layer lie on a slice, on top and active."""
+        if self.layer is None or self._layer.ndim != frame.ndim:
+            self.remove()
+            self._layer = self._make(frame, shape)
+            self._viewer.add_layer(self._layer)
+            spare_compiling(self._viewer, self._layer)
+        self.place(frame, shape)
+        layers = self._viewer.layers
+        self.raise_up()
+        self._layer.visible = True
+        layers.selection = {self._layer}
+        self._radius = radius
+        self._equip(self._layer)
+
+    def raise_up(self) -> None:
+        """Have the layer lie on top, if there is a layer."""
+        layers, layer = self._viewer.layers, self.layer
+        if layer is not None and layers[-1] is not layer:
+            layers.move(layers.index(layer), len(layers))
+
+    def place(self, frame: Frame, shape: tuple[int, int]) -> None:
+        """Have the layer lie on another slice, if there is a layer."""
+        layer = self.layer
+        if layer is None or frame == self._frame:
+            return
+        if layer.ndim != frame.ndim:
+            active = self.active
+            self.remove()
+            self._layer = self._make(frame, shape)
+            with same_selection(self._viewer):
+                self._viewer.add_layer(self._layer)
+            spare_compiling(self._viewer, self._layer)
+            if active:
+                self._viewer.layers.selection = {self._layer}
+            self._equip(self._layer)
+        else:
+            for name, value in frame.placement().items():
+                setattr(layer, name, value)
+            known = layer.metadata.get(METADATA)
+            if isinstance(known, dict):
+                known["slice"] = frame.slice_name
+        self._frame = frame
+
+    def show(
+        self,
+        drawing: Drawing,
+        selected: int | None,
+        pending: Point | None = None,
+        more: Lines | None = None,
+        quick: bool = False,
+    ) -> None:
+        """Draw the arrows, where the first click of a pair was, and more lines below them.
+
+        With `quick` more will follow soon, and only the canvas counts.
+        """
+        layer, frame = self.layer, self._frame
+        if layer is None or frame is None:
+            return
+        lines, colours = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
+        if more is not None:
+            lines = np.concatenate([more[0], lines])
+            colours = np.concatenate([more[1], colours])
+        placed = frame.put_vectors(lines)
+        same = np.array_equal(layer.edge_color, colours)
+        if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
+            return
+        layer.data = placed
+        # Of a drag only the first move changes colours; to set them takes as long as the lines.
+        if len(lines) and not same:
+            # Of a hidden layer napari has not yet looked which lines there are to be coloured.
+            with nullcontext() if layer.visible else layer.events.edge_color.blocker():
+                layer.edge_color = colours
+
+    def keep(self, drawing: Drawing) -> None:
+        """Keep the drawing with the layer."""
+        if self.layer is not None:
+            known = self._layer.metadata.get(METADATA, {})
+            kept = {**known, "drawing": drawing.as_dict()}
+            self._layer.metadata = {**self._layer.metadata, METADATA: kept}
+
+    def show_radius(self, radius: float) -> None:
+        """Have the pointer be as large as the patch that would be taken hold of."""
+        self._radius = radius
+        layer = self.layer
+        if layer is None:
+            return
+        # One length of the layer's unit, in those of the world.
+        steps = np.array(layer.data_to_world(np.eye(layer.ndim)[-1]))
+        step = float(np.linalg.norm(steps - np.array(layer.data_to_world(np.zeros(layer.ndim)))))
+        spacing = self._frame.spacing[1] if self._frame is not None else 1.0
+        layer.cursor_size = 2 * radius * step / spacing
+        layer.cursor = "circle"
+
+    def show_tool(self, does: str) -> None:
+        """Say below the canvas what the tool does."""
+        self._does = f"{does} {HELP}"
+        if self.layer is not None:
+            self._equip(self._layer)
+
+    def hide_circle(self) -> None:
+        """Show no circle around the pointer until the drag is over.
+
+        napari paints the whole canvas for every step of it; and what is held has an outline, and
+        what is painted its colour.
+        """
+        if self.layer is not None:
+            self._layer.cursor = "pointing"
+            self._circle_hidden = True
+
+    def end_drag(self) -> None:
+        """Whatever drag goes on is over."""
+        self._drag += 1
+        self._hush.end()
+        if self._circle_hidden:
+            self._circle_hidden = False
+            self.show_radius(self._radius)
+
+    def remove(self) -> None:
+        """Take the layer out of the viewer."""
+        if self.layer is not None:
+            self._viewer.layers.remove(self._layer)
+        self._layer = self._frame = None
+
+    def release(self) -> None:
+        """Feel nothing any more."""
+        self.end_drag()
+        layer, self._layer = self._layer, None
+        if layer is not None:
+            if self._on_drag in layer.mouse_drag_callbacks:
+                layer.mouse_drag_callbacks.remove(self._on_drag)
+            layer.keymap.clear()
+            layer.events.mode.disconnect(self._on_mode)
+            layer.cursor, layer.help, layer.mouse_pan = "standard", "", True
+
+    def _make(self, frame: Frame, shape: tuple[int, int]) -> Any:
+        layer = Layer.create(*arrow_layer(frame, shape))
+        # Drawing the thumbnail of every line would take longer than all the rest.
+        thin_thumbnail(layer, 8)
+        layer.mouse_drag_callbacks.append(self._on_drag)
+        bind_keys(layer, self._told)
+        layer.bind_key("Space", self._on_space)
+        layer.events.mode.connect(self._on_mode)
+        self._frame = frame
+        return layer
+
+    def _equip(self, layer: Any) -> None:
+        """Have napari's own mode look like ours; it sets all this when a layer is added, too."""
+        layer.help = self._does
+        if self.active:
+            self._viewer.help = self._does
+        layer.mouse_pan = False
+        self.show_radius(self._radius)
+
+    def _on_mode(self, *_: Any) -> None:
+        if self.layer is not None and self._layer.mode == "pan_zoom":
+            self._equip(self._layer)
+
+    def _on_space(self, layer: Any) -> Iterator[None]:
+        """While Space is held the mouse moves the view, as in napari's own tools."""
+        self._panning, layer.mouse_pan = True, True
+        yield
+        self._panning, layer.mouse_pan = False, False
+
+    def _on_drag(self, layer: Any, event: Any) -> Iterator[None]:
+        if (
+            layer.mode != "pan_zoom"
+            or self._panning
+            or event.button != 1
+            or "Alt" in event.modifiers
+        ):
+            return
+        point = self._pixel(layer, event)
+        if point is not None and "Shift" in event.modifiers:
+            self._told.pick(point, self._reach(layer, event))
+            return
+        if point is None or not self._told.press(point, self._reach(layer, event)):
+            return
+        self._drag += 1
+        mine = self._drag
+        self._hush.begin()
+        yield
+        # The release is a move, too: vispy drops moves that follow another closely.
+        while True:
+            point = self._pixel(layer, event)
+            if mine == self._drag and point is not None:
+                self._told.move(point)
+            if event.type != "mouse_move":
+                break
+            yield
+        if mine == self._drag:
+            self._told.release()
+
+    def _pixel(self, layer: Any, event: Any) -> Point | None:
+        """Where the mouse is, in pixels of the slice; None in three dimensions."""
+        flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
+        if self._frame is None or not flat:
+            return None
+        at = np.asarray(layer.world_to_data(event.position), dtype=float)
+        row, col = at[list(self._frame.plane)]
+        return float(row), float(col)
+
+    def _reach(self, layer: Any, event: Any) -> float:
+        """How near an arrow's end is near enough, in the unit of the spacing."""
+        assert self._frame is not None
+        here = np.asarray(event.position, dtype=float)
+        there = here.copy()
+        there[list(event.dims_displayed)[-1]] += _NEAR / event.camera_zoom
+        apart = np.asarray(layer.world_to_data(there)) - np.asarray(layer.world_to_data(here))
+        return math.hypot(*(apart[list(self._frame.plane)] * self._frame.spacing))

@@ -1,0 +1,214 @@
+"""The layers that show a drawing, and the picture that has moved as it says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.layers.arrow_layer import Lines
+from napari_hmrf.layers.image_choice import image_covering_at
+from napari_hmrf.layers.image_result import Result
+from napari_hmrf.layers.paint_layer import outline_of, touches
+from napari_hmrf.layers.result_layers import picture_layer
+from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.layers.viewer_results import ResultLayers
+from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_deformation import Deformation
+from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.tissue.drawing.tool import Hand
+from napari_hmrf.ui.follower import Done, Seen
+from napari_hmrf.ui.motion.arrows import ArrowsLayer
+from napari_hmrf.ui.motion.keys import Listener
+from napari_hmrf.ui.motion.strokes import PaintedLayer
+from napari_hmrf.ui.timers import single_shot
+
+#: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
+#: if that takes longer than so many milliseconds, they go ahead.
+_AHEAD = 80
+
+
+class Display:
+    """Shows what is drawn on a slice of an image, and what comes of it.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    told : Listener
+        Who is told what the mouse and the keys do.
+
+    Attributes
+    ----------
+    arrows : ArrowsLayer
+    painted : PaintedLayer
+    seen : Seen or None
+        The tissue as it is seen.
+    tissues : dict of int to colour
+        Of the tissues that can be painted.
+    """
+
+    def __init__(self, viewer: Any, told: Listener) -> None:
+        self.arrows = ArrowsLayer(viewer, told)
+        self.painted = PaintedLayer(viewer)
+        self.seen: Seen | None = None
+        self.tissues: dict[int, Any] = {}
+        self._viewer = viewer
+        self._results = shared(viewer, ResultLayers)
+        self._image: Any = None
+        # Whose picture is shown although nothing has moved.
+        self._still: Result | None = None
+        self._busy = False
+        # Where the brush was last, and of how many places its stroke was then.
+        self._last: Point = (0.0, 0.0)
+        self._places = 0
+        self._touches_wait = single_shot(None, _AHEAD, self._show_touches)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether layers come and go by our own doing."""
+        return self._busy
+
+    @property
+    def moved(self) -> Deformation | None:
+        """The tissue as it is seen."""
+        return None if self.seen is None else self.seen.moved
+
+    @property
+    def result(self) -> Result | None:
+        """The layers of the result of what is shown."""
+        moved = self.moved
+        if moved is None or self._image is None:
+            return None
+        return self._results.at(self._image, moved.study.grid.place.slice_name)
+
+    def stand_on(self, study: Study | None, image: Any) -> None:
+        """Go over to another slice, of which nothing has moved yet; or to none."""
+        self._touches_wait.stop()
+        still, self._still = self._still, None
+        self._image = image
+        self.seen = None
+        with self.own_doing():
+            if still is not None:
+                still.remove()
+            self.painted.forget()
+            if study is not None:
+                self.seen = Seen(Deformation(study, image=study.pictures.image))
+                rows, cols = study.grid.shape
+                self.arrows.place(study.grid.place, (rows, cols))
+
+    @property
+    def covering(self) -> Any:
+        """The image of somebody else's that hides the place the mouse is at; else None."""
+        image, result = still_there(self._viewer, self._image), self.result
+        picture = None if result is None else result.layer("image")
+        lowest = picture if picture is not None and picture.visible else image
+        if lowest is None:
+            return None
+        return image_covering_at(self._viewer, lowest, self._viewer.cursor.position)
+
+    def is_beside(self, stroke: Stroke) -> bool:
+        """Whether a stroke lies beside all tissue, and does not make any."""
+        ground = None if self.moved is None else self.moved.ground
+        if ground is None or stroke.action == "tissue":
+            return False
+        return not touches(stroke, ground.base, ground.body)
+
+    def show(self, seen: Seen, hand: Hand) -> None:
+        """Show another state of the tissue."""
+        moved, result = seen.moved, self.result
+        self.seen = seen
+        with self.own_doing():
+            # What has not moved yet is shown, too, so that the first movement finds its layer.
+            if moved.image is not None and (moved.moves or self.arrows.active):
+                self._show_picture(moved)
+            elif not moved.moves and result is not None:
+                result.remove()
+            self._still = None if moved.moves else result
+            self.show_painted(seen, hand)
+
+    def finish(self, done: Done) -> None:
+        """Show all layers of a state that has come to rest."""
+        place = done.moved.study.grid.place
+        with self.own_doing():
+            self._results.show(self._image, place, done.outputs.layers)
+            self.arrows.raise_up()
+
+    def _show_picture(self, moved: Deformation) -> None:
+        study, image = moved.study, moved.image
+        place = study.grid.place
+        model = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
+        assert image is not None
+        made = picture_layer(place, study.pictures, image, model)
+        self._results.show(self._image, place, {"image": made}, moving=moved.solution is not None)
+
+    def show_painted(self, seen: Seen, hand: Hand) -> None:
+        """Show what is painted; what is being painted stays where it is, until it is known."""
+        self._touches_wait.stop()
+        stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
+        study = seen.moved.study
+        picture = None if seen.marks is None else seen.moved.overlay
+        with self.own_doing():
+            drawing = study.motion.drawing
+            self.painted.show(study.grid, picture, drawing, stroke, self.tissues)
+
+    def touch(self, hand: Hand, point: Point, first: bool) -> None:
+        """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
+        stroke = hand.mark
+        if self.seen is None or not isinstance(stroke, Stroke):
+            return
+        places = sum(map(len, stroke.lines))
+        if places == self._places and not first:
+            return
+        self._places = places
+        begin, self._last = point if first else self._last, point
+        self.painted.touch(stroke, begin, point)
+        if first:
+            self._show_touches()
+        elif not self._touches_wait.isActive():
+            self._touches_wait.start()
+
+    def _show_touches(self) -> None:
+        self._touches_wait.stop()
+        if (moved := self.moved) is not None:
+            with self.own_doing():
+                self.painted.show_touches(moved.study.grid, self.tissues)
+
+    def draw(self, drawing: Drawing, hand: Hand) -> None:
+        """Show arrows, landmarks, and the marks of what is painted."""
+        parts: list[Lines] = []
+        seen, stroke = self.seen, hand.mark
+        if seen is not None and seen.marks is not None:
+            parts.append(seen.marks)
+        moved = self.moved
+        ground = None if moved is None else moved.ground
+        if isinstance(stroke, Stroke) and not hand.holding and moved and ground:
+            parts.append(outline_of(stroke, ground.base, moved.goes_to))
+        more = None
+        if parts:
+            lines, colours = zip(*parts, strict=True)
+            more = np.concatenate(lines), np.concatenate(colours)
+        self.arrows.show(drawing, hand.selected, hand.pending, more, quick=hand.holding)
+
+    def leave(self) -> None:
+        """Take away what nobody answers any more."""
+        self.release()
+        with self.own_doing():
+            self.arrows.remove()
+            self.painted.remove()
+
+    def release(self) -> None:
+        """Show nothing later on."""
+        self._touches_wait.stop()
+
+    @contextmanager
+    def own_doing(self) -> Iterator[None]:
+        """Layers that come and go meanwhile do so by our own doing."""
+        before, self._busy = self._busy, True
+        try:
+            yield
+        finally:
+            self._busy = before

@@ -1,0 +1,31 @@
+"""What the tools say."""
+
+from __future__ import annotations
+
+START = "Press 'Pull', then drag tissue in the image."
+PREPARING = "Getting ready ..."
+OFF = "Paused: press a tool, or choose the layer 'Arrows', to go on."
+FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
+ARROWS_GONE = "The layer 'Arrows' is gone: press a tool to have it back."
+COVERED = "The image is covered by "
+NOTHING = "There is no tissue to take hold of there."
+BESIDE = "There is no tissue where you painted, so that nothing changes."
+OUTSIDE = "That is outside the image."
+HALF = "Now click where it should be. Esc: not after all."
+PICKED = "Selected: the fields change it, Delete removes it."
+NOTHING_DRAWN = "Nothing is drawn there: nothing is selected."
+NOTHING_SELECTED = "Nothing is selected: Shift+click what was drawn."
+REMOVED = "Removed; undo brings it back."
+REMOVED_ALL = "Removed all; undo brings it back."
+CANCELLED = "Cancelled; everything is as before."
+OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
+NO_STEP = "Now drag it to where it goes, or say above how far; till then it is held."
+NO_OUTSIDE = (
+    "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
+    "patch, or take 'Push'."
+)
+
+
+def covered(other: str) -> str:
+    """That nothing of the image is seen, and what can be done."""
+    return f"{COVERED}'{other}': hide that one, or choose it here."

@@ -1,0 +1,402 @@
+"""What draws on the slice that is shown: the tool in the hand, and what the mouse and keys do."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import asdict
+from typing import Any
+
+from psygnal import Signal
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
+from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import History
+from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.tissue.drawing.tool import Hand
+from napari_hmrf.ui.follower import Seen
+from napari_hmrf.ui.messages import in_short
+from napari_hmrf.ui.motion.badge import Badge
+from napari_hmrf.ui.motion.display import Display
+from napari_hmrf.ui.motion.motion_messages import (
+    BESIDE,
+    CANCELLED,
+    HALF,
+    NO_OUTSIDE,
+    NO_STEP,
+    NOTHING,
+    NOTHING_DRAWN,
+    NOTHING_SELECTED,
+    OFF,
+    OPEN,
+    OUTSIDE,
+    PICKED,
+    PREPARING,
+    REMOVED,
+    REMOVED_ALL,
+    covered,
+)
+from napari_hmrf.ui.motion.tool_fields import ToolFields
+from napari_hmrf.ui.motion.tool_hands import Hands
+from napari_hmrf.ui.motion.tools import BY_NAME, Tool
+from napari_hmrf.ui.timers import single_shot
+
+#: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
+#: if that takes longer than so many milliseconds, they go ahead.
+_AHEAD = 150
+
+
+class Pointer:
+    """Draws on each slice of each image its own drawing; the `Listener` of the layer *Arrows*.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    fields : ToolFields
+        How the tools draw.
+    steps : ViewerSteps
+        Of the viewer.
+
+    Attributes
+    ----------
+    history : History
+        Of the slice that is shown.
+    tool : Tool
+        In the hand.
+    tissue : napari.layers.Labels or Image, optional
+        What it says about tissue is painted in its colours.
+    display : Display
+        What is seen.
+    """
+
+    #: The drawing is another.
+    drawn = Signal()
+    #: What is drawn, what can be undone or what is selected is another, or another tool is taken.
+    changed = Signal()
+    #: What there is to say, in words.
+    said = Signal(str)
+    #: Something new is begun: what was said of what came before is over.
+    begun = Signal()
+
+    def __init__(self, viewer: Any, fields: ToolFields, steps: ViewerSteps) -> None:
+        self._fields, self._steps = fields, steps
+        self.history = History()
+        self.tool: Tool = BY_NAME["pull"]
+        self._hands = Hands(self.history)
+        # Whether what is selected was picked up, and not just made.
+        self._picked = False
+        self.display = Display(viewer, self)
+        self._badge = Badge(viewer)
+        self._drawing_waits = single_shot(None, _AHEAD, self.draw)
+        self.tissue: Any = None
+        self._image: Any = None
+        self._working = self._in_error = False
+        for field in fields:
+            if field is not fields.preset:
+                field.changed.connect(self._on_field)
+
+    # What there is
+
+    @property
+    def drawing(self) -> Drawing:
+        """What is drawn on the slice that is shown."""
+        return self.history.drawing
+
+    @property
+    def hand(self) -> Hand:
+        """What holds the tool."""
+        return self._hands.of(self.tool)
+
+    @property
+    def active(self) -> bool:
+        """Whether the mouse draws."""
+        return self.display.seen is not None and self.display.arrows.active
+
+    @property
+    def preparing(self) -> bool:
+        """Whether the mouse draws, and nothing follows yet: something is read, or compiled."""
+        return self.active and not self._working
+
+    # What can be done
+
+    def stand_on(self, study: Study | None, image: Any = None) -> None:
+        """Go over to the drawing of another slice, or of none.
+
+        Parameters
+        ----------
+        study : Study or None
+            None: there is nothing to draw on.
+        image : napari.layers.Image, optional
+            What is drawn on.
+        """
+        self.release()
+        self.history.changed.disconnect(self._on_drawn, missing_ok=True)
+        self._image = image
+        if study is None:
+            self.history = History()
+            self._hands = Hands(self.history)
+        else:
+            slot = Slot(DRAWING, image, Place.of(study.grid.place))
+            self.history = History(edits=self._steps.edits, slot=slot)
+            rows, cols = study.grid.shape
+            down, along = study.grid.spacing
+            self._hands = Hands(self.history, (down, along), (rows, cols))
+            self._working = False
+        self.display.stand_on(study, image)
+        self.history.changed.connect(self._on_drawn)
+        self.draw()
+
+    def take_up(self, name: str) -> None:
+        """Have a tool in the hand, which has nothing selected.
+
+        Raises
+        ------
+        ValueError
+            If there is none of that name.
+        """
+        if name not in BY_NAME:
+            raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
+        tool = BY_NAME[name]
+        if tool is self.tool:
+            return
+        self.release()
+        self.hand.cancel()
+        self.tool = tool
+        self.hand.select(None)
+        self._fields.show_for(tool)
+        self.display.arrows.show_tool(tool.how)
+        self.draw()
+        self.say_tool()
+        if self.active:
+            self.said.emit(tool.how)
+
+    def take(self) -> None:
+        """Have the mouse draw."""
+        seen = self.display.seen
+        if seen is None:
+            return
+        moved = seen.moved
+        grid, radius = moved.study.grid, self._fields.radius.value
+        rows, cols = grid.shape
+        with self.display.own_doing():
+            self.display.arrows.take(grid.place, (rows, cols), radius)
+        if moved.ground is not None and not moved.moves:
+            self.display.show(seen, self.hand)
+        self.draw()
+        self.said.emit(self.tool.how if self._working else PREPARING)
+        self.say_tool()
+
+    def say_tool(self) -> None:
+        """Say on the canvas which tool the mouse has, if any."""
+        self._badge.say(self._fields.words if self.active else "")
+
+    def set_drawing(self, drawing: Drawing, word: str) -> None:
+        """Have another drawing, as one step."""
+        self.release()
+        self.history.do(drawing, word)
+
+    def clear(self) -> None:
+        """Remove all that is drawn."""
+        self.set_drawing(Drawing(), "removed all")
+        self.said.emit(REMOVED_ALL)
+
+    def draw(self) -> None:
+        """Show what is drawn as it is."""
+        self._drawing_waits.stop()
+        self.display.draw(self.history.drawing, self.hand)
+        self.changed.emit()
+
+    def show(self, seen: Seen) -> None:
+        """Show the tissue as it follows what is drawn."""
+        ground = seen.moved.ground
+        if seen.moved.error is not None:
+            self._show_error(seen)
+            return
+        first, self._working = not self._working, True
+        before = self.display.seen
+        known = None if before is None else before.moved.ground
+        if ground is not None and ground is not known:
+            self._fields.offer(ground.palette)
+            self.display.tissues = tissue_colours(ground.palette, self.tissue)
+        self.display.show(seen, self.hand)
+        if self._drawing_waits.isActive():
+            self.draw()
+        elif seen.marks is not None or (before is not None and before.marks is not None):
+            self.display.draw(self.history.drawing, self.hand)  # its marks are of what is seen
+        if (first and self.active) or self._in_error:
+            self._in_error = False
+            self.said.emit(self.tool.how if self.active else OFF)
+
+    def leave(self) -> None:
+        """Draw no more; take away the layers that nobody answers. What is drawn stays."""
+        self.stand_on(None)
+        self._drawing_waits.stop()
+        self.display.leave()
+        self._badge.say("")
+
+    def end(self) -> None:
+        """The window is gone."""
+        with suppress(RuntimeError):  # at the end of the process Qt's own are gone before us
+            self._drawing_waits.stop()
+            self.display.release()
+        self.display.arrows.release()
+
+    # What the mouse and the keys do on the canvas
+
+    def press(self, point: Point, reach: float) -> bool:
+        """Take hold of tissue, or of an arrow, or put the brush down; whether a drag begins."""
+        moved = self.display.moved
+        if moved is None or moved.ground is None:
+            self.said.emit(PREPARING)
+            return False
+        self.begun.emit()
+        other = self.display.covering
+        if other is not None:
+            self.said.emit(covered(other.name))
+            return False
+        if self.tool.is_brush and not moved.is_inside(point):
+            self.said.emit(OUTSIDE)
+            return False
+        hand, self._picked = self.hand, False
+        taken = hand.press(point, reach, self._fields.how, moved.came_from)
+        self._show_how()
+        if not taken:
+            self.said.emit(NOTHING)
+        elif hand.pending is not None:
+            self.said.emit(HALF)
+        elif not self.preparing:
+            self.said.emit(self.tool.how)
+        if self.tool.is_brush:
+            if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
+                self.said.emit(NO_STEP)
+            self.display.touch(hand, point, first=True)
+        if hand.holding:
+            self.display.arrows.hide_circle()
+        self.draw()
+        return taken
+
+    def pick(self, point: Point, reach: float) -> None:
+        """Select what is drawn at a place, and take the tool it was made with."""
+        moved = self.display.moved
+        if moved is None:
+            return
+        drawing, spacing = self.history.drawing, moved.study.grid.spacing
+        hit = drawing.at(point, reach, spacing)
+        if hit is not None:
+            number: int | None = hit.number
+        else:
+            number = drawing.painted_at(moved.came_from(point) or point, spacing)
+        if number is not None:
+            self.take_up(self._hands.tool_for(number).name)
+        self.hand.select(number)
+        self._picked = number is not None
+        self._show_how()
+        self.said.emit(PICKED if number is not None else NOTHING_DRAWN)
+        self.draw()
+
+    def move(self, point: Point) -> None:
+        """Go on pulling or painting."""
+        self.hand.move(point)
+        if self.tool.is_brush and self.hand.holding:
+            self.display.touch(self.hand, point, first=False)
+
+    def release(self) -> None:
+        """Let go."""
+        self.display.arrows.end_drag()
+        try:
+            done = self.hand.release()
+        except HmrfError:
+            self._in_error = False
+            self.said.emit(NO_OUTSIDE)
+            self.draw()
+            return
+        if done:
+            mark = self.hand.mark
+            if isinstance(mark, Stroke) and self.display.is_beside(mark):
+                self.said.emit(BESIDE)
+            self._show_how()
+            pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
+            if self.tool.name == "landmark" or pushed:  # nothing more is waited for
+                self.said.emit(self.tool.how)
+            self.draw()
+
+    def cancel(self) -> None:
+        """Give up the drag or the pair that goes on; without one, select nothing."""
+        self.display.arrows.end_drag()
+        if self.hand.cancel():
+            self.said.emit(CANCELLED)
+        else:
+            self.hand.select(None)
+            self.said.emit(self.tool.how)
+        self.draw()
+
+    def remove(self) -> None:
+        """Remove what is selected."""
+        self.display.arrows.end_drag()
+        removed = self.hand.remove()
+        self.said.emit(REMOVED if removed else NOTHING_SELECTED)
+
+    def ask_for(self, tool: str) -> None:
+        """The key of a tool."""
+        self.take_up(tool)
+
+    def ask_for_size(self, factor: float) -> None:
+        """The keys of the brush's size."""
+        radius = self._fields.radius
+        radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
+
+    def undo(self) -> None:
+        """Take back what was done last."""
+        self._steps.undo()
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._steps.redo()
+
+    def interrupt(self) -> bool:
+        """A pair of which only one place was clicked is what was done last."""
+        self.display.arrows.end_drag()
+        if self.hand.pending is None:
+            return False
+        self.cancel()
+        return True
+
+    # What follows
+
+    def _show_how(self) -> None:
+        how = self.hand.how
+        if how is not None:
+            self._fields.show_how(how)
+
+    def _on_drawn(self, _: Drawing) -> None:
+        self.drawn.emit()
+        if not self.hand.holding:
+            self.draw()
+        elif not self._drawing_waits.isActive():
+            self._drawing_waits.start()
+
+    def _on_field(self, *_: Any) -> None:
+        how = self._fields.how
+        self.display.arrows.show_radius(how.radius)
+        self.say_tool()
+        # A tissue is chosen for what is painted next; of the others the last is adjusted, too.
+        if self.tool.name == "tissue" and not self._picked:
+            return
+        try:
+            self.hand.change(**asdict(how))
+        except HmrfError as error:
+            self.said.emit(in_short(error))
+
+    def _show_error(self, seen: Seen) -> None:
+        error, hand = seen.moved.error, self.hand
+        assert error is not None
+        self._in_error = self.active
+        if hand.holding and isinstance(hand.mark, Stroke):
+            # A ring that is being painted is an open line until it is closed.
+            self.said.emit(OPEN if hand.mark.action == "expand" else in_short(error))
+            return
+        self.display.show_painted(seen, hand)
+        if self.active:
+            self.said.emit(in_short(error))

@@ -1,0 +1,213 @@
+"""The fields of the tools: of each only those that it needs are seen."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from magicgui.widgets import ComboBox, Container
+
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
+from napari_hmrf.tissue.drawing.brush import Paint
+from napari_hmrf.tissue.drawing.marks import Action
+from napari_hmrf.tissue.drawing.pull import Grip
+from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.tissue.palette import Palette
+from napari_hmrf.ui.forms import LEAST_CONFIDENCE, confidence_slider, length, narrow, share
+from napari_hmrf.ui.motion.tools import BY_NAME, Tool
+
+_SURE = (
+    "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
+    "it by more than about that"
+)
+#: Fields that hold a length.
+_LENGTHS = ("radius", "by_row", "by_col", "amount")
+
+
+class ToolFields(Container):
+    """How the tools draw."""
+
+    def __init__(self) -> None:
+        self.radius = length(
+            "radius",
+            "Of the patch that is taken hold of, or of the brush, in the unit of the image "
+            "([ and ] make it smaller and larger)",
+            least=0.001,
+            value=10.0,
+            step=1.0,
+        )
+        self._ways = Directions()
+        self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
+        self.amount = length(
+            "outward",
+            "How far the outline moves along its normal; below 0 inward: it shrinks; in the unit "
+            "of the image",
+        )
+        self.confidence = confidence_slider(_SURE)
+        self.sure = share(
+            "becomes",
+            "How sure it is what is held or moved under the brush. 1: exactly so, "
+            "0: that says nothing any more",
+        )
+        self.softness = share(
+            "softness",
+            "Across which part of its radius the brush fades out. 0: hard edge, "
+            "1: from its middle on",
+        )
+        self.components = ComboBox(
+            choices=_components(self._ways),
+            value="both",
+            label="moves",
+            tooltip="In which directions this says where tissue goes; in the other it is free",
+        )
+        self.material = ComboBox(
+            choices=[], label="becomes", tooltip="Of the tissue's own table, or of the presets"
+        )
+        self.preset = ComboBox(
+            choices=[(each.name, each) for each in PRESETS],
+            value=PRESETS[0],
+            label="tissues of",
+            tooltip="Published tissues to paint with, as the tissue layer has no table of its own; "
+            "what is not painted behaves as the first of them",
+        )
+        narrow(self.preset)
+        self._own_table = False
+        fields = (
+            self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
+            self.softness, self.components, self.preset, self.material,
+        )  # fmt: skip
+        for field, name in zip(fields, _NAMES, strict=True):
+            field.name = name
+        super().__init__(widgets=fields)
+        for name in _LENGTHS:  # what is being typed is no length yet
+            getattr(self, name).native.setKeyboardTracking(False)
+        self.margins = (0, 0, 0, 0)
+        self._tool = BY_NAME["pull"]
+        self._labels = {name: str(getattr(self, name).label) for name in _LENGTHS}
+        self.show_for(self._tool)
+        self.show_place("px", self._ways)
+
+    @property
+    def how(self) -> Grip | Paint:
+        """How the tool that is shown draws."""
+        tool = self._tool
+        if not tool.is_brush:
+            components: Any = self.components.value if "components" in tool.fields else "both"
+            return Grip(self.radius.value, self.confidence.value, components)
+        values: dict[str, Any] = {}
+        if "by_row" in tool.fields:
+            values["by"] = (self.by_row.value, self.by_col.value)
+        if "material" in tool.fields:
+            values["label"] = int(self.material.value or 0)
+        if "sure" in tool.fields:
+            values["confidence"] = self.sure.value
+        for name in ("amount", "confidence", "softness", "components"):
+            if name in tool.fields:
+                values[name] = getattr(self, name).value
+        return Paint(cast(Action, tool.name), self.radius.value, **values)
+
+    @property
+    def words(self) -> str:
+        """What the tool that is shown does, in a few words."""
+        title = self._tool.title
+        match self._tool.name:
+            case "move":
+                return f"{title} {self._ways.step((self.by_row.value, self.by_col.value))}"
+            case "expand":
+                amount = self.amount.value
+                return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
+            case "confidence":
+                return f"{title} {self.sure.value:g}"
+            case "tissue":
+                return f"{title}: {self.material.current_choice}"
+        return title
+
+    def show_for(self, tool: Tool) -> None:
+        """Show the fields of a tool, and no others."""
+        self._tool = tool
+        for name in _NAMES:
+            getattr(self, name).visible = name in tool.fields
+        self.preset.visible = "material" in tool.fields and not self._own_table
+
+    def show_how(self, how: Grip | Paint) -> None:
+        """Show how the selected mark was made, without changing it."""
+        values: dict[str, Any] = {
+            "confidence": max(how.confidence, LEAST_CONFIDENCE),
+            "sure": how.confidence,
+            "components": how.components,
+        }
+        if isinstance(how, Paint):
+            values["by_row"], values["by_col"] = how.by
+            values["amount"], values["softness"] = how.amount, how.softness
+            values["material"] = how.label
+        # The size of the brush is nothing of the stroke's that is changed with it.
+        else:
+            values["radius"] = how.radius
+        for name in self._tool.fields:
+            field = getattr(self, name, None)
+            if name not in values or field is None or field.value == values[name]:
+                continue
+            if name == "material" and values[name] not in field.choices:
+                continue
+            with field.changed.blocked():
+                field.value = values[name]
+
+    def begin_with(self, radius: float, step: float) -> None:
+        """Have lengths that suit an image, so that what is to expand does.
+
+        A step has a direction, which nobody can guess: it stays 0 until it is given.
+        """
+        self.radius.value = radius
+        self.amount.value = self.amount.value or step
+
+    def show_place(self, unit: str, ways: Directions) -> None:
+        """Say in which unit lengths are, and which way the rows and columns run on the screen.
+
+        What is typed keeps its meaning, along the rows and columns: only the words change.
+        """
+        turned, self._ways = ways != self._ways, ways
+        for axis, field in enumerate((self.by_row, self.by_col)):
+            self._labels[field.name] = ways.label(axis)
+            field.tooltip = f"{ways.about(axis)}; in the unit of the image"
+        for name, words in self._labels.items():
+            getattr(self, name).label = f"{words} ({unit})"
+        if turned:
+            before = self.components.value
+            with self.components.changed.blocked():
+                self.components.choices = _components(ways)
+                self.components.value = before
+
+    def offer(self, palette: Palette) -> None:
+        """Have these tissues to be painted; the one chosen stays, if it is among them."""
+        unit = palette.unit
+        choices = [
+            (f"{row.name or row.label} ({_stiffness(row, unit)})", row.label)
+            for row in palette.materials
+        ]
+        labels = [label for _, label in choices]
+        before = self.material.value
+        with self.material.changed.blocked():
+            # Else those of the same name would come first.
+            self.material.choices = []
+            self.material.choices = choices
+            # What is painted first is a tissue, the last of them: it is what is special.
+            solid = [row.label for row in palette.materials if row.is_deformable]
+            usual = (solid or labels)[-1]
+            self.material.value = before if before in labels else usual
+        self._own_table = palette.own
+        self.show_for(self._tool)
+
+
+_NAMES = (
+    "radius", "by_row", "by_col", "amount", "confidence", "sure", "softness", "components",
+    "preset", "material",
+)  # fmt: skip
+
+
+def _stiffness(row: Material, unit: str) -> str:
+    return stiffness_in_words(row.stiffness, unit) if row.stiffness > 0 else "no tissue"
+
+
+def _components(ways: Directions) -> list[tuple[str, str]]:
+    """In which directions a mark may speak."""
+    return [("both directions", "both"), (ways.only(0), "row"), (ways.only(1), "col")]

@@ -1,0 +1,109 @@
+"""The tools: what each is called, which keys and which fields it has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool.
+
+    Attributes
+    ----------
+    name : str
+        In Python.
+    title : str
+        On its button and on the canvas.
+    key : str
+        That takes it, while the layer *Arrows* is active. None of these is one of napari's for a
+        layer of that kind, or for the viewer.
+    fields : tuple of str
+        The attributes of `ToolFields` it needs.
+    what : str
+        What it does, for the tooltip.
+    how : str
+        How it is used, for the line below the canvas and the status.
+    """
+
+    name: str
+    title: str
+    key: str
+    fields: tuple[str, ...]
+    what: str
+    how: str
+
+    @property
+    def is_brush(self) -> bool:
+        """Whether it paints."""
+        return self.name not in ("pull", "landmark")
+
+
+TOOLS: tuple[Tool, ...] = (
+    Tool(
+        "pull",
+        "Pull",
+        "G",
+        ("radius", "confidence", "components"),
+        "Drag tissue to pull it; click to hold it",
+        "Drag tissue to pull it, or click it to hold it in place.",
+    ),
+    Tool(
+        "landmark",
+        "Landmark",
+        "L",
+        ("radius", "confidence"),
+        "Click where something is, then where it should be. Or have two Points layers: the first "
+        "where things are, the second where they should be, in the same order",
+        "Click where something is, then where it should be.",
+    ),
+    Tool(
+        "pin",
+        "Hold",
+        "P",
+        ("radius", "confidence", "components"),
+        "Paint what does not move",
+        "Paint what does not move.",
+    ),
+    Tool(
+        "free",
+        "Free",
+        "F",
+        ("radius",),
+        "Paint what nobody holds: it goes where its surroundings take it",
+        "Paint what nothing holds, whatever else says so.",
+    ),
+    Tool(
+        "move",
+        "Push",
+        "M",
+        ("radius", "by_row", "by_col", "confidence", "components"),
+        "Paint what moves, then drag it to where it goes; or type how far",
+        "Paint what moves, then drag it to where it goes.",
+    ),
+    Tool(
+        "expand",
+        "Grow",
+        "E",
+        ("radius", "amount", "confidence"),
+        "Paint a patch or a closed ring that grows, or shrinks, along its normal",
+        "Paint a patch or a closed ring that grows; a negative amount shrinks it.",
+    ),
+    Tool(
+        "confidence",
+        "Confidence",
+        "C",
+        ("radius", "sure", "softness"),
+        "Paint how sure it is what is held or moved",
+        "Paint over what is held or moved how sure that is.",
+    ),
+    Tool(
+        "tissue",
+        "Tissue",
+        "T",
+        ("radius", "material"),
+        "Paint which tissue is where",
+        "Paint which tissue is where.",
+    ),
+)
+BY_NAME = {tool.name: tool for tool in TOOLS}

@@ -1,0 +1,153 @@
+"""The part of the dock that shows what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, get_args
+
+from magicgui.widgets import (
+    CheckBox,
+    ComboBox,
+    Container,
+    FloatSlider,
+    Label,
+    PushButton,
+    Slider,
+    SpinBox,
+)
+
+from napari_hmrf.layers.result_layers import ARROWS, Kind
+from napari_hmrf.layers.strain_layers import Quantity
+from napari_hmrf.ui.forms import Prose, narrow, row
+from napari_hmrf.ui.layer_choice import LayerChoice
+from napari_hmrf.ui.remembered_settings import remember
+from napari_hmrf.ui.result.result_messages import COLOURS_TIP, NOTHING, POINT, colour_choices
+
+Layers = Callable[[], list[Any]]
+Accept = Callable[[Any], bool]
+
+#: What can be drawn of a result beside its image, its arrows and its grid.
+_KINDS: dict[Kind, tuple[str, str]] = {
+    "labels": ("labels", "The tissue labels, moved with the tissue"),
+    "stiffness": ("m", "How stiff tissue was taken to be, before it moved"),
+    "observed": ("y", "How tissue was to move where that is known; what is held has a dot"),
+    "confidence": ("c", "How sure that is, from 0 to 1"),
+}
+#: What is held to see the image as it was.
+BEFORE_KEY = "Shift-B"
+PLAY, PAUSE = "Play", "Pause"
+
+
+class ResultForm(Container):
+    """How much of the deformation is seen, and what of it is drawn.
+
+    Parameters
+    ----------
+    layers : callable
+        The viewer's layers, lowest first.
+    is_result : callable
+        Whether a layer holds a result.
+    """
+
+    def __init__(self, layers: Layers, is_result: Accept) -> None:
+        self.result = LayerChoice(
+            layers,
+            is_result,
+            "result",
+            "The layer of arrows that holds it: of another image, another slice or a file",
+        )
+        self.slider = Slider(
+            value=100,
+            max=100,
+            readout=False,
+            tooltip="How much of the displacement the tissue has moved by: 0 % is the image as it "
+            "was, 100 % the result",
+        )
+        self.play = PushButton(text=PLAY, tooltip="Go back and forth between 0 and 100 %")
+        self.before = PushButton(
+            text="Hold: before",
+            tooltip=f"The image as it was, as long as this is held (or {BEFORE_KEY} on the canvas)",
+        )
+        self.how_far = Prose()
+        self.colours = ComboBox(
+            choices=colour_choices("px"), value=NOTHING, label="colours", tooltip=COLOURS_TIP
+        )
+        narrow(self.colours)
+        self.arrows = CheckBox(
+            value=True, text="arrows", tooltip="From where tissue was to where it is"
+        )
+        self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
+        self.kinds: dict[Kind, CheckBox] = {
+            kind: CheckBox(text=words, tooltip=about) for kind, (words, about) in _KINDS.items()
+        }
+        self.count = SpinBox(
+            value=ARROWS,
+            min=10,
+            max=10_000,
+            step=100,
+            label="arrows, about",
+            tooltip="How many arrows, roughly; of those that would lie on each other the longer "
+            "one stays",
+        )
+        # Only when it is all there: 2000 begins with 2, which is too few.
+        self.count.native.setKeyboardTracking(False)
+        self.length = FloatSlider(
+            value=1.0,
+            min=0.25,
+            max=10.0,
+            step=0.25,
+            label="length x",
+            tooltip="How much longer than true arrows are drawn; at 1 their tips are where the "
+            "tissue is",
+        )
+        self.point = Prose()
+        self.point.native.setToolTip(
+            "The tissue that is seen under the cursor, also in the status bar: its displacement in "
+            "the unit of the image, its change of area, the stiffness painted in the tissue layer"
+        )
+        self.point.say(POINT)
+        self.save = PushButton(
+            text="Save pictures ...",
+            tooltip="PNG files, in a new folder: the canvas with a scale bar, and figures of "
+            "displacement, before and after, grid, Jacobian, strain and energy",
+        )
+        # Not how long they are: arrows that are not true to scale are asked for each time.
+        remember("look", {"count": self.count})
+        super().__init__(
+            widgets=[
+                Container(widgets=[self.result]),
+                Container(widgets=[self.slider], labels=False),
+                self.how_far,
+                row(self.play, self.before),
+                Container(widgets=[self.colours]),
+                row(self.arrows, self.grid, self.kinds["labels"]),
+                row(Label(value="given:"), *list(self.kinds.values())[1:]),
+                Container(widgets=[self.count, self.length]),
+                self.point,
+                self.save,
+            ],
+            labels=False,
+        )
+        for part in self:
+            if isinstance(part, Container):
+                part.margins = (0, 0, 0, 0)
+
+    @property
+    def coloured_by(self) -> str:
+        """What colours show; "nothing", or a `Quantity`."""
+        return str(self.colours.value)
+
+    @coloured_by.setter
+    def coloured_by(self, quantity: str) -> None:
+        known = (NOTHING, *get_args(Quantity))
+        if quantity not in known:
+            raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
+        self.colours.value = quantity
+
+    @property
+    def of_result(self) -> tuple[Any, ...]:
+        """What is of no use without a result."""
+        return (
+            *self.kinds.values(), self.slider, self.play, self.before, self.colours, self.arrows,
+            self.grid, self.count, self.length, self.save,
+        )  # fmt: skip

@@ -1,0 +1,119 @@
+"""What is said of a result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from napari_hmrf.layers.result_lookup import FoundResult
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.strain_layers import QUANTITIES, Quantity
+from napari_hmrf.layers.tissue_point import Probe
+from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
+
+NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
+LOST = (
+    "The result was in the layer '{layer}', which was deleted. Press Deform, or pull again, to "
+    "make it anew. To hide arrows, take the tick from 'arrows' or close their layer's eye."
+)
+NO_IMAGE = (
+    "There is no image on the pixels of this result, so none can be moved. Open the image it was "
+    "made from; colours, grid and arrows are here all the same."
+)
+POINT = "Point at the tissue to read its displacement, area change and stiffness."
+NO_TISSUE = "No tissue here."
+NOTHING: str = "nothing"
+SAVING = "Saving pictures ..."
+FULL = 100
+_UPRIGHT = Directions()
+
+_ABOUT: dict[Quantity, str] = {
+    "magnitude": "how far ({unit})",
+    "jacobian": "Jacobian",
+    "equivalent": "strain: equivalent",
+    "stretch": "strain: largest stretch",
+    "squeeze": "strain: largest squeeze",
+    "rows": "strain: {rows}",
+    "columns": "strain: {columns}",
+    "shear": "strain: shear",
+}
+COLOURS_TIP = (
+    "Colours of the tissue, moving with it:\n"
+    "how far: length of the displacement, in the unit of the image;\n"
+    "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
+    "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
+    "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
+    "across the slice assumed."
+)
+
+
+def colour_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, str]]:
+    """What colours can show, in words, and the name of it."""
+    rows, columns = (
+        f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
+        for axis, name in enumerate(("rows", "columns"))
+    )
+    words = {
+        key: about.format(unit=unit, rows=rows, columns=columns) for key, about in _ABOUT.items()
+    }
+    return [(NOTHING, NOTHING), *((about, key) for key, about in words.items())]
+
+
+def how_far(
+    result: FoundResult, longest: float, percent: int, apart: tuple[str, str] | None = None
+) -> str:
+    """How much of the deformation is seen, or that it is of another slice than the one seen."""
+    moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
+    return moved if apart is None else f"{moved}. Of {apart[0]}; you look at {apart[1]}."
+
+
+def at_point(
+    unit: str,
+    found: Probe,
+    ways: Directions,
+    more: Sequence[str] = (),
+    percent: int = FULL,
+) -> str:
+    """What is under the cursor, in a line short enough for the status bar.
+
+    It is of the whole deformation, however much (`percent`) of it is seen.
+    """
+    down, along = (_rounded(part) for part in found.displacement)
+    length = _rounded(found.length)
+    parts = [
+        f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
+        f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
+    ]
+    line = ", ".join([*parts, *filter(None, more)])
+    return line if percent == FULL else f"at {FULL} %: {line}"
+
+
+def strain_of(quantity: Quantity, value: float) -> str:
+    """The strain that colours show; of what is in each line anyway, nothing."""
+    title, unit = QUANTITIES[quantity]
+    return f"{title} {_rounded(value):g} {unit}" if unit == "%" else ""
+
+
+def _rounded(length: float) -> float:
+    """To what matters: three digits, and no more than two decimals."""
+    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0
+
+
+def stiffness_of(name: str, stiffness: float, unit: str) -> str:
+    """The tissue and how stiff it is."""
+    amount = stiffness_in_words(stiffness, unit)
+    amount = amount if stiffness == RIGID else f"stiffness {amount}"
+    return f"{amount} ({name})" if name else amount
+
+
+def saved(canvas: Sequence[Path], figures: Sequence[Path], percent: int) -> str:
+    """What was written, and where; the canvas at so much of the deformation, figures of all."""
+    paths = [*canvas, *figures]
+    if not paths:
+        return "Nothing was saved."
+    names = ", ".join(path.name for path in paths)
+    said = f"Saved in {paths[0].parent}: {names}."
+    if not canvas or percent == FULL:
+        return said
+    shown = f"{canvas[0].name} is as you see it, at {percent} %"
+    return f"{said} {shown}; the others show the whole deformation."

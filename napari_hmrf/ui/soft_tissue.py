@@ -1,0 +1,495 @@
+"""The dock widget *Soft tissue*: what is where, how it moves, and what comes of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from napari.layers import Labels
+from napari.utils.notifications import show_warning
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.edit_history import steps_of
+from napari_hmrf.layers.result_layers import Kind
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.tissue_point import Probe
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import History
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.material_tables import save_materials
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.ui.choices import Choices
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.dock_steps import DockSteps
+from napari_hmrf.ui.forms import Part
+from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.live_study import LiveStudy
+from napari_hmrf.ui.material_menu import preset_of
+from napari_hmrf.ui.messages import (
+    CURVE,
+    PAINT,
+    WELCOME,
+    details,
+    in_short,
+)
+from napari_hmrf.ui.model import TissueModel
+from napari_hmrf.ui.motion.pointer import Pointer
+from napari_hmrf.ui.motion.tool_fields import ToolFields
+from napari_hmrf.ui.new_layers import add_missing
+from napari_hmrf.ui.remembered_settings import keep
+from napari_hmrf.ui.result.result_view import ResultView
+from napari_hmrf.ui.settings import SolverSettings
+from napari_hmrf.ui.timers import single_shot
+from napari_hmrf.ui.viewer_dock import Dock
+from napari_hmrf.ui.viewer_watch import ViewerWatch
+
+
+class SoftTissue(Dock):
+    """Say which tissue is where and how it moves, and see all of it follow.
+
+    Everything the user can do a script can do too: choose layers (`image`, `tissue`, `boundary`,
+    ...), fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While
+    `live`, the tissue follows every edit; `deform` solves from nothing, and `finished` is emitted
+    with what came out. `result`, `percent`, `colours` and the like say what of it is seen.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer
+
+    Attributes
+    ----------
+    image : napari.layers.Image or None
+        What to deform; without, the motion alone is seen.
+    tissue : napari.layers.Labels, Image or None
+        Labels of tissues, or an image of stiffness; without, tissue is what the image shows.
+    boundary : napari.layers.Labels, Vectors or None
+        Labels of what holds and moves, or observed displacements.
+    confidence : napari.layers.Image or None
+        Of Vectors as boundary; without, 1 everywhere.
+    landmarks : LandmarkLayers or None
+        Two Points layers, or a Shapes layer of lines, which count on top of the boundary. To be set
+        to a pair of layers, or one, too.
+    landmark_layers : tuple of napari.layers.Layer
+        Those that are chosen, be they complete or not yet.
+    materials, rules : tuple of Material, tuple of BoundaryRule
+        How stiff each tissue label is, and what each boundary label does.
+    curve : StiffnessCurve or None
+        From intensity to stiffness, if the tissue is made by one.
+    hold_edge, without_border : bool
+        Whether the outer edge of the tissue stays where it is, and whether what is dark around the
+        image and unpainted is no tissue.
+    fields, model, settings : ToolFields, TissueModel, SolverSettings
+        How the tools draw, what tissue is taken to be, and how to solve, in detail.
+    history : History
+        The drawing of the slice that is shown, and its steps.
+    active, playing : bool
+        Whether the mouse draws, and whether the deformation goes back and forth by itself.
+    result : napari.layers.Vectors or None
+        The arrows that hold the result that is looked at.
+    percent : int
+        How much of the deformation is seen, from 0 to 100.
+    before : bool
+        Whether the image is seen as it was, and nothing of the result.
+    arrows, grid : bool
+        Whether arrows are drawn, and a grid that moves with the tissue.
+    arrow_count, arrow_length : int, float
+        How many arrows are drawn, roughly, and how many times longer than true.
+    colours : str
+        What colours show: "nothing", "magnitude", "jacobian", "equivalent", ... (`Quantity`).
+    outputs : tuple of Kind
+        The layers that a result makes: "image", "arrows" and those that are ticked. "labels" are
+        the tissue's, moved with it; "stiffness", "observed" and "confidence" what was given, before
+        it moved; "folds" where tissue is pushed through itself.
+    live : bool
+        Whether the tissue follows every edit; by default unless the image is large.
+    status, invitation, warning : str
+        The sentence at the bottom, what can be done next, and what is to be known of the tissue
+        that is seen.
+    point : str
+        What is said of the tissue under the cursor.
+    seen : Signal(Deformation)
+        Emitted with every new state of the tissue.
+    followed : Signal(Outputs)
+        Emitted when tissue has come to rest, and all layers of the result are drawn.
+    finished : Signal(object)
+        Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed.
+    saved : Signal(object)
+        Emitted when pictures are written: a list of `Path`.
+    """
+
+    image = Part[Any]("_form.image.value")
+    tissue = Part[Any]("_form.tissue.choice.value")
+    boundary = Part[Any]("_form.motion.boundary.choice.value")
+    confidence = Part[Any]("_form.motion.boundary.confidence.value")
+    landmarks = Part[Any]("_form.motion.boundary.landmarks.chosen")
+    landmark_layers = Part[tuple[Any, ...]]("_form.motion.boundary.landmarks.layers")
+    materials = Part[tuple[Material, ...]]("_form.tissue.table.rows")
+    rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
+    curve = Part[StiffnessCurve | None]("_form.tissue.curve.curve")
+    hold_edge = Part[bool]("_form.motion.edge.value")
+    without_border = Part[bool]("_form.tissue.border.value")
+    fields = Part[ToolFields]("_form.motion.fields")
+    model = Part[TissueModel]("_form.model")
+    settings = Part[SolverSettings]("_form.settings")
+    history = Part[History]("_pointer.history")
+    active = Part[bool]("_pointer.active")
+    result = Part[Any]("_form.result.result.value")
+    percent = Part[int]("_form.result.slider.value")
+    before = Part[bool]("_view.before")
+    playing = Part[bool]("_view.player.playing")
+    arrows = Part[bool]("_form.result.arrows.value")
+    grid = Part[bool]("_form.result.grid.value")
+    arrow_count = Part[int]("_form.result.count.value")
+    arrow_length = Part[float]("_form.result.length.value")
+    point = Part[str]("_form.result.point.value")
+    saved = Part[Any]("_view.saved")
+    live = Part[bool]("_live_study.live.on")
+    outputs = Part[tuple[Kind, ...]]("_live_study.kinds")
+    colours = Part[str]("_form.result.coloured_by")
+    status = Part[str]("_guide.shown")
+    invitation = Part[str]("_guide.invitation")
+    warning = Part[str]("_form.footer.warning")
+    seen = Part[Any]("_live_study.seen")
+    followed = Part[Any]("_live_study.followed")
+    finished = Part[Any]("_live_study.finished")
+
+    def __init__(self, napari_viewer: Any) -> None:
+        super().__init__(napari_viewer)
+        viewer, steps = self._viewer, steps_of(self._viewer)
+        self._was_active = False
+        self._form = form = DockForm(
+            self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
+        )
+        self._choices = Choices(viewer, form, self.touch)
+        self._pointer = Pointer(viewer, form.motion.fields, steps)
+        self._live_study = LiveStudy(
+            self.native, viewer, form, self._choices, self._pointer, lambda: self.away
+        )
+        self._view = ResultView(self.native, viewer, form.result, self._results, lambda: self.away)
+        self._steps = DockSteps(self.native, form, steps, self._pointer, lambda: self.away)
+        # napari may be in the middle of removing more layers than the one.
+        self._leaving = single_shot(self.native, 0, self._on_left)
+        keep(viewer, form.solved)
+        self._guide = Guide(viewer, form, self._pointer, self._live_study, steps, lambda: self.away)
+        self._connect()
+        self._watch = ViewerWatch(self, viewer, form, self._choices, self._live_study)
+        self._choices.look()
+        self._choices.choose_first()
+        self._guide.invite()
+
+    # What there is to see
+
+    @property
+    def study(self) -> Study:
+        """What is chosen, painted, drawn and set, as it is now.
+
+        Raises
+        ------
+        HmrfError
+            If there is nothing to work on, or a layer cannot be read.
+        """
+        return self._live_study.read(self._live_study.request())
+
+    @property
+    def solution(self) -> Solution | None:
+        """Of the latest result that has come to rest."""
+        latest = self._live_study.latest
+        return None if latest is None else latest.outputs.solution
+
+    @property
+    def shown(self) -> Study | None:
+        """What the latest result was made from."""
+        latest = self._live_study.latest
+        return None if latest is None else latest.moved.study
+
+    @property
+    def details(self) -> str:
+        """What ran to make the latest result, how long and how well."""
+        latest = self._live_study.latest
+        return "" if latest is None else details(latest)
+
+    @property
+    def idle(self) -> bool:
+        """Whether no deformation from nothing goes on."""
+        return not self._live_study.settling
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything that was asked for is not seen yet."""
+        return self._live_study.busy or self._view.busy
+
+    @property
+    def tool(self) -> str:
+        """What the mouse does: "pull", "landmark", or what it paints, an action of a `Stroke`."""
+        return self._pointer.tool.name
+
+    @tool.setter
+    def tool(self, name: str) -> None:
+        self._pointer.take_up(name)
+
+    @property
+    def drawing(self) -> Drawing:
+        """What is drawn on the slice that is shown."""
+        return self._pointer.drawing
+
+    @drawing.setter
+    def drawing(self, drawing: Drawing) -> None:
+        self._live_study.look()
+        self._pointer.set_drawing(drawing, "took over a drawing")
+
+    def at(self, position: Any) -> Probe | None:
+        """Say what happens to the tissue that is seen at a point of the world; None beside it."""
+        return self._view.cursor.at(position)[0]
+
+    # What can be done
+
+    def start(self) -> bool:
+        """Have the mouse draw with the tool in the hand; whether it does from now on."""
+        if self._viewer.dims.ndisplay != 2 or self.image is None:
+            self._guide.invite()
+        elif self._live_study.look():
+            self._watch.hide_paint()
+            self._pointer.take()
+            self.touch()  # what is drawn on is followed, live or not
+        self.active_changed()
+        return self.active
+
+    def stop(self) -> None:
+        """Have the mouse move the view again; what is drawn stays."""
+        if self.active and self.image in self._viewer.layers:
+            self._viewer.layers.selection = {self.image}
+        self.active_changed()
+
+    def undo(self) -> None:
+        """Take back what was done last."""
+        self._pointer.undo()
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._pointer.redo()
+
+    def remove(self) -> None:
+        """Remove what is selected."""
+        self._pointer.remove()
+
+    def clear(self) -> None:
+        """Remove all that is drawn on the slice that is shown."""
+        self._pointer.clear()
+
+    def play(self) -> None:
+        """Go back and forth between 0 and 100 % until `pause`."""
+        self._view.play()
+
+    def pause(self) -> None:
+        """Stay at what is seen."""
+        self._view.player.stop()
+
+    def save_pictures(self, folder: str | Path) -> None:
+        """Write pictures into a folder that exists; `saved` is emitted when they are there."""
+        self._view.save(Path(folder))
+
+    def deform(self) -> None:
+        """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
+        if self.idle and not self.away:
+            for section in (self._form.tissue, self._form.motion.boundary):
+                section.painted.look()
+            self._choices.begin()
+            self._live_study.settle()
+
+    def cancel(self) -> None:
+        """Stop; nothing is changed, and the dock is idle at once, whatever the thread does."""
+        self._live_study.cancel()
+
+    def make_layers(self) -> None:
+        """Add a tissue and a boundary layer on the pixels of the image, and choose them.
+
+        What is chosen there already stays; so does tissue that comes from the image's intensity.
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or it is not where the viewer looks.
+        """
+        if self.image is None:
+            raise HmrfError(WELCOME)
+        chosen = (self.tissue, self.boundary)
+        made = add_missing(self._viewer, self.image, *chosen, View.of(self._viewer.dims))
+        self.tissue, self.boundary = made
+        self.say(PAINT)
+
+    def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> Any:
+        """Choose as tissue a layer of stiffness made from the image's intensity; returns it.
+
+        The `curve` is by default the one that there is for this image, or else a first guess.
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or no curve can be made for it.
+        """
+        if self.image is None:
+            raise HmrfError(WELCOME)
+        made = self._form.tissue.curve
+        layer = made.layer_of(self.image, curve)
+        if layer not in self._viewer.layers:
+            self._viewer.layers.insert(self._viewer.layers.index(self.image) + 1, layer)
+        self.tissue = layer
+        if curve is not None:
+            made.curve = curve
+        self.say(CURVE)
+        return layer
+
+    def take_materials(self, materials: Preset | Any) -> None:
+        """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
+
+        Raises
+        ------
+        HmrfError
+            If there is no table to be had, or none to put it into.
+        OSError
+            If a file cannot be read.
+        """
+        if not isinstance(self.tissue, Labels):
+            raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
+        self._form.tissue.menu.take(preset_of(materials))
+
+    def save_materials(self, path: str | Path) -> Path:
+        """Save the table of tissues to a file; as `material_tables.save_materials`."""
+        return save_materials(path, self._form.tissue.table.contents)
+
+    def hand_brush(self, layer: Any) -> None:
+        """Have a layer painted on next: seen, active, on the image as it was before it moved."""
+        if layer in self._viewer.layers:
+            self._viewer.layers.selection.active = layer
+            layer.visible = True
+            layer.mode = "paint"
+            self._guide.say_painting(layer, self.before)
+
+    def touch(self) -> None:
+        """Something was edited in a way that nobody is told of: have the tissue follow."""
+        self._live_study.touch()
+
+    def say(self, sentence: str) -> None:
+        """Say something at the bottom."""
+        self._guide.say(sentence)
+
+    # What happens elsewhere
+
+    def active_changed(self) -> None:
+        """Another layer feels the mouse, or ours does again."""
+        if self._pointer.display.quiet:
+            return
+        before, self._was_active = self._was_active, self.active
+        if before and not self.active:
+            self._pointer.release()
+        self._guide.look_at_mouse(stopped=before and not self.active)
+        self._show_tool()
+
+    def cover_changed(self) -> None:
+        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
+        self._guide.look_at_view()
+
+    def layer_gone(self, layer: Any) -> None:
+        """A layer was removed: nothing is computed of it any more."""
+        live, display = self._live_study, self._pointer.display
+        if layer is display.arrows.former and not display.quiet:
+            self._pointer.release()
+            self._guide.say_arrows_gone()
+        if live.study is not None and layer is live.source:
+            live.cancel(f"Cancelled: '{layer.name}' was removed.")
+            live.forget()
+            self._guide.say_gone(layer)
+            if self.image is None:
+                self._leaving.start()
+        elif live.is_solving(layer):
+            live.cancel(f"Cancelled: '{layer.name}' was removed.")
+        self.touch()
+
+    def _connect(self) -> None:
+        form, pointer, live = self._form, self._pointer, self._live_study
+        form.edited.connect(self.touch)
+        form.make.changed.connect(lambda _: self._try(self.make_layers))
+        form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
+        form.motion.picked.connect(self._on_tool)
+        form.motion.remove.changed.connect(lambda _: self.remove())
+        form.motion.clear.changed.connect(lambda _: self.clear())
+        form.footer.deform.changed.connect(lambda _: self.deform())
+        form.footer.cancel.changed.connect(lambda _: self.cancel())
+        for section in (form.tissue, form.motion.boundary):
+            section.painted.picked.connect(self.hand_brush)
+        pointer.changed.connect(self._show_tool)
+        live.finished.connect(self._on_finished)
+        self._view.said.connect(self.say)
+
+    def _show_tool(self) -> None:
+        if not self.away:
+            motion, pointer = self._form.motion, self._pointer
+            motion.show_tool(pointer.tool.name if pointer.active else "")
+            motion.remove.enabled = pointer.hand.selected is not None
+            motion.clear.enabled = bool(pointer.drawing.marks)
+            pointer.say_tool()
+
+    def _try(self, action: Any) -> None:
+        try:
+            action()
+        except HmrfError as error:
+            self.say(in_short(error))
+            show_warning(in_short(error))
+
+    # What is pressed, and what is said
+
+    def _on_tool(self, name: str) -> None:
+        """The button of a tool takes it, and puts it down again."""
+        if self.active and self.tool == name:
+            self.stop()
+        else:
+            self.tool = name
+            if not self.active:
+                self.start()
+        self._show_tool()
+
+    def _on_finished(self, outputs: object) -> None:
+        """Have the result be seen that was asked for, and not what was painted on it."""
+        if outputs is not None and self.image is not None and self.tissue is not None:
+            self._live_study.show_before(False)
+            self.tissue.visible = False  # it would tint what was deformed
+
+    def _on_left(self) -> None:
+        """There is nothing to draw on."""
+        if not self.away and self.image is None:
+            self._pointer.leave()
+            self.active_changed()
+
+    # What the window tells
+
+    def _on_opened(self) -> None:
+        self._choices.look()
+        self._form.listen()
+        self._steps.come()
+        self._watch.come()
+        self._view.come()
+        self._show_tool()
+        self._guide.invite()
+        self.touch()
+
+    def _on_closed(self) -> None:
+        self._was_active = False
+        self._leaving.stop()
+        self._live_study.cancel()
+        self._live_study.forget()
+        self._pointer.leave()
+        self._view.rest()
+        self._watch.leave()
+        self._steps.leave()
+        self._form.release()
+
+    def _on_end(self) -> None:
+        self._watch.leave()
+        self._live_study.release()
+        self._pointer.end()
+        self._view.release()
+        self._steps.leave()
+        self._form.release()

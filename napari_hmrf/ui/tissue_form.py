@@ -1,0 +1,150 @@
+"""The parts of the dock that say what the tissue is and what its boundary does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from magicgui.widgets import CheckBox, Container
+from napari.layers import Image, Labels, Vectors
+from psygnal import Signal
+from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.ui.boundary_table import BoundaryTable
+from napari_hmrf.ui.curve.tissue import TissueCurve
+from napari_hmrf.ui.label_sync import PaintedLabels
+from napari_hmrf.ui.label_table import LabelTable, LabelTableView
+from napari_hmrf.ui.landmark_choice import LandmarkChoice
+from napari_hmrf.ui.layer_choice import LayerChoice
+from napari_hmrf.ui.material_menu import MaterialMenu
+from napari_hmrf.ui.material_table import MaterialTable
+
+Layers = Callable[[], list[Any]]
+Shown = Callable[[], View | None]
+Table = TypeVar("Table", bound=LabelTable)
+
+
+def _is_tissue(layer: Any) -> bool:
+    return isinstance(layer, Labels) or role_of(layer) == TISSUE
+
+
+class _PaintedSection(Container, Generic[Table]):
+    """A menu of layers; for Labels, their table and a row of buttons below it."""
+
+    edited = Signal()
+
+    def __init__(
+        self, choice: LayerChoice, others: list[LayerChoice], role: Role, table: Table, view: Shown
+    ) -> None:
+        super().__init__(widgets=[choice, *others], labels=True)
+        self.choice, self.table, self.seen = choice, table, LabelTableView(table)
+        self.painted = PaintedLabels(role, table, view)
+        self._below = QWidget()
+        self.choice.changed.connect(self._on_choice)
+        self.painted.changed.connect(self.edited)
+
+    def _put_below(self, what: str, *others: QWidget) -> None:
+        """Put the table and a row of buttons, plain Qt widgets, under the section's own."""
+        add = QPushButton(f"Add {what}")
+        add.setToolTip("Add a label to paint with")
+        add.clicked.connect(lambda: self.table.add())
+        rows, row = QVBoxLayout(self._below), QHBoxLayout()
+        rows.setContentsMargins(0, 0, 0, 0)
+        for widget in (add, *others):
+            row.addWidget(widget)
+        row.addStretch()
+        rows.addWidget(self.seen)
+        rows.addLayout(row)
+        self.native.layout().addWidget(self._below)
+        self._on_choice(None)
+
+    def _on_choice(self, layer: Any) -> None:
+        self.painted.layer = layer
+        self._below.setVisible(isinstance(layer, Labels))
+        self.edited.emit()
+
+
+class TissueSection(_PaintedSection[MaterialTable]):
+    """Labels with a table of stiffness, or an image that is the stiffness, by a curve or not.
+
+    Attributes
+    ----------
+    menu : MaterialMenu
+    border : CheckBox
+        Tells air from tissue.
+    curve : TissueCurve
+    """
+
+    def __init__(self, layers: Layers, view: Shown) -> None:
+        choice = LayerChoice(
+            layers,
+            # What a dock has deformed, or drawn of it, is nobody's stiffness.
+            lambda layer: (
+                isinstance(layer, Labels)
+                or (isinstance(layer, Image) and "kind" not in known_of(layer))
+            ),
+            "tissue",
+            "A Labels layer in which tissues are painted, or an image of stiffness",
+            lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
+        )
+        super().__init__(choice, [], TISSUE, MaterialTable(), view)
+        self.border = CheckBox(
+            value=True,
+            text="the dark border is no tissue",
+            tooltip="What is dark around the image and not painted is no tissue, such as air",
+        )
+        self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
+        self._put_below("tissue", self.menu)
+        self.curve = TissueCurve(layers, view)
+        for part in (self.curve.editor, self.border.native):
+            self.native.layout().addWidget(part)
+        self.border.changed.connect(lambda _: self.edited.emit())
+        self.curve.changed.connect(lambda _: self.edited.emit())
+        self.choice.changed.connect(self._show_curve)
+        self._show_curve(None)
+
+    def _show_curve(self, layer: Any) -> None:
+        self.curve.layer = layer
+        self.curve.editor.setVisible(self.curve.layer is not None)
+
+
+class BoundarySection(_PaintedSection[BoundaryTable]):
+    """Labels with a table of rules, or arrows with an image of confidence; and landmarks.
+
+    Attributes
+    ----------
+    confidence : LayerChoice
+        Of images, for arrows.
+    landmarks : LandmarkChoice
+        Two Points layers or lines, beside all that or without any of it.
+    """
+
+    def __init__(self, layers: Layers, view: Shown) -> None:
+        choice = LayerChoice(
+            layers,
+            lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in known_of(layer),
+            "boundary",
+            "A Labels layer in which is painted what holds or moves, or observed displacements as "
+            "a Vectors layer. Landmarks, as two Points layers or as lines of a Shapes layer, come "
+            "on top: their menus are below once there are such layers",
+            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
+        )
+        self.confidence = LayerChoice(
+            layers,
+            lambda layer: isinstance(layer, Image) and not layer.rgb,
+            "confidence",
+            "How sure each arrow is, from 0 to 1; without an image, 1",
+        )
+        super().__init__(choice, [self.confidence], BOUNDARY, BoundaryTable(), view)
+        self._put_below("boundary")
+        self.landmarks = LandmarkChoice(layers)
+        self.landmarks.margins = (0, 0, 0, 0)
+        self.native.layout().addWidget(self.landmarks.native)
+        self.landmarks.edited.connect(self.edited)
+        self.confidence.changed.connect(lambda _: self.edited.emit())
+
+    def _on_choice(self, layer: Any) -> None:
+        self.confidence.visible = isinstance(layer, Vectors)
+        super()._on_choice(layer)

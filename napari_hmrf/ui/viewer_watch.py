@@ -1,0 +1,282 @@
+"""What happens in the viewer, and what the dock does about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+from napari.layers import Labels
+
+from napari_hmrf.layers.edit_history import Slot, steps_of
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
+from napari_hmrf.layers.viewer_layers import is_selection_kept
+from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
+from napari_hmrf.ui.choices import Choices
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.live_study import LiveStudy
+from napari_hmrf.ui.pixels import Pixels
+from napari_hmrf.ui.timers import single_shot
+
+#: What napari paints with.
+_BRUSHES = ("paint", "erase", "fill", "polygon")
+
+
+class Watched(Protocol):
+    """The dock, as far as it is told of what happens."""
+
+    native: Any
+
+    @property
+    def away(self) -> bool:
+        """Whether the window is gone, or the dock was closed."""
+
+    @property
+    def docked(self) -> bool:
+        """Whether there is a dock around it, in a window."""
+
+    def touch(self) -> None:
+        """Something that the study depends on is another."""
+
+    def start(self) -> object:
+        """Have the mouse draw."""
+
+    def active_changed(self) -> None:
+        """Another layer feels the mouse."""
+
+    def cover_changed(self) -> None:
+        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
+
+    def layer_gone(self, layer: Any) -> None:
+        """A layer was removed."""
+
+
+class ViewerWatch:
+    """Listens for a dock while it is there.
+
+    napari's own brushes paint on the image as it was before it moved, so while one of them is at
+    work that is what is seen.
+
+    Parameters
+    ----------
+    dock : Watched
+    viewer : napari.Viewer or ViewerModel
+    form : DockForm
+    choices : Choices
+    live : LiveStudy
+    """
+
+    def __init__(
+        self, dock: Watched, viewer: Any, form: DockForm, choices: Choices, live: LiveStudy
+    ) -> None:
+        self._dock, self._viewer, self._form = dock, viewer, form
+        self._choices, self._live = choices, live
+        self._pixels = Pixels(self._on_pixels, refreshed=True)
+        self._fitting = single_shot(dock.native, 50, self._fit)
+        self._selected = single_shot(dock.native, 0, self._on_active)
+        self._starting = single_shot(dock.native, 0, self._on_first)
+        self._begun = False
+        live.moved_on.connect(self._on_other)
+        self._events, self._eyes, self._brush = Listening(), Listening(), Listening()
+        self._slice = _slice_of(viewer.dims)
+        form.edited.connect(self._on_choice)
+        form.image.changed.connect(self._on_choice)
+        self.come()
+
+    def come(self) -> None:
+        """The dock is there."""
+        self.leave()
+        viewer = self._viewer
+        self._events = Listening(
+            (viewer.layers.events.inserted, self._on_inserted),
+            (viewer.layers.events.removed, self._on_removed),
+            (viewer.layers.events.renamed, self._on_renamed),
+            (viewer.layers.events.reordered, self._on_cover),
+            (viewer.layers.selection.events.active, self._on_active),
+            (viewer.dims.events.current_step, self._on_slice),
+            (viewer.dims.events.order, self._on_slice),
+            (viewer.dims.events.ndisplay, self._on_slice),
+            (viewer.events.theme, self._on_theme),
+            (steps_of(viewer).edits.changed, self._on_table),
+        )
+        viewer.mouse_drag_callbacks.append(self._on_drag)
+        self._on_choice()
+        self._look_at_eyes()
+        self._on_theme()
+
+    def leave(self) -> None:
+        """Listen no more."""
+        self._starting.stop()
+        for heard in (self._events, self._eyes, self._brush):
+            heard.release()
+        self._pixels.release()
+        if self._on_drag in self._viewer.mouse_drag_callbacks:
+            self._viewer.mouse_drag_callbacks.remove(self._on_drag)
+
+    def _on_other(self) -> None:
+        """Another slice or image is worked on: have lengths that suit the first, and pull it."""
+        study = self._live.study
+        if not self._begun and study is not None:
+            self._begun = True
+            rows, cols = study.grid.shape
+            down, along = study.grid.spacing
+            size = ((rows, cols), (down, along))
+            self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
+            self._starting.start()
+
+    def _on_first(self) -> None:
+        """Nothing has to be pressed to pull the first image, unless somebody is at work with it."""
+        landmarks = self._form.motion.boundary.landmarks.layers
+        at_work = landmarks or any(layer is not None for layer in self._painted)
+        looked_at = self._viewer.layers.selection.active in (None, self._form.image.value)
+        if self._dock.docked and looked_at and not (at_work or self._dock.away):
+            self._dock.start()
+
+    def hide_paint(self) -> None:
+        """Hide what is painted: it says where tissue is before it moves, and would tint it."""
+        for layer in self._viewer.layers:
+            painted = layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY)
+            if painted:
+                layer.visible = False
+
+    @property
+    def _painted(self) -> tuple[Any, Any]:
+        """The layers that say what is tissue and what holds it."""
+        return self._form.tissue.choice.value, self._form.motion.boundary.choice.value
+
+    # What is chosen, and what it holds
+
+    def _on_choice(self, *_: Any) -> None:
+        if self._dock.away:
+            return
+        form = self._form
+        chosen = (form.image.value, *self._painted, form.motion.boundary.confidence.value)
+        layers = (*chosen, *form.motion.boundary.landmarks.layers)
+        self._pixels.listen_to([layer for layer in layers if layer is not None])
+        missing = form.image.value is not None and None in self._painted
+        form.make.enabled = missing
+        form.intensity.enabled = form.image.value is not None
+        self._mark()
+        self._dock.touch()
+        self._dock.cover_changed()
+
+    def _on_pixels(self) -> None:
+        if not self._dock.away:
+            self._dock.touch()
+
+    def _on_table(self, slot: Any, *_: Any) -> None:
+        """The table of a layer says something else, wherever that was done."""
+        of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
+        if of_ours and slot.layer in self._painted:
+            self._on_pixels()
+
+    # What is shown
+
+    def _on_slice(self, *_: Any) -> None:
+        # An arrow over the image's edge makes the canvas larger, and napari says as much.
+        before, self._slice = self._slice, _slice_of(self._viewer.dims)
+        if not self._dock.away and self._slice != before:
+            self._form.tissue.curve.look()
+            self._live.let_go()
+            self._dock.active_changed()
+            self._dock.touch()
+            self._dock.cover_changed()
+
+    def _look_at_eyes(self) -> None:
+        """Listen to whether layers are shown: those that there are now."""
+        self._eyes.release()
+        self._eyes = Listening(
+            *((layer.events.visible, self._on_cover) for layer in self._viewer.layers)
+        )
+
+    def _on_cover(self, *_: Any) -> None:
+        if not self._dock.away:
+            self._dock.cover_changed()
+
+    def _on_inserted(self, event: Any) -> None:
+        if self._dock.away:
+            return
+        self._look_at_eyes()
+        self._choices.look()
+        self._choices.take([event.value])
+        if role_of(event.value) and len(self._viewer.layers) == 1:
+            self._fitting.start()
+        self._on_choice()
+        self._on_cover()
+
+    def _fit(self) -> None:
+        """Show the whole of a sample; napari fitted its first layer before it knew the canvas."""
+        if not self._dock.away:
+            self._viewer.reset_view()
+
+    def _on_removed(self, event: Any) -> None:
+        if not self._dock.away:
+            self._look_at_eyes()
+            self._choices.look()
+            self._dock.layer_gone(event.value)
+            self._on_choice()
+            self._on_cover()
+
+    def _on_renamed(self, *_: Any) -> None:
+        if not self._dock.away:
+            self._choices.look()
+
+    def _on_theme(self, *_: Any) -> None:
+        theme = getattr(self._viewer, "theme", None)
+        if theme is not None and not self._dock.away:
+            self._form.energy.show_theme(str(theme))
+
+    # Who feels the mouse
+
+    def _on_active(self, *_: Any) -> None:
+        if self._dock.away:
+            return
+        if is_selection_kept(self._viewer):
+            self._selected.start()  # what is selected then counts
+            return
+        self._mark()
+        self._dock.active_changed()
+        active = self._viewer.layers.selection.active
+        self._brush.release()
+        self._brush = Listening()
+        if isinstance(active, Labels):
+            self._brush = Listening((active.events.mode, self._on_mode))
+        self._on_mode()
+
+    def _mark(self) -> None:
+        """Mark the row that is painted with."""
+        active = self._viewer.layers.selection.active
+        for section in (self._form.tissue, self._form.motion.boundary):
+            section.painted.mark(active)
+
+    @property
+    def _is_painted(self) -> bool:
+        """Whether napari's brush paints what the study is read from."""
+        active = self._viewer.layers.selection.active
+        painted = isinstance(active, Labels) and active in self._painted
+        return painted and active.mode in _BRUSHES
+
+    def _on_mode(self, *_: Any) -> None:
+        """A brush that is taken up is to be put on the image as it was."""
+        if not self._dock.away:
+            self._live.show_before(self._is_painted)
+
+    def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
+        """While a brush paints the image is seen as it was; after that as it has moved."""
+        if self._dock.away or not self._is_painted:
+            return
+        self._live.show_before(True)
+        yield
+        while event.type == "mouse_move":
+            yield
+        self._live.show_before(False)
+
+
+def _slice_of(dims: Any) -> tuple[int, tuple[int, ...], tuple[float, ...]]:
+    """In how many dimensions, which axes are drawn, and where on all others."""
+    shown = tuple(int(axis) for axis in dims.displayed)
+    return (
+        int(dims.ndisplay),
+        shown,
+        tuple(float(at) for axis, at in enumerate(dims.point) if axis not in shown),
+    )
