@@ -1,6 +1,7 @@
 """What a user gets: the wheel, installed in another environment, works from another folder."""
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -69,7 +70,21 @@ def elsewhere(wheel, tmp_path_factory) -> Path:
     # checkout would come first is not read that way.
     borrowed = sorted({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
     (Path(purelib) / "borrowed.pth").write_text("\n".join(borrowed) + "\n", encoding="utf-8")
+    bring_loops(Path(purelib) / "napari_hmrf")
     return python
+
+
+def bring_loops(installed: Path) -> None:
+    """Have loops that this checkout has compiled not be compiled again for the same sources."""
+    package = ROOT / "napari_hmrf"
+    for source in package.rglob("*.py"):
+        target = installed / source.relative_to(package)
+        if target.exists() and target.read_bytes() == source.read_bytes():
+            shutil.copystat(source, target)  # numba asks for the same time
+    for kept in package.rglob("*.nb[ic]"):
+        target = installed / kept.relative_to(package)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy2(kept, target)
 
 
 def run(command: list[str], **options) -> str:
