@@ -60,6 +60,9 @@ class Result:
         The slice, as in the layers' metadata.
     """
 
+    #: Whether more will follow soon than what was shown last.
+    moving = False
+
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
         self._viewer_ref, self._anchor = weakref.ref(viewer), weakref.ref(anchor)
         self.where = where
@@ -135,7 +138,7 @@ class Result:
     ) -> dict[Kind, Any]:
         """Show another state of the result; as of `ResultLayers.show`."""
         quick = moving and frame == self._frame
-        self._frame = frame
+        self._frame, self.moving = frame, moving
         for kind, held in self._held.items():
             if kind not in layers:
                 self._hide(held)

@@ -54,8 +54,8 @@ class Deformation:
     @property
     def moves(self) -> bool:
         """Whether anything is drawn, or has moved."""
-        moved = self.solution is not None and bool(self.solution.displacement.any())
-        return moved or bool(self.study.motion.drawing.marks)
+        drawn = bool(self.study.motion.drawing.marks)
+        return drawn or (self.solution is not None and bool(self.solution.displacement.any()))
 
     def came_from(self, point: Point) -> Point | None:
         """Where the tissue seen at a point, in pixels, was before it moved; None if none is."""

@@ -170,6 +170,8 @@ class Guide:
         self._say_step(f"{sentence} {self._paused if drawn else ''}".rstrip())
 
     def _on_doing(self, sentence: str) -> None:
+        if sentence == self._doing:
+            return
         self._doing = sentence
         if not self._away():
             self._form.footer.say(self.shown)

@@ -425,8 +425,8 @@ class SoftTissue(Dock):
         self._view.said.connect(self.say)
 
     def _show_tool(self) -> None:
-        if not self.away:
-            motion, pointer = self._form.motion, self._pointer
+        motion, pointer = self._form.motion, self._pointer
+        if not (self.away or pointer.hand.holding):  # a drag changes none of it
             motion.show_tool(pointer.tool.name if pointer.active else "")
             motion.remove.enabled = pointer.hand.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)

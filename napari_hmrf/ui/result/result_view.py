@@ -294,7 +294,7 @@ class ResultView:
                 with self._form.result.changed.blocked():
                     self._form.result.value = arrows
                 self._take()
-        elif self._outdated:
+        elif not result.moving and self._outdated:
             self._take()
         else:
             self._interrupt()
