@@ -45,7 +45,7 @@ from napari_hmrf.ui.timers import single_shot
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
-_AHEAD = 150
+_AHEAD = 250
 
 
 class Pointer:
