@@ -135,17 +135,35 @@ MUTATIONS = (
         "test_layers_inputs.py test_pull.py",
     ),
     # ui: what is said, shown and played
-    Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),
     Mutation(
-        "ui/live_mode.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"
+        "study/ground.py",
+        "np.where(dark & (tissue.labels == 0)",
+        "np.where(dark & (tissue.labels == 1)",
+        "test_layers_background.py",
     ),
     Mutation(
-        "ui/look/player.py",
+        "tissue/drawing/brush.py",
+        "step + (now - was) * size",
+        "step - (now - was) * size",
+        "test_brush.py",
+    ),
+    Mutation(
+        "layers/result_layers.py",
+        "c = self._problem.confidence.max(axis=-1)",
+        "c = self._problem.confidence.min(axis=-1)",
+        "test_layers_outputs.py",
+    ),
+    Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),
+    Mutation(
+        "ui/live_choice.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"
+    ),
+    Mutation(
+        "ui/result/player.py",
         "part = along if along <= 1 else 2 - along",
         "part = along if along <= 1 else along - 1",
         "test_widgets_look.py",
     ),
-    Mutation("ui/grab/keys.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
+    Mutation("ui/motion/keys.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
 )
 
 

@@ -342,3 +342,17 @@ def code_in(page: str) -> str:
         return text
     blocks = re.findall(r"```\w*\n(.*?)```|`([^`\n]+)`", text, flags=re.DOTALL)
     return "\n".join(block or inline for block, inline in blocks)
+
+
+def test_what_mutations_break_is_there_once():
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        from mutations import MUTATIONS
+    finally:
+        sys.path.pop(0)
+    assert len(MUTATIONS) >= 20
+    for mutation in MUTATIONS:
+        text = (ROOT / "napari_hmrf" / mutation.file).read_text(encoding="utf-8")
+        assert text.count(mutation.right) == 1, f"{mutation.file}: {mutation.right}"
+        assert mutation.right != mutation.wrong
+        assert (ROOT / "tests" / mutation.tests.partition("::")[0]).is_file(), mutation.tests
