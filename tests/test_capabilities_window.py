@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from conftest import dock_in
 from patience import LONG_MS
+from person import Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QFileDialog
@@ -437,3 +439,46 @@ def test_before_is_seen_while_a_button_is_held(look, viewer):
     screen.let_go("Hold: before")
     assert moved.visible
     assert arrows.visible
+
+
+def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
+    dock, screen = look
+    for words, kind in (("m", "stiffness"), ("y", "motion given"), ("c", "confidence")):
+        screen.tick(words)
+        wait_for(lambda kind=kind: any(f"MR {kind}" in layer.name for layer in viewer.layers))
+    wait_for(lambda: not dock.busy)
+    given = {layer.name.split(",")[0]: layer.data for layer in viewer.layers}
+    assert set(np.unique(given["MR stiffness"])) == {0, 20}, "air and gel"
+    assert set(np.unique(given["MR confidence"])) == {0, 1}
+    assert given["MR motion given"][:, 1].max() == 3
+    screen.tick("m", on=False)
+    wait_for(
+        lambda: not any("MR stiffness" in layer.name and layer.visible for layer in viewer.layers)
+    )
+
+
+def test_the_first_image_is_pulled_without_a_press(make_napari_viewer, qtbot, at_rest):
+    viewer = make_napari_viewer(show=True)
+    rows, cols = np.indices((64, 64))
+    viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
+    dock = dock_in(viewer)
+    at_rest.until(lambda: dock.active and not dock.busy)
+    person = Person(viewer, qtbot)
+    person.drag((30, 30), (34, 34), (36, 36))
+    at_rest.until(lambda: dock.solution is not None and not dock.busy)
+    assert dock.solution.displacement[30, 30] == pytest.approx((6, 6), abs=0.7)
+    assert not dock.solution.displacement[0].any(), "the edge is held"
+
+
+def test_what_was_painted_is_pushed_by_a_drag(make_napari_viewer, qtbot, at_rest):
+    viewer = make_napari_viewer(show=True)
+    viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
+    dock, person = dock_in(viewer), Person(viewer, qtbot)
+    at_rest.until(lambda: dock.active and not dock.busy)
+    Screen(dock).press("Push")
+    person.paint((30, 28), (30, 30), (30, 32))
+    at_rest.until(lambda: not dock.busy)
+    person.paint((30, 30), (32, 33), (34, 36))
+    at_rest.until(lambda: not dock.busy)
+    assert dock.solution.displacement[30, 30] == pytest.approx((4, 6), abs=0.7)
+    assert len(dock.drawing.marks) == 1
