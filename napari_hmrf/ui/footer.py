@@ -88,7 +88,7 @@ class Footer:
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-            label.setFixedHeight(lines * label.fontMetrics().lineSpacing() + 4)
+            label.setFixedHeight(lines * max(18, label.fontMetrics().lineSpacing()) + 4)
             label.setContentsMargins(4, 0, 4, 0)
             layout.addWidget(label)
         self.help.changed.connect(lambda _: self.say(self.help.tooltip))
