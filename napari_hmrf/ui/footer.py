@@ -83,12 +83,12 @@ class Footer:
             kept.setSizePolicy(policy)
             kept.hide()
             layout.addWidget(kept)
-        for label, lines in ((self._status, _LINES), (self._details, 1)):
+        for label, lines, more in ((self._status, _LINES, 4), (self._details, 1, 10)):
             label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-            label.setFixedHeight(lines * max(18, label.fontMetrics().lineSpacing()) + 4)
+            label.setFixedHeight(lines * label.fontMetrics().lineSpacing() + more)
             label.setContentsMargins(4, 0, 4, 0)
             layout.addWidget(label)
         self.help.changed.connect(lambda _: self.say(self.help.tooltip))
