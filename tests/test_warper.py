@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf import ProblemError, warp
@@ -68,6 +68,7 @@ def test_every_kind_of_picture_is_moved_as_by_warp(kind, order):
 
 
 @settings(max_examples=60, deadline=None)
+@example(1528, 3.0, (1, 1), 1.0)
 @given(
     st.integers(0, 10_000),
     st.sampled_from([0.0, 0.4, 3.0, 15.0, 500.0]),
@@ -80,7 +81,12 @@ def test_whatever_the_motion_folds_included(seed, amplitude, spacing, fraction):
     image = image_of("colour" if seed % 3 else "uint8")
     (found,) = moved(Warper(image, spacing=spacing), d, tissue, fraction)
     part = fraction * d.astype(float)
-    np.testing.assert_array_equal(found, warp(image, part, spacing=spacing, tissue=tissue))
+    expected = warp(image, part, spacing=spacing, tissue=tissue)
+    # Whole numbers may be rounded either way where what they are rounded from is half of one.
+    exact = warp(image.astype(float), part, spacing=spacing, tissue=tissue)
+    half = np.abs(exact - np.floor(exact) - 0.5) < 1e-9
+    np.testing.assert_array_equal(found[~half], expected[~half])
+    assert np.abs(found[half].astype(int) - expected[half].astype(int)).max(initial=0) <= 1
 
 
 @pytest.mark.parametrize("bands", [1, 2, 3, 5, 37])
