@@ -11,6 +11,7 @@ from screen import Screen
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
 def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
@@ -337,13 +338,14 @@ def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
     window.remove_dock_widget(widget.native)
     assert "Arrows" not in person.viewer.layers
     person.key(Qt.Key.Key_Z, CTRL)
-    window.add_dock_widget(widget.native, name="Soft tissue")
-    assert widget.start()
-    settle(widget)
-    assert widget.drawing == drawn
+    again = SoftTissue(person.viewer)
+    window.add_dock_widget(again.native, name="Soft tissue")
+    assert again.start()
+    settle(again)
+    assert again.drawing == drawn
     assert len(by_name(person.viewer, "Arrows").data) > 10
     person.key(Qt.Key.Key_Z, CTRL)
-    assert not widget.drawing.marks
+    assert not again.drawing.marks
 
 
 def test_scripts_draw_without_a_mouse(open_window, settle):

@@ -11,6 +11,7 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
@@ -417,9 +418,10 @@ def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
     window.remove_dock_widget(widget.native)
     assert "Painted" not in person.viewer.layers
     assert not person.viewer.canvas.overlays.text.visible
-    window.add_dock_widget(widget.native, name="Soft tissue")
-    settle(widget)
-    assert len(widget.drawing.marks) == 2, "what was drawn stays"
+    again = SoftTissue(person.viewer)
+    window.add_dock_widget(again.native, name="Soft tissue")
+    settle(again)
+    assert len(again.drawing.marks) == 2, "what was drawn stays"
 
 
 def test_text_of_others_on_the_canvas_stays(open_window):

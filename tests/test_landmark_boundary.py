@@ -16,6 +16,7 @@ from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.read import Request
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 SHAPE = (40, 48)
 SIZE = (0.5, 2.0)
@@ -263,16 +264,18 @@ def test_without_live_mode_a_moved_point_outdates_the_result(chosen, run, wait_f
     wait_for(lambda: widget.status.startswith("Changed since the last result"))
 
 
-def test_a_dock_that_is_opened_again_hears_its_landmarks(chosen_in_window, wait_for):
+def test_a_closed_dock_hears_its_landmarks_no_more_and_the_next_does(chosen_in_window, wait_for):
     widget, where, should = chosen_in_window
     widget.landmarks = (where, should)
-    window = widget._viewer.window
-    window.remove_dock_widget(widget.native)
-    window.add_dock_widget(widget)
-    assert (widget.landmarks.where, widget.landmarks.should) == (where, should)
-    wait_for(lambda: not widget.busy)
+    viewer = widget._viewer
+    viewer.window.remove_dock_widget(widget.native)
+    said, again = widget.status, SoftTissue(viewer)
+    viewer.window.add_dock_widget(again)
+    again.landmarks = (where, should)
+    wait_for(lambda: not again.busy)
     where.add([5.0, 5.0])
-    wait_for(lambda: "'ought' has 2 points, but 'is' has 3" in widget.status)
+    wait_for(lambda: "'ought' has 2 points, but 'is' has 3" in again.status)
+    assert widget.status == said
 
 
 def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen_in_window, monkeypatch):
@@ -280,11 +283,11 @@ def test_a_process_that_ends_with_its_window_open_ends_quietly(chosen_in_window,
     widget.landmarks = (where, should)
 
     class Gone:
-        def stop(self):
+        def __getattr__(self, name):
             raise RuntimeError("wrapped C/C++ object of type QTimer has been deleted")
 
     monkeypatch.setattr(widget._steps, "_resting", Gone())
-    widget._life.end()
+    widget._life.end(closed=False)
     assert widget.away
 
 

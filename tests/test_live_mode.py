@@ -10,7 +10,6 @@ from qtpy.QtTest import QTest
 from screen import Cell
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -502,24 +501,6 @@ def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness
     widget.tissue = tissue
     assert widget.materials == before
-
-
-def test_a_closed_dock_leaves_undo_to_the_others_and_catches_up_when_it_is_opened(
-    widget, small_sample
-):
-    small_sample(viewer_of(widget))
-    widget.tissue_from_intensity()
-    curve, steps = widget._form.tissue.curve, widget._steps
-    others = steps_of(viewer_of(widget))
-    before = curve.curve
-    curve.editor.plot.select(1)
-    curve.editor.stiffness.setValue(curve.editor.stiffness.value() * 3)
-    edited = curve.curve
-    steps.leave()
-    others.undo()
-    assert curve.curve == edited != before
-    steps.come()
-    assert curve.curve == before
 
 
 def test_a_curve_is_undone_with_its_layer(widget, small_sample):

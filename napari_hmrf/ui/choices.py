@@ -94,7 +94,7 @@ class Choices:
             without_border=form.tissue.border.value,
         )
 
-    def look(self) -> None:
+    def look(self, *_: Any) -> None:
         """Look again at which layers there are; another image takes the place of one that left."""
         form, before, by_hand = self._form, self._form.image.value, self._by_hand
         for choice in form.choices:

@@ -119,12 +119,6 @@ class DockForm:
         self.motion.boundary.table.show_place(unit, ways)
         self.motion.boundary.landmarks.show_place(grid.place, (rows, cols))
 
-    def listen(self) -> None:
-        """Listen to the layers that are chosen, again."""
-        for section in (self.tissue, self.motion.boundary):
-            section.painted.layer = section.choice.value
-        self.motion.boundary.landmarks.listen()
-
     def release(self) -> None:
         """Stop listening to layers."""
         self.tissue.painted.release()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from napari.layers import Points, Shapes
@@ -38,8 +38,6 @@ class DockSteps:
         Of the viewer.
     owner : Owner
         Who may be in the middle of something.
-    away : callable
-        Whether the dock is closed, or gone.
     """
 
     def __init__(
@@ -48,9 +46,8 @@ class DockSteps:
         form: DockForm,
         steps: ViewerSteps,
         owner: Owner,
-        away: Callable[[], bool],
     ) -> None:
-        self._form, self._steps, self._owner, self._away = form, steps, owner, away
+        self._form, self._steps, self._owner = form, steps, owner
         self._model = steps.edits
         self._undoing = False
         # What was chosen when that was looked at last.
@@ -66,26 +63,14 @@ class DockSteps:
         buttons.undo.changed.connect(steps.undo)
         buttons.redo.changed.connect(steps.redo)
         StepKeys(native, steps)
-        self._heard = Listening()
-        self.come()
-
-    def come(self) -> None:
-        """The dock is there: have the keys."""
-        self._heard.release()
         self._heard = Listening(
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
         )
-        self._steps.bind_keys(self._owner)
-        curve = self._form.tissue.curve
-        if curve.layer is not None:  # it may have been undone while there was no dock
-            slot = Slot(CURVE, curve.layer)
-            if slot in self._model:
-                self._on_undone(slot, self._model.get(slot))
-        self._known = set()
+        steps.bind_keys(owner)
         self.note()
         self.show()
 
-    def leave(self) -> None:
+    def release(self) -> None:
         """The dock is closed, or its window is gone."""
         self._steps.unbind_keys(self._owner)
         self._heard.release()
@@ -93,12 +78,11 @@ class DockSteps:
 
     def show(self) -> None:
         """Show what there is to take back, and to do again."""
-        if not self._away():
-            self._form.footer.steps.show(self._steps)
+        self._form.footer.steps.show(self._steps)
 
     def note(self, by_itself: bool = False) -> None:
         """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
-        if self._undoing or self._away():
+        if self._undoing:
             return
         known, self._known = self._known, set()
         for slot, now in self._edited():

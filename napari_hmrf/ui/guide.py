@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from napari.layers import Labels
@@ -11,6 +10,7 @@ from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.messages import CHOOSE, MEANWHILE, READY, WELCOME, painting
 from napari_hmrf.ui.motion.motion_messages import (
@@ -40,8 +40,6 @@ class Guide:
     pointer : Pointer
     live : LiveStudy
     steps : ViewerSteps
-    away : callable
-        Whether the dock is closed, or gone: then nothing is said.
     """
 
     def __init__(
@@ -51,10 +49,8 @@ class Guide:
         pointer: Pointer,
         live: LiveStudy,
         steps: ViewerSteps,
-        away: Callable[[], bool],
     ) -> None:
         self._viewer, self._form, self._pointer, self._live = viewer, form, pointer, live
-        self._away = away
         self._said = self._doing = self._step = self._painting = self._gone = ""
         for section in (form.tissue, form.motion.boundary):
             section.painted.found.connect(self._on_found)
@@ -68,7 +64,11 @@ class Guide:
         live.said.connect(self._on_study)
         live.doing.connect(self._on_doing)
         live.moved_on.connect(self._on_other)
-        steps.said.connect(self._on_step)
+        self._heard = Listening((steps.said, self._on_step))
+
+    def release(self) -> None:
+        """Say nothing of the viewer any more."""
+        self._heard.release()
 
     @property
     def shown(self) -> str:
@@ -91,9 +91,8 @@ class Guide:
 
     def say(self, sentence: str) -> None:
         """Say something in place of all that was said."""
-        if not self._away():
-            self._said = sentence
-            self._form.footer.say(self.shown)
+        self._said = sentence
+        self._form.footer.say(self.shown)
 
     def invite(self) -> None:
         """Say what can be done next, unless it is still to be read what was taken back."""
@@ -173,8 +172,7 @@ class Guide:
         if sentence == self._doing:
             return
         self._doing = sentence
-        if not self._away():
-            self._form.footer.say(self.shown)
+        self._form.footer.say(self.shown)
 
     def _on_pointer(self, sentence: str) -> None:
         if sentence in (self._pointer.tool.how, OFF):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -67,8 +66,6 @@ class LiveStudy:
     form : DockForm
     choices : Choices
     pointer : Pointer
-    away : callable
-        Whether the dock is closed, or gone.
 
     Attributes
     ----------
@@ -106,10 +103,9 @@ class LiveStudy:
         form: DockForm,
         choices: Choices,
         pointer: Pointer,
-        away: Callable[[], bool],
     ) -> None:
         self._viewer, self._form, self._choices, self._pointer = viewer, form, choices, pointer
-        self._away = away
+        self._over = False
         self.study: Study | None = None
         self.source: Any = None
         self.latest: Done | None = None
@@ -184,14 +180,14 @@ class LiveStudy:
 
     def touch(self, *_: Any) -> None:
         """Something was edited: look what, when Qt has nothing more urgent to do."""
-        if not self._away():
+        if not self._over:
             self._looking.start()
 
     def look(self) -> bool:
         """Read what is chosen, and have the tissue follow; whether it could be read."""
-        self._looking.stop()
-        if self._away():
+        if self._over:
             return False
+        self._looking.stop()
         try:
             request = self.request()
             study = self.read(request)
@@ -252,7 +248,7 @@ class LiveStudy:
 
     def complete(self, *_: Any) -> None:
         """Have all layers of the latest result drawn, once nothing is held or on its way."""
-        if self._away() or self.study is None:
+        if self.study is None:
             return
         if self._pointer.hand.holding or self._follower.busy:
             self._resting.start()
@@ -291,7 +287,8 @@ class LiveStudy:
         self._form.footer.warn("")
 
     def release(self) -> None:
-        """The window is gone."""
+        """Follow nothing any more."""
+        self._over = True
         self._follower.release()
 
     # How it goes on
@@ -356,7 +353,7 @@ class LiveStudy:
 
     def _on_seen(self, seen: Seen) -> None:
         study, moved = self.study, seen.moved
-        if study is None or moved.study.grid != study.grid or self._away():
+        if study is None or moved.study.grid != study.grid:
             return
         self._since = time.monotonic()
         if moved.error is not None and moved.settled:
@@ -375,7 +372,7 @@ class LiveStudy:
 
     def _on_done(self, done: Done) -> None:
         study = self.study
-        if study is None or done.moved.study.grid != study.grid or self._away():
+        if study is None or done.moved.study.grid != study.grid:
             return
         if self._looking.isActive():  # what was edited since is known first
             self.look()
@@ -403,7 +400,7 @@ class LiveStudy:
             self.finished.emit(done.outputs)
 
     def _on_poll(self) -> None:
-        if self._away() or not (self._follower.busy or self.settling):
+        if not (self._follower.busy or self.settling):
             self._poll.stop()
             self._form.footer.following(False)
             self.doing.emit("")

@@ -164,21 +164,20 @@ class SoftTissue(Dock):
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
         self._choices = Choices(viewer, form, self.touch)
-        self._pointer = Pointer(viewer, form.motion.fields, steps)
-        self._live_study = LiveStudy(
-            self.native, viewer, form, self._choices, self._pointer, lambda: self.away
-        )
-        self._view = ResultView(self.native, viewer, form.result, self._results, lambda: self.away)
-        self._steps = DockSteps(self.native, form, steps, self._pointer, lambda: self.away)
+        self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
+        self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
+        self._view = ResultView(self.native, viewer, form.result, self._results)
+        self._steps = DockSteps(self.native, form, steps, self._pointer)
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(self.native, 0, self._on_left)
         keep(viewer, form.solved)
-        self._guide = Guide(viewer, form, self._pointer, self._live_study, steps, lambda: self.away)
+        self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
+        self._watch = ViewerWatch(self.native, viewer, form, self._choices, self._live_study)
         self._connect()
-        self._watch = ViewerWatch(self, viewer, form, self._choices, self._live_study)
         self._choices.look()
         self._choices.choose_first()
         self._guide.invite()
+        self.touch()
 
     # What there is to see
 
@@ -423,10 +422,16 @@ class SoftTissue(Dock):
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
+        watch = self._watch
+        watch.touched.connect(self.touch)
+        watch.active_changed.connect(self.active_changed)
+        watch.cover_changed.connect(self.cover_changed)
+        watch.layer_gone.connect(self.layer_gone)
+        watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
-        if not (self.away or pointer.hand.holding):  # a drag changes none of it
+        if not pointer.hand.holding:  # a drag changes none of it
             motion.show_tool(pointer.tool.name if pointer.active else "")
             motion.remove.enabled = pointer.hand.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
@@ -459,37 +464,24 @@ class SoftTissue(Dock):
 
     def _on_left(self) -> None:
         """There is nothing to draw on."""
-        if not self.away and self.image is None:
+        if self.image is None:
             self._pointer.leave()
             self.active_changed()
 
     # What the window tells
 
-    def _on_opened(self) -> None:
-        self._choices.look()
-        self._form.listen()
-        self._steps.come()
-        self._watch.come()
-        self._view.come()
-        self._show_tool()
-        self._guide.invite()
-        self.touch()
-
-    def _on_closed(self) -> None:
-        self._was_active = False
-        self._leaving.stop()
-        self._live_study.cancel()
-        self._live_study.forget()
-        self._pointer.leave()
-        self._view.rest()
-        self._watch.leave()
-        self._steps.leave()
-        self._form.release()
-
-    def _on_end(self) -> None:
-        self._watch.leave()
-        self._live_study.release()
+    def _on_over(self, closed: bool) -> None:
+        if closed:
+            self._live_study.cancel()
+            self._live_study.forget()
+            self._pointer.leave()
+            self._view.rest()
+        watch, live, guide = self._watch, self._live_study, self._guide
+        for part in (watch, guide, live, self._view, self._steps, self._form):
+            part.release()
         self._pointer.end()
-        self._view.release()
-        self._steps.leave()
-        self._form.release()
+        super()._on_over(closed)
+
+    def _on_first(self) -> None:
+        if self.docked:
+            self.start()

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import math
+import weakref
+from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import Container
+from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.compat import camera_of, unwrapped
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.ui.brush_circle import clear_middle
-from napari_hmrf.ui.dock_life import Life
 from napari_hmrf.ui.timers import single_shot
 
 #: Until the canvas has the size that a new dock leaves it, in milliseconds.
 _LAID_OUT = 50
 #: The middle of a view is the same if it is not further away, in pixels of the screen.
 _NEAR = 20
+#: Qt's signals keep no strong reference to those they call: this does, until the dock is over.
+_living: set[_Life] = set()
 
 
 class Dock(Container):
     """Knows its viewer; an image that was seen whole is seen whole beside it, too.
+
+    A dock that was closed is over, as is one whose window is gone; the next one that is opened goes
+    on with what is in the viewer.
 
     Parameters
     ----------
@@ -31,7 +38,7 @@ class Dock(Container):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(labels=False)
         self._viewer = unwrapped(napari_viewer)
-        self._life = Life(self, self._on_docked, self._on_closed, self._on_end)
+        self._life = _Life(self, self._on_docked, self._on_over)
         self._results = shared(self._viewer, ResultLayers)
         # napari may be in the middle of removing more layers than the one.
         self._sweeping = single_shot(self.native, 0, self._results.remove_orphans)
@@ -42,30 +49,63 @@ class Dock(Container):
     @property
     def away(self) -> bool:
         """Whether the window is gone, or the dock was closed."""
-        return self._life.away
+        return self._life.over
 
     @property
     def docked(self) -> bool:
         """Whether there is a dock around this, in a window."""
-        return self._life.docked
+        return not self.away and self.native.parent() is not None
 
     def _on_orphaned(self) -> None:
-        if not self._life.over:
+        if not self.away:
             self._sweeping.start()
 
     def _on_docked(self) -> None:
         if sees_all(self._viewer):
             self._fitting.start()
-        self._on_opened()
 
-    def _on_opened(self) -> None:
-        """There is a dock around this."""
+    def _on_over(self, closed: bool) -> None:
+        """The dock was closed, or the window is gone: listen to nothing any more."""
+        if closed:
+            for timer in self.native.findChildren(QTimer):
+                timer.stop()
 
-    def _on_closed(self) -> None:
-        """The dock was closed."""
 
-    def _on_end(self) -> None:
-        """The window is gone: listen to nothing any more."""
+class _Life:
+    """Ends with a dock widget; then nothing of Qt's is touched any more.
+
+    It refers to its owner weakly. A closure over the owner would be called by Qt even while Python
+    is taking both apart.
+    """
+
+    def __init__(
+        self, owner: Container, at_docking: Callable[[], None], at_end: Callable[[bool], None]
+    ) -> None:
+        self.over = self._docked = False
+        self._owner = weakref.ref(owner)
+        self._at_docking, self._at_end = weakref.WeakMethod(at_docking), weakref.WeakMethod(at_end)
+        _living.add(self)
+        owner.native.destroyed.connect(self._on_destroyed)
+        owner.native_parent_changed.connect(self._on_parent)
+
+    def _on_destroyed(self, *_: Any) -> None:
+        self.end(closed=False)
+
+    def _on_parent(self, *_: Any) -> None:
+        """Napari closes a dock by taking the widget out of it."""
+        owner, docked = self._owner(), self._docked
+        self._docked = not self.over and owner is not None and owner.native.parent() is not None
+        if self._docked and not docked and (tell := self._at_docking()) is not None:
+            tell()
+        elif docked and not self._docked:
+            self.end(closed=True)
+
+    def end(self, closed: bool) -> None:
+        """The dock was closed, or its window is gone."""
+        over, self.over = self.over, True
+        _living.discard(self)
+        if not over and (tell := self._at_end()) is not None:
+            tell(closed)
 
 
 def sees_all(viewer: Any) -> bool:

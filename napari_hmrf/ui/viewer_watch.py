@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 from napari.layers import Labels
+from psygnal import Signal
 
 from napari_hmrf.layers.edit_history import Slot, steps_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
@@ -22,35 +23,6 @@ from napari_hmrf.ui.timers import single_shot
 _BRUSHES = ("paint", "erase", "fill", "polygon")
 
 
-class Watched(Protocol):
-    """The dock, as far as it is told of what happens."""
-
-    native: Any
-
-    @property
-    def away(self) -> bool:
-        """Whether the window is gone, or the dock was closed."""
-
-    @property
-    def docked(self) -> bool:
-        """Whether there is a dock around it, in a window."""
-
-    def touch(self) -> None:
-        """Something that the study depends on is another."""
-
-    def start(self) -> object:
-        """Have the mouse draw."""
-
-    def active_changed(self) -> None:
-        """Another layer feels the mouse."""
-
-    def cover_changed(self) -> None:
-        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-
-    def layer_gone(self, layer: Any) -> None:
-        """A layer was removed."""
-
-
 class ViewerWatch:
     """Listens for a dock while it is there.
 
@@ -59,38 +31,43 @@ class ViewerWatch:
 
     Parameters
     ----------
-    dock : Watched
+    native : QWidget
+        The dock.
     viewer : napari.Viewer or ViewerModel
     form : DockForm
     choices : Choices
     live : LiveStudy
     """
 
+    #: Something that the study depends on is another.
+    touched = Signal()
+    #: Another layer feels the mouse.
+    active_changed = Signal()
+    #: The image may be hidden beneath another, or be seen in two dimensions, or no more.
+    cover_changed = Signal()
+    #: A layer was removed.
+    layer_gone = Signal(object)
+    #: There is a first image, which nobody is at work with: it can be pulled.
+    first_came = Signal()
+
     def __init__(
-        self, dock: Watched, viewer: Any, form: DockForm, choices: Choices, live: LiveStudy
+        self, native: Any, viewer: Any, form: DockForm, choices: Choices, live: LiveStudy
     ) -> None:
-        self._dock, self._viewer, self._form = dock, viewer, form
-        self._choices, self._live = choices, live
-        self._pixels = Pixels(self._on_pixels, refreshed=True)
-        self._fitting = single_shot(dock.native, 50, self._fit)
-        self._selected = single_shot(dock.native, 0, self._on_active)
-        self._starting = single_shot(dock.native, 0, self._on_first)
+        self._viewer, self._form, self._choices, self._live = viewer, form, choices, live
+        self._pixels = Pixels(self.touched.emit, refreshed=True)
+        self._fitting = single_shot(native, 50, viewer.reset_view)
+        self._selected = single_shot(native, 0, self._on_active)
+        self._starting = single_shot(native, 0, self._on_first)
         self._begun = False
         live.moved_on.connect(self._on_other)
-        self._events, self._eyes, self._brush = Listening(), Listening(), Listening()
+        self._eyes, self._brush = Listening(), Listening()
         self._slice = _slice_of(viewer.dims)
         form.edited.connect(self._on_choice)
         form.image.changed.connect(self._on_choice)
-        self.come()
-
-    def come(self) -> None:
-        """The dock is there."""
-        self.leave()
-        viewer = self._viewer
         self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
-            (viewer.layers.events.renamed, self._on_renamed),
+            (viewer.layers.events.renamed, choices.look),
             (viewer.layers.events.reordered, self._on_cover),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events.current_step, self._on_slice),
@@ -104,9 +81,8 @@ class ViewerWatch:
         self._look_at_eyes()
         self._on_theme()
 
-    def leave(self) -> None:
+    def release(self) -> None:
         """Listen no more."""
-        self._starting.stop()
         for heard in (self._events, self._eyes, self._brush):
             heard.release()
         self._pixels.release()
@@ -129,8 +105,8 @@ class ViewerWatch:
         landmarks = self._form.motion.boundary.landmarks.layers
         at_work = landmarks or any(layer is not None for layer in self._painted)
         looked_at = self._viewer.layers.selection.active in (None, self._form.image.value)
-        if self._dock.docked and looked_at and not (at_work or self._dock.away):
-            self._dock.start()
+        if looked_at and not at_work:
+            self.first_came.emit()
 
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""
@@ -147,8 +123,6 @@ class ViewerWatch:
     # What is chosen, and what it holds
 
     def _on_choice(self, *_: Any) -> None:
-        if self._dock.away:
-            return
         form = self._form
         chosen = (form.image.value, *self._painted, form.motion.boundary.confidence.value)
         layers = (*chosen, *form.motion.boundary.landmarks.layers)
@@ -157,30 +131,26 @@ class ViewerWatch:
         form.make.enabled = missing
         form.intensity.enabled = form.image.value is not None
         self._mark()
-        self._dock.touch()
-        self._dock.cover_changed()
-
-    def _on_pixels(self) -> None:
-        if not self._dock.away:
-            self._dock.touch()
+        self.touched.emit()
+        self.cover_changed.emit()
 
     def _on_table(self, slot: Any, *_: Any) -> None:
         """The table of a layer says something else, wherever that was done."""
         of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
         if of_ours and slot.layer in self._painted:
-            self._on_pixels()
+            self.touched.emit()
 
     # What is shown
 
     def _on_slice(self, *_: Any) -> None:
         # An arrow over the image's edge makes the canvas larger, and napari says as much.
         before, self._slice = self._slice, _slice_of(self._viewer.dims)
-        if not self._dock.away and self._slice != before:
+        if self._slice != before:
             self._form.tissue.curve.look()
             self._live.let_go()
-            self._dock.active_changed()
-            self._dock.touch()
-            self._dock.cover_changed()
+            self.active_changed.emit()
+            self.touched.emit()
+            self.cover_changed.emit()
 
     def _look_at_eyes(self) -> None:
         """Listen to whether layers are shown: those that there are now."""
@@ -190,52 +160,37 @@ class ViewerWatch:
         )
 
     def _on_cover(self, *_: Any) -> None:
-        if not self._dock.away:
-            self._dock.cover_changed()
+        self.cover_changed.emit()
 
     def _on_inserted(self, event: Any) -> None:
-        if self._dock.away:
-            return
         self._look_at_eyes()
         self._choices.look()
         self._choices.take([event.value])
         if role_of(event.value) and len(self._viewer.layers) == 1:
-            self._fitting.start()
+            self._fitting.start()  # napari fitted it before it knew the canvas
         self._on_choice()
         self._on_cover()
 
-    def _fit(self) -> None:
-        """Show the whole of a sample; napari fitted its first layer before it knew the canvas."""
-        if not self._dock.away:
-            self._viewer.reset_view()
-
     def _on_removed(self, event: Any) -> None:
-        if not self._dock.away:
-            self._look_at_eyes()
-            self._choices.look()
-            self._dock.layer_gone(event.value)
-            self._on_choice()
-            self._on_cover()
-
-    def _on_renamed(self, *_: Any) -> None:
-        if not self._dock.away:
-            self._choices.look()
+        self._look_at_eyes()
+        self._choices.look()
+        self.layer_gone.emit(event.value)
+        self._on_choice()
+        self._on_cover()
 
     def _on_theme(self, *_: Any) -> None:
         theme = getattr(self._viewer, "theme", None)
-        if theme is not None and not self._dock.away:
+        if theme is not None:
             self._form.energy.show_theme(str(theme))
 
     # Who feels the mouse
 
     def _on_active(self, *_: Any) -> None:
-        if self._dock.away:
-            return
         if is_selection_kept(self._viewer):
             self._selected.start()  # what is selected then counts
             return
         self._mark()
-        self._dock.active_changed()
+        self.active_changed.emit()
         active = self._viewer.layers.selection.active
         self._brush.release()
         self._brush = Listening()
@@ -258,12 +213,11 @@ class ViewerWatch:
 
     def _on_mode(self, *_: Any) -> None:
         """A brush that is taken up is to be put on the image as it was."""
-        if not self._dock.away:
-            self._live.show_before(self._is_painted)
+        self._live.show_before(self._is_painted)
 
     def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
         """While a brush paints the image is seen as it was; after that as it has moved."""
-        if self._dock.away or not self._is_painted:
+        if not self._is_painted:
             return
         self._live.show_before(True)
         yield

@@ -37,6 +37,8 @@ class Display:
 
     Parameters
     ----------
+    native : QWidget
+        The dock.
     viewer : napari.Viewer or ViewerModel
     told : Listener
         Who is told what the mouse and the keys do.
@@ -51,7 +53,7 @@ class Display:
         Of the tissues that can be painted.
     """
 
-    def __init__(self, viewer: Any, told: Listener) -> None:
+    def __init__(self, native: Any, viewer: Any, told: Listener) -> None:
         self.arrows = ArrowsLayer(viewer, told)
         self.painted = PaintedLayer(viewer)
         self.seen: Seen | None = None
@@ -65,7 +67,7 @@ class Display:
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
         self._places = 0
-        self._touches_wait = single_shot(None, _AHEAD, self._show_touches)
+        self._touches_wait = single_shot(native, _AHEAD, self._show_touches)
 
     @property
     def quiet(self) -> bool:
@@ -195,14 +197,9 @@ class Display:
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""
-        self.release()
         with self.own_doing():
             self.arrows.remove()
             self.painted.remove()
-
-    def release(self) -> None:
-        """Show nothing later on."""
-        self._touches_wait.stop()
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:

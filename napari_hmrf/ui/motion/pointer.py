@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
@@ -53,6 +52,8 @@ class Pointer:
 
     Parameters
     ----------
+    native : QWidget
+        The dock.
     viewer : napari.Viewer or ViewerModel
     fields : ToolFields
         How the tools draw.
@@ -80,16 +81,16 @@ class Pointer:
     #: Something new is begun: what was said of what came before is over.
     begun = Signal()
 
-    def __init__(self, viewer: Any, fields: ToolFields, steps: ViewerSteps) -> None:
+    def __init__(self, native: Any, viewer: Any, fields: ToolFields, steps: ViewerSteps) -> None:
         self._fields, self._steps = fields, steps
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
         self._hands = Hands(self.history)
         # Whether what is selected was picked up, and not just made.
         self._picked = False
-        self.display = Display(viewer, self)
+        self.display = Display(native, viewer, self)
         self._badge = Badge(viewer)
-        self._drawing_waits = single_shot(None, _AHEAD, self.draw)
+        self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._image: Any = None
         self._working = self._in_error = False
@@ -232,15 +233,11 @@ class Pointer:
     def leave(self) -> None:
         """Draw no more; take away the layers that nobody answers. What is drawn stays."""
         self.stand_on(None)
-        self._drawing_waits.stop()
         self.display.leave()
         self._badge.say("")
 
     def end(self) -> None:
-        """The window is gone."""
-        with suppress(RuntimeError):  # at the end of the process Qt's own are gone before us
-            self._drawing_waits.stop()
-            self.display.release()
+        """Feel nothing any more."""
         self.display.arrows.release()
 
     # What the mouse and the keys do on the canvas

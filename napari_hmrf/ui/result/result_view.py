@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -63,8 +62,6 @@ class ResultView:
     form : ResultForm
     results : ResultLayers
         Of the viewer.
-    away : callable
-        Whether the dock is closed, or gone.
     """
 
     #: What there is to say.
@@ -78,9 +75,8 @@ class ResultView:
         viewer: Any,
         form: ResultForm,
         results: ResultLayers,
-        away: Callable[[], bool],
     ) -> None:
-        self._native, self._viewer, self._form, self._away = native, viewer, form, away
+        self._native, self._viewer, self._form = native, viewer, form
         self._errands = Errands(native, self._refuse)
         self._results = results
         self.shown = LookedAt()
@@ -117,7 +113,10 @@ class ResultView:
             (viewer.dims.events.order, self._say_where),
             (results.changed, self._on_changed),
         )
-        self.come()
+        if not any(key == _BEFORE for key in getattr(viewer, "keymap", {})):
+            viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
+        self._choose(seen=True)
+        self._take()
 
     # What there is
 
@@ -149,14 +148,6 @@ class ResultView:
         )
 
     # What can be done
-
-    def come(self) -> None:
-        """Look at the newest result of those that are seen."""
-        if not any(key == _BEFORE for key in getattr(self._viewer, "keymap", {})):
-            self._viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
-        self._form.result.reset_choices()
-        self._choose(seen=True)
-        self._take()
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
@@ -191,16 +182,13 @@ class ResultView:
         self._errands.send("pictures", partial(figures_of, result, image, folder), tell)
 
     def rest(self) -> None:
-        """Touch nothing any more, until a result is taken again."""
+        """Leave the layers as they were before they were moved."""
         if self._while_key_is_held in getattr(self._viewer, "keymap", {}).values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
-        self.cursor.watch(None, None, None, self._fraction)
-        self.shown.layers = self.shown.result = None
-        self._form.point.say(POINT)
 
     def release(self) -> None:
-        """The window is gone."""
+        """Listen no more."""
         self._follow(None, None)
         self._events.release()
         self._errands.forget()
@@ -220,8 +208,6 @@ class ResultView:
 
     def _take(self, chosen: bool = False) -> None:
         """Look at the result that is chosen, as it is now; `chosen`: somebody wants to see it."""
-        if self._away():
-            return
         form, shown, arrows = self._form, self.shown, self._form.result.value
         gone = self._followed
         lost = arrows is None and gone is not None and gone not in self._viewer.layers
@@ -287,8 +273,6 @@ class ResultView:
 
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
-        if self._away():
-            return
         if result is not self.shown.layers:
             if (arrows := result.layer("arrows")) is not None and arrows.visible:
                 with self._form.result.changed.blocked():
@@ -300,25 +284,22 @@ class ResultView:
             self._interrupt()
 
     def _on_eye(self, *_: Any) -> None:
-        if not self._away():
-            self._follow(self._followed, self.shown.layer("grid"))
-            self._look_at_eyes()
+        self._follow(self._followed, self.shown.layer("grid"))
+        self._look_at_eyes()
 
     def _on_inserted(self, event: Any) -> None:
-        if not self._away():
-            result, source = self.shown.result, self.shown.source
-            if result_of(event.value) is not None:
-                self._form.result.reset_choices()
-                self._choose()
-            elif source not in self._viewer.layers and _may_move(event.value, result):
-                self._take()
-            self._on_layers()
+        result, source = self.shown.result, self.shown.source
+        if result_of(event.value) is not None:
+            self._form.result.reset_choices()
+            self._choose()
+        elif source not in self._viewer.layers and _may_move(event.value, result):
+            self._take()
+        self._on_layers()
 
     def _on_layers(self, *_: Any) -> None:
-        if not self._away():
-            self._form.result.reset_choices()
-            self._form.result.visible = len(self._form.result.offered) > 1
-            self._eyes.start()
+        self._form.result.reset_choices()
+        self._form.result.visible = len(self._form.result.offered) > 1
+        self._eyes.start()
 
     # How much is seen
 
@@ -391,8 +372,7 @@ class ResultView:
 
     def _say_where(self, *_: Any) -> None:
         """Say whether it is the slice of the result that is shown."""
-        if not self._away():
-            self._say_how_far(self._form.slider.value)
+        self._say_how_far(self._form.slider.value)
 
     def _say_how_far(self, percent: int) -> None:
         result, view = self.shown.result, View.of(self._viewer.dims)
