@@ -163,7 +163,7 @@ MUTATIONS = (
         "part = along if along <= 1 else along - 1",
         "test_widgets_look.py",
     ),
-    Mutation("ui/motion/keys.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
+    Mutation("ui/motion/pointer.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
 )
 
 

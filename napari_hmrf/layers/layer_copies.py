@@ -13,7 +13,7 @@ from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 
 T = TypeVar("T")
-#: Of each slice so many copies are kept: what is painted and taken back is the same as it was.
+#: Of each slice so many copies are known: what is painted and taken back is the same as it was.
 _KEPT = 4
 #: The events after which a layer's data may be others. A layer draws itself anew for many other
 #: reasons, too, but a script that has changed its array in place can say so in no other way.
@@ -83,43 +83,31 @@ class _Copies:
     """The copies of one layer."""
 
     def __init__(self, layer: Any) -> None:
-        # Newest first.
-        self._slices: dict[Any, list[npt.NDArray[Any]]] = {}
-        # Of slices that are not shown any more, as far as somebody has kept them.
-        self._others: dict[Any, list[weakref.ref[npt.NDArray[Any]]]] = {}
+        # What is shown is kept; of all else what somebody else has kept.
+        self._newest: dict[Any, npt.NDArray[Any]] = {}
+        self._known: dict[Any, list[weakref.ref[npt.NDArray[Any]]]] = {}
         self._fresh: set[Any] = set()
         self.made: tuple[tuple[Any, ...], Any] | None = None
         for name in _EVENTS:
             if hasattr(layer.events, name):
-                getattr(layer.events, name).connect(self._on_event)
+                getattr(layer.events, name).connect(self.doubt)
 
     def slice(self, layer: Any, own: Frame | None) -> npt.NDArray[Any]:
         key = None if own is None else (own.plane, own.index)
-        known = self._slices.get(key, [])
-        if known and key in self._fresh:
-            return known[0]
-        if not known:
-            known = self._turn_to(key)
+        if key in self._fresh and key in self._newest:
+            return self._newest[key]
         now = np.array(layer.data) if own is None else copy_slice(layer, own)
         now.setflags(write=False)
+        known = [copy for each in self._known.get(key, ()) if (copy := each()) is not None]
         found = next((each for each in known if _same(each, now)), now)
+        self._newest = {key: found}
         others = [each for each in known if each is not found]
-        self._slices[key] = [found, *others][:_KEPT]
+        self._known[key] = [weakref.ref(each) for each in (found, *others)][:_KEPT]
         self._fresh.add(key)
         return found
 
-    def _turn_to(self, key: Any) -> list[npt.NDArray[Any]]:
-        """Keep copies of another slice: of a stack the one that is shown is enough."""
-        for other, copies in self._slices.items():
-            self._others[other] = [weakref.ref(copy) for copy in copies]
-        self._slices.clear()
-        return [copy for each in self._others.pop(key, ()) if (copy := each()) is not None]
-
-    def doubt(self) -> None:
+    def doubt(self, *_: Any) -> None:
         self._fresh.clear()
-
-    def _on_event(self, *_: Any) -> None:
-        self.doubt()
 
 
 def _are_same(some: tuple[Any, ...], others: tuple[Any, ...]) -> bool:

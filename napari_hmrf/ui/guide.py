@@ -9,22 +9,21 @@ from napari.layers import Labels
 from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.live_study import LiveStudy
-from napari_hmrf.ui.messages import CHOOSE, MEANWHILE, READY, WELCOME, painting
-from napari_hmrf.ui.motion.motion_messages import (
-    ARROWS_GONE,
-    COVERED,
-    FLAT,
-    OFF,
-    START,
-    covered,
-)
+from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.pointer import Pointer
 
 #: What is said until there is something else to say.
-_INVITATIONS = (WELCOME, CHOOSE, START, FLAT, OFF)
+_INVITATIONS = (
+    messages.WELCOME,
+    messages.CHOOSE,
+    motion_messages.START,
+    motion_messages.FLAT,
+    motion_messages.OFF,
+)
 
 
 class Guide:
@@ -80,11 +79,11 @@ class Guide:
         """What can be done next."""
         form, boundary = self._form, self._form.motion.boundary
         if form.image.value is None:
-            return CHOOSE if self._viewer.layers else WELCOME
+            return messages.CHOOSE if self._viewer.layers else messages.WELCOME
         if self._covered or self._viewer.dims.ndisplay != 2:
-            return self._covered or FLAT
+            return self._covered or motion_messages.FLAT
         begun = boundary.choice.value is not None or bool(boundary.landmarks.layers)
-        how = START if self._live.live.on or not begun else READY
+        how = motion_messages.START if self._live.live.on or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how
         return self._paused or form.model.objection or how
@@ -101,7 +100,9 @@ class Guide:
 
     def say_painting(self, layer: Any, before: bool) -> None:
         """Say what is painted, as long as it is; `before`: on the image as it was."""
-        self._painting = f"{painting(layer)} {MEANWHILE if before else ''}".rstrip()
+        self._painting = (
+            f"{messages.painting(layer)} {messages.MEANWHILE if before else ''}".rstrip()
+        )
         self.say(self._painting)
 
     def say_gone(self, image: Any) -> None:
@@ -116,13 +117,13 @@ class Guide:
 
     def say_arrows_gone(self) -> None:
         """Say how to have the arrows back, until something new is begun."""
-        self._say_step(ARROWS_GONE)
+        self._say_step(motion_messages.ARROWS_GONE)
 
     def look_at_mouse(self, stopped: bool) -> None:
         """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
         if stopped and self._paused:
             self.say(self.invitation)
-        elif self._pointer.active and self._said == OFF:
+        elif self._pointer.active and self._said == motion_messages.OFF:
             self.invite()
         paints = isinstance(self._viewer.layers.selection.active, Labels)
         if not paints and self._said == self._painting:
@@ -133,7 +134,7 @@ class Guide:
         invited = {*_INVITATIONS, self._pointer.tool.how}
         if self._form.image.value is not None:
             invited.add(self._gone)
-        if self._said in invited or self._said.startswith(COVERED):
+        if self._said in invited or self._said.startswith(motion_messages.COVERED):
             self.invite()
 
     @property
@@ -141,7 +142,7 @@ class Guide:
         """That the image is hidden beneath another, if it is."""
         image = still_there(self._viewer, self._form.image.value)
         other = None if image is None else image_covering(self._viewer, image)
-        return "" if other is None else covered(other.name)
+        return "" if other is None else motion_messages.covered(other.name)
 
     @property
     def _paused(self) -> str:
@@ -149,7 +150,7 @@ class Guide:
         arrows = self._pointer.display.arrows
         if arrows.former is None or self._live.study is None or self._pointer.active:
             return ""
-        return ARROWS_GONE if arrows.layer is None else OFF
+        return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
     @property
     def _reads_step(self) -> bool:
@@ -175,14 +176,14 @@ class Guide:
         self._form.footer.say(self.shown)
 
     def _on_pointer(self, sentence: str) -> None:
-        if sentence in (self._pointer.tool.how, OFF):
+        if sentence in (self._pointer.tool.how, motion_messages.OFF):
             self.invite()
         else:
             self.say(sentence)
 
     def _on_study(self, sentence: str) -> None:
         """Say something of the study beside what was taken back; "": nothing is wrong any more."""
-        if sentence == WELCOME and self._said == self._gone:
+        if sentence == messages.WELCOME and self._said == self._gone:
             return  # it has said as much
         if not sentence:
             self.invite()
@@ -196,5 +197,5 @@ class Guide:
 
     def _on_other(self) -> None:
         """Another slice or image is worked on."""
-        if self._said in (WELCOME, CHOOSE):
+        if self._said in (messages.WELCOME, messages.CHOOSE):
             self.invite()

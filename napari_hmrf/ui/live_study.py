@@ -23,26 +23,11 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.follower import Done, Follower, Seen
 from napari_hmrf.ui.live_choice import LiveChoice
-from napari_hmrf.ui.messages import (
-    CANCELLED,
-    CHANGED,
-    CHOOSE,
-    OTHER_SLICE,
-    STAYS,
-    STILL,
-    WELCOME,
-    brief,
-    details,
-    in_short,
-    progress,
-    report,
-    warned_of,
-    warnings_of,
-)
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.timers import repeating, single_shot
 
@@ -233,7 +218,7 @@ class LiveStudy:
         """Whether a layer is among those of which something is solved from nothing."""
         return self.settling and any(layer is each for each in self._layers)
 
-    def cancel(self, why: str = CANCELLED) -> None:
+    def cancel(self, why: str = messages.CANCELLED) -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
         was = self._follower.busy
         self._follower.forget()
@@ -244,7 +229,11 @@ class LiveStudy:
         elif was:
             self._form.footer.following(False)
             self.doing.emit("")
-            self.said.emit(f"{CANCELLED} {STAYS}" if why == CANCELLED and self.latest else why)
+            self.said.emit(
+                f"{messages.CANCELLED} {messages.STAYS}"
+                if why == messages.CANCELLED and self.latest
+                else why
+            )
 
     def complete(self, *_: Any) -> None:
         """Have all layers of the latest result drawn, once nothing is held or on its way."""
@@ -321,9 +310,11 @@ class LiveStudy:
         self._outdated = not self.fresh
         if self._outdated:
             here = study.grid.place == latest.moved.study.grid.place
-            self.said.emit(f"{CHANGED if here else OTHER_SLICE} {self.note}".rstrip())
+            self.said.emit(
+                f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
+            )
         elif before:
-            self.said.emit(report(latest))
+            self.said.emit(messages.report(latest))
 
     def _on_drawn(self) -> None:
         """The drawing is another: nothing else has to be read."""
@@ -383,13 +374,13 @@ class LiveStudy:
         self._pointer.display.finish(done)
         self._form.energy.show_solution(done.outputs.solution)
         footer = self._form.footer
-        footer.warn(warnings_of(done), warned_of(done))
-        footer.tell(brief(done), details(done))
+        footer.warn(messages.warnings_of(done), messages.warned_of(done))
+        footer.tell(messages.brief(done), messages.details(done))
         settled = self.settling
         if settled:
             self._end_settling("")
         if settled or not self._pointer.active:
-            self.said.emit(f"{report(done)} {self.note}".rstrip())
+            self.said.emit(f"{messages.report(done)} {self.note}".rstrip())
         elif failed:
             self.said.emit("")
         if self.study is not None and self._outdated and not self.live.on:
@@ -409,22 +400,22 @@ class LiveStudy:
         if self.settling:
             self._form.footer.progress(monitor.fraction)
             if self.settling:  # Qt may have answered whatever waited, Cancel among it
-                self.doing.emit(progress(monitor, waited))
+                self.doing.emit(messages.progress(monitor, waited))
         elif waited > _PATIENCE:
             self._form.footer.following(True)
-            doing = progress(monitor, waited)
+            doing = messages.progress(monitor, waited)
             self.doing.emit(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
 
     def _cannot(self, error: Exception) -> None:
         """Say why the tissue does not follow, once; the last result stays."""
-        sentence = in_short(error)
-        if sentence in (WELCOME, CHOOSE):
-            if sentence == WELCOME:
-                self.said.emit(WELCOME)
+        sentence = messages.in_short(error)
+        if sentence in (messages.WELCOME, messages.CHOOSE):
+            if sentence == messages.WELCOME:
+                self.said.emit(messages.WELCOME)
             return  # nobody has done anything yet
         if sentence != self._failed:
             self._failed = sentence
-            stays = f" {STAYS}" if self.latest is not None else ""
+            stays = f" {messages.STAYS}" if self.latest is not None else ""
             self.said.emit(f"The tissue does not follow yet. {sentence}{stays}")
 
     def _come_to_rest(self) -> None:
@@ -435,7 +426,7 @@ class LiveStudy:
         self._form.footer.warn("")
         self._form.footer.tell("")
         if before is not None and not self._pointer.active:
-            self.said.emit(STILL)
+            self.said.emit(messages.STILL)
 
     def _succeed(self) -> None:
         """What was wrong no longer is."""
@@ -444,10 +435,10 @@ class LiveStudy:
             self.said.emit("")
 
     def _refuse(self, error: Exception) -> None:
-        self._end_settling(in_short(error))
+        self._end_settling(messages.in_short(error))
         # A warning goes by itself; an error would still be there beside the next good result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
-        show(in_short(error))
+        show(messages.in_short(error))
         self.finished.emit(None)
 
     def _on_chip(self) -> None:

@@ -21,6 +21,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
@@ -28,13 +29,6 @@ from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.material_menu import preset_of
-from napari_hmrf.ui.messages import (
-    CURVE,
-    PAINT,
-    WELCOME,
-    details,
-    in_short,
-)
 from napari_hmrf.ui.model import TissueModel
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
@@ -208,7 +202,7 @@ class SoftTissue(Dock):
     def details(self) -> str:
         """What ran to make the latest result, how long and how well."""
         latest = self._live_study.latest
-        return "" if latest is None else details(latest)
+        return "" if latest is None else messages.details(latest)
 
     @property
     def idle(self) -> bool:
@@ -264,11 +258,11 @@ class SoftTissue(Dock):
 
     def undo(self) -> None:
         """Take back what was done last."""
-        self._pointer.undo()
+        steps_of(self._viewer).undo()
 
     def redo(self) -> None:
         """Do again what was taken back."""
-        self._pointer.redo()
+        steps_of(self._viewer).redo()
 
     def remove(self) -> None:
         """Remove what is selected."""
@@ -313,11 +307,11 @@ class SoftTissue(Dock):
             If no image is chosen, or it is not where the viewer looks.
         """
         if self.image is None:
-            raise HmrfError(WELCOME)
+            raise HmrfError(messages.WELCOME)
         chosen = (self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, View.of(self._viewer.dims))
         self.tissue, self.boundary = made
-        self.say(PAINT)
+        self.say(messages.PAINT)
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> Any:
         """Choose as tissue a layer of stiffness made from the image's intensity; returns it.
@@ -330,7 +324,7 @@ class SoftTissue(Dock):
             If no image is chosen, or no curve can be made for it.
         """
         if self.image is None:
-            raise HmrfError(WELCOME)
+            raise HmrfError(messages.WELCOME)
         made = self._form.tissue.curve
         layer = made.layer_of(self.image, curve)
         if layer not in self._viewer.layers:
@@ -338,7 +332,7 @@ class SoftTissue(Dock):
         self.tissue = layer
         if curve is not None:
             made.curve = curve
-        self.say(CURVE)
+        self.say(messages.CURVE)
         return layer
 
     def take_materials(self, materials: Preset | Any) -> None:
@@ -441,8 +435,8 @@ class SoftTissue(Dock):
         try:
             action()
         except HmrfError as error:
-            self.say(in_short(error))
-            show_warning(in_short(error))
+            self.say(messages.in_short(error))
+            show_warning(messages.in_short(error))
 
     # What is pressed, and what is said
 

@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 from magicgui.widgets import PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 
 from napari_hmrf.layers.edit_history import ViewerSteps
-from napari_hmrf.study.study_model import StudyModel
 
 _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
-
-
-class Steps(Protocol):
-    """What can go back and forth."""
-
-    edits: StudyModel
-
-    def undo(self) -> None:
-        """Take back what was done last."""
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
 
 
 class StepButtons:
@@ -60,10 +47,10 @@ class StepKeys(QObject):
     ----------
     native : QWidget
         The dock.
-    steps : Steps
+    steps : ViewerSteps
     """
 
-    def __init__(self, native: Any, steps: Steps) -> None:
+    def __init__(self, native: Any, steps: ViewerSteps) -> None:
         super().__init__(native)
         self._steps = steps
         native.installEventFilter(self)

@@ -72,12 +72,9 @@ class Dock(Container):
 
 
 class _Life:
-    """Ends with a dock widget; then nothing of Qt's is touched any more.
+    """Ends with a dock widget; then nothing of Qt's is touched any more."""
 
-    It refers to its owner weakly. A closure over the owner would be called by Qt even while Python
-    is taking both apart.
-    """
-
+    # A closure over the owner would be called by Qt even while Python is taking both apart.
     def __init__(
         self, owner: Container, at_docking: Callable[[], None], at_end: Callable[[bool], None]
     ) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from napari.layers import Layer
@@ -17,12 +17,31 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.ui.motion.keys import Listener, bind_keys
 from napari_hmrf.ui.motion.pixel_update import Hush, spare_compiling
 
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
 _NEAR = 8.0
 HELP = "Shift+click picks up what is drawn, Delete removes, Esc cancels, Ctrl+Z undoes"
+
+
+class Mouse(Protocol):
+    """Who is told what the mouse does on the canvas."""
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], object]]:
+        """What keys do while the layer is the active one."""
+
+    def press(self, point: Point, reach: float) -> bool:
+        """The button is pressed at a pixel; whether a drag begins."""
+
+    def pick(self, point: Point, reach: float) -> None:
+        """The button is pressed while Shift is held."""
+
+    def move(self, point: Point) -> None:
+        """The mouse moves on in a drag."""
+
+    def release(self) -> None:
+        """The drag ends."""
 
 
 class ArrowsLayer:
@@ -31,11 +50,11 @@ class ArrowsLayer:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    told : Listener
+    told : Mouse
         Who is told.
     """
 
-    def __init__(self, viewer: Any, told: Listener) -> None:
+    def __init__(self, viewer: Any, told: Mouse) -> None:
         self._viewer = viewer
         self._told = told
         self._layer: Any = None
@@ -204,7 +223,8 @@ class ArrowsLayer:
         # Drawing the thumbnail of every line would take longer than all the rest.
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
-        bind_keys(layer, self._told)
+        for key, answer in self._told.keys.items():
+            layer.bind_key(key, lambda _, answer=answer: answer())
         layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
         self._frame = frame

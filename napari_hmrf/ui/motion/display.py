@@ -22,8 +22,7 @@ from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.follower import Done, Seen
-from napari_hmrf.ui.motion.arrows import ArrowsLayer
-from napari_hmrf.ui.motion.keys import Listener
+from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
 from napari_hmrf.ui.motion.strokes import PaintedLayer
 from napari_hmrf.ui.timers import single_shot
 
@@ -40,7 +39,7 @@ class Display:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    told : Listener
+    told : Mouse
         Who is told what the mouse and the keys do.
 
     Attributes
@@ -53,7 +52,7 @@ class Display:
         Of the tissues that can be painted.
     """
 
-    def __init__(self, native: Any, viewer: Any, told: Listener) -> None:
+    def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
         self.arrows = ArrowsLayer(viewer, told)
         self.painted = PaintedLayer(viewer)
         self.seen: Seen | None = None

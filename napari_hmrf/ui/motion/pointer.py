@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from psygnal import Signal
@@ -10,6 +12,7 @@ from psygnal import Signal
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.layers.undo_keys import KEYS
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
@@ -17,38 +20,23 @@ from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
+from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.badge import Badge
 from napari_hmrf.ui.motion.display import Display
-from napari_hmrf.ui.motion.motion_messages import (
-    BESIDE,
-    CANCELLED,
-    HALF,
-    NO_OUTSIDE,
-    NO_STEP,
-    NOTHING,
-    NOTHING_DRAWN,
-    NOTHING_SELECTED,
-    OFF,
-    OPEN,
-    OUTSIDE,
-    PICKED,
-    PREPARING,
-    REMOVED,
-    REMOVED_ALL,
-    covered,
-)
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tool_hands import Hands
-from napari_hmrf.ui.motion.tools import BY_NAME, Tool
+from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool
 from napari_hmrf.ui.timers import single_shot
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
 _AHEAD = 250
+#: By how much a key makes the brush larger.
+_LARGER = 1.25
 
 
 class Pointer:
-    """Draws on each slice of each image its own drawing; the `Listener` of the layer *Arrows*.
+    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Arrows*.
 
     Parameters
     ----------
@@ -114,6 +102,19 @@ class Pointer:
     def active(self) -> bool:
         """Whether the mouse draws."""
         return self.display.seen is not None and self.display.arrows.active
+
+    @property
+    def keys(self) -> dict[str, Callable[[], object]]:
+        """What the keys do while the mouse draws."""
+        return {
+            "Delete": self.remove,
+            "Backspace": self.remove,
+            "Escape": self.cancel,
+            "[": partial(self.resize, 1 / _LARGER),
+            "]": partial(self.resize, _LARGER),
+            **{key: getattr(self._steps, name) for key, name in KEYS.items()},
+            **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
+        }
 
     @property
     def preparing(self) -> bool:
@@ -186,7 +187,7 @@ class Pointer:
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()
-        self.said.emit(self.tool.how if self._working else PREPARING)
+        self.said.emit(self.tool.how if self._working else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
@@ -201,7 +202,7 @@ class Pointer:
     def clear(self) -> None:
         """Remove all that is drawn."""
         self.set_drawing(Drawing(), "removed all")
-        self.said.emit(REMOVED_ALL)
+        self.said.emit(motion_messages.REMOVED_ALL)
 
     def draw(self) -> None:
         """Show what is drawn as it is."""
@@ -228,7 +229,7 @@ class Pointer:
             self.display.draw(self.history.drawing, self.hand)  # its marks are of what is seen
         if (first and self.active) or self._in_error:
             self._in_error = False
-            self.said.emit(self.tool.how if self.active else OFF)
+            self.said.emit(self.tool.how if self.active else motion_messages.OFF)
 
     def leave(self) -> None:
         """Draw no more; take away the layers that nobody answers. What is drawn stays."""
@@ -246,28 +247,28 @@ class Pointer:
         """Take hold of tissue, or of an arrow, or put the brush down; whether a drag begins."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
-            self.said.emit(PREPARING)
+            self.said.emit(motion_messages.PREPARING)
             return False
         self.begun.emit()
         other = self.display.covering
         if other is not None:
-            self.said.emit(covered(other.name))
+            self.said.emit(motion_messages.covered(other.name))
             return False
         if self.tool.is_brush and not moved.is_inside(point):
-            self.said.emit(OUTSIDE)
+            self.said.emit(motion_messages.OUTSIDE)
             return False
         hand, self._picked = self.hand, False
         taken = hand.press(point, reach, self._fields.how, moved.came_from)
         self._show_how()
         if not taken:
-            self.said.emit(NOTHING)
+            self.said.emit(motion_messages.NOTHING)
         elif hand.pending is not None:
-            self.said.emit(HALF)
+            self.said.emit(motion_messages.HALF)
         elif not self.preparing:
             self.said.emit(self.tool.how)
         if self.tool.is_brush:
             if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
-                self.said.emit(NO_STEP)
+                self.said.emit(motion_messages.NO_STEP)
             self.display.touch(hand, point, first=True)
         if hand.holding:
             self.display.arrows.hide_circle()
@@ -290,7 +291,9 @@ class Pointer:
         self.hand.select(number)
         self._picked = number is not None
         self._show_how()
-        self.said.emit(PICKED if number is not None else NOTHING_DRAWN)
+        self.said.emit(
+            motion_messages.PICKED if number is not None else motion_messages.NOTHING_DRAWN
+        )
         self.draw()
 
     def move(self, point: Point) -> None:
@@ -306,13 +309,13 @@ class Pointer:
             done = self.hand.release()
         except HmrfError:
             self._in_error = False
-            self.said.emit(NO_OUTSIDE)
+            self.said.emit(motion_messages.NO_OUTSIDE)
             self.draw()
             return
         if done:
             mark = self.hand.mark
             if isinstance(mark, Stroke) and self.display.is_beside(mark):
-                self.said.emit(BESIDE)
+                self.said.emit(motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if self.tool.name == "landmark" or pushed:  # nothing more is waited for
@@ -323,7 +326,7 @@ class Pointer:
         """Give up the drag or the pair that goes on; without one, select nothing."""
         self.display.arrows.end_drag()
         if self.hand.cancel():
-            self.said.emit(CANCELLED)
+            self.said.emit(motion_messages.CANCELLED)
         else:
             self.hand.select(None)
             self.said.emit(self.tool.how)
@@ -333,24 +336,12 @@ class Pointer:
         """Remove what is selected."""
         self.display.arrows.end_drag()
         removed = self.hand.remove()
-        self.said.emit(REMOVED if removed else NOTHING_SELECTED)
+        self.said.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
-    def ask_for(self, tool: str) -> None:
-        """The key of a tool."""
-        self.take_up(tool)
-
-    def ask_for_size(self, factor: float) -> None:
-        """The keys of the brush's size."""
+    def resize(self, factor: float) -> None:
+        """Have the brush be so many times larger."""
         radius = self._fields.radius
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
-
-    def undo(self) -> None:
-        """Take back what was done last."""
-        self._steps.undo()
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
-        self._steps.redo()
 
     def interrupt(self) -> bool:
         """A pair of which only one place was clicked is what was done last."""
@@ -392,7 +383,9 @@ class Pointer:
         self._in_error = self.active
         if hand.holding and isinstance(hand.mark, Stroke):
             # A ring that is being painted is an open line until it is closed.
-            self.said.emit(OPEN if hand.mark.action == "expand" else in_short(error))
+            self.said.emit(
+                motion_messages.OPEN if hand.mark.action == "expand" else in_short(error)
+            )
             return
         self.display.show_painted(seen, hand)
         if self.active:
