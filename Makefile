@@ -10,12 +10,13 @@ LOOPS ?= 5000
 SHADERS ?= 500
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report demo test format lint types lines benchmarks live dragging trust hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test docs format lint types lines benchmarks live dragging trust hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
 	@echo "make test         run the tests"
+	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make format       format the code"
 	@echo "make lint         look for mistakes in style"
 	@echo "make types        check the types"
@@ -41,12 +42,20 @@ setup-for-windows:
 setup-for-report:
 	@$(PYTHON) scripts/setup.py --for-report
 
+setup-for-docs:
+	@$(PYTHON) scripts/setup.py --for-docs
+
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
 # Three processes: some of them wait, for a window or for shaders, while two cores compute.
 test: setup-for-windows
 	@$(HEADLESS) $(RUN) -m pytest -n 3 --dist worksteal
+
+# Warnings are errors, and all of them are shown. Nothing is fetched.
+docs: setup-for-docs
+	@$(RUN) -m sphinx -W --keep-going -E -q docs docs/_build
+	@echo "The site is in docs/_build: open docs/_build/index.html"
 
 format: setup
 	@$(RUN) -m ruff format .
@@ -95,5 +104,5 @@ constraints:
 	@$(PYTHON) scripts/setup.py --newest
 
 clean:
-	rm -rf $(VENV) build dist demo-output benchmark-output .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist docs/_build demo-output benchmark-output .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

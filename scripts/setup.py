@@ -8,6 +8,7 @@ this checkout and all that its tests use. Only Python itself is needed to run th
     python3 scripts/setup.py --newest   # with the newest there are, which are then written there
     python3 scripts/setup.py --for-windows   # fails where Qt's libraries are still missing
     python3 scripts/setup.py --for-report    # also what the validation report compares with
+    python3 scripts/setup.py --for-docs      # also what the site of the documentation is built with
 """
 
 import ctypes
@@ -184,7 +185,7 @@ def provide_environment(newest):
         subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
     STAMP.unlink(missing_ok=True)
     pip = [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
-    extras = "dev,report" if newest else "dev"
+    extras = "dev,docs,report" if newest else "dev"
     install = [*pip, "install", "--editable", f"{ROOT}[{extras}]"]
     constrained = [*install, "--constraint", str(CONSTRAINTS)]
     if newest or not CONSTRAINTS.exists():
@@ -259,13 +260,26 @@ class Line:
 
 def provide_for_report():
     """Install what the report compares with; without it the report says what is missing."""
-    if quiet([str(python_of_venv()), "-c", "import pyamg, SimpleITK"]):
-        return
-    install = [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
-    install += ["install", "--editable", f"{ROOT}[report]"]
-    constrained = [*install, "--constraint", str(CONSTRAINTS)]
-    if install_with_progress(constrained) and install_with_progress(install):
+    if not provide_extra("report", "pyamg, SimpleITK"):
         say("The report will do without what could not be installed (above).")
+
+
+def provide_for_docs():
+    """Install what the site is built with; nothing builds it without that."""
+    if not provide_extra("docs", "sphinx, myst_parser, furo"):
+        say("The site cannot be built without what could not be installed (above).")
+        sys.exit(1)
+
+
+def provide_extra(extra, modules):
+    """Install an extra of pyproject.toml, unless its modules are there; whether they are then."""
+    python = str(python_of_venv())
+    if quiet([python, "-c", f"import {modules}"]):
+        return True
+    install = [python, "-m", "pip", "--disable-pip-version-check"]
+    install += ["install", "--editable", f"{ROOT}[{extra}]"]
+    constrained = [*install, "--constraint", str(CONSTRAINTS)]
+    return not (install_with_progress(constrained) and install_with_progress(install))
 
 
 def venv_works():
@@ -293,6 +307,8 @@ def main():
         if "--for-report" in sys.argv[1:]:
             provide_system(FOR_REPORT)
             provide_for_report()
+        if "--for-docs" in sys.argv[1:]:
+            provide_for_docs()
     except subprocess.CalledProcessError as error:
         say(f"Setting up failed: {' '.join(str(part) for part in error.cmd)}")
         say("What was wrong is above; the next make tries again.")

@@ -1,0 +1,30 @@
+"""A tumour grows in a brain whose outline is held: what that does to the tissue around it.
+
+The sample is drawn, with its tissues (void, normal, soft, tumour) and its boundary: the outline is
+fixed, and the rim of the tumour expands. The result is saved to a file, which napari opens as well.
+"""
+
+import numpy as np
+
+from napari_hmrf import Solution, count_folds, jacobian_determinant, phantom, solve, warp
+
+brain = phantom("mass-effect", size=150)
+solution = solve(brain.problem)
+
+# By which factor the area around each pixel has changed; NaN where there is no tissue.
+jacobian = jacobian_determinant(solution.displacement, tissue=solution.tissue)
+for label, name in ((3, "tumour"), (2, "ventricles"), (1, "normal tissue")):
+    there = brain.tissue_labels == label
+    print(f"area of the {name}: {100 * np.nanmean(jacobian[there]):.1f} % of what it was")
+folded = count_folds(solution.displacement, tissue=solution.tissue)
+print(f"pixels at which tissue folds: {folded}")
+
+# Images move with the tissue; labels take the nearest pixel.
+image = warp(brain.image, solution.displacement, tissue=solution.tissue)
+labels = warp(brain.tissue_labels, solution.displacement, tissue=solution.tissue, order=0)
+before, after = (brain.tissue_labels == 3).sum(), (labels == 3).sum()
+print(f"pixels of tumour: {before} before, {after} after")
+
+path = solution.save("growing-tumour.npz")
+print(f"{path}: {Solution.load(path)}")
+np.save("growing-tumour-image.npy", image)

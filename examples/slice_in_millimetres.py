@@ -1,0 +1,34 @@
+"""A slice with oblong pixels, and landmarks that were found again elsewhere.
+
+Rows are 1.5 mm apart and columns 0.75 mm, so all lengths are in millimetres: radii, displacements.
+Places are (row, col) in pixels. The outer edge of the tissue is held.
+"""
+
+import numpy as np
+
+from napari_hmrf import Grid, Landmark, Landmarks, Motion, Study, Tissue, solve_study, statement_of
+
+grid = Grid(shape=(60, 120), spacing=(1.5, 0.75), unit="mm")
+landmarks = Landmarks(
+    (
+        Landmark(source=(20, 40), target=(22, 40), radius=2),
+        Landmark(source=(30, 70), target=(30, 74), radius=2),
+        Landmark(source=(42, 90), target=(42, 90), radius=2),
+    )
+)
+study = Study(
+    grid,
+    Tissue(stiffness=np.ones(grid.shape)),
+    Motion(hold_edge=True, landmarks=landmarks),
+)
+
+problem = statement_of(study).problem  # what is solved: three images on one grid
+print(f"{int(problem.known.any(axis=-1).sum())} of {problem.tissue.size} pixels are known")
+
+solution = solve_study(study)
+for number, mark in enumerate(landmarks.marks):
+    row, col = (round(place) for place in mark.source)
+    down, right = solution.displacement[row, col]
+    print(f"landmark {number} moves {down:.2f} mm down and {right:.2f} mm to the right")
+farthest = np.linalg.norm(solution.displacement, axis=-1).max()
+print(f"nothing moves further than {farthest:.2f} mm")

@@ -1,0 +1,28 @@
+"""A stiff disc in soft tissue: the tissue around it is stretched, and the disc hardly.
+
+The left edge is held, the right edge is pulled 8 pixels to the right, and the disc is twenty times
+as stiff as what is around it.
+"""
+
+import numpy as np
+
+from napari_hmrf import Problem, principal_strains, small_strain, solve
+
+shape = (96, 96)
+rows, cols = np.indices(shape)
+disc = np.hypot(rows - 48, cols - 48) < 16
+
+stiffness = np.where(disc, 20.0, 1.0)
+observed = np.zeros((*shape, 2))  # how far the boundary moves: (row, col), in pixels
+confidence = np.zeros((*shape, 2))  # where that is known: 1, and 0 elsewhere
+observed[:, -2:] = (0, 8)
+confidence[:, :2] = confidence[:, -2:] = 1
+
+solution = solve(Problem(observed, confidence, stiffness))
+print(solution)
+
+stretch = principal_strains(small_strain(solution.displacement))[..., 0]
+row, col = solution.displacement[48, 48]
+print(f"the middle of the disc moves {row:.2f} pixels down and {col:.2f} to the right")
+print(f"largest strain, mean within the disc: {100 * stretch[disc].mean():.1f} %")
+print(f"largest strain, mean around the disc: {100 * stretch[~disc].mean():.1f} %")

@@ -1,0 +1,76 @@
+"""The examples do what they say: each is run as it stands, and its words are looked at."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+from napari_hmrf import Solution, phantom
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+pytestmark = pytest.mark.skipif(not EXAMPLES.exists(), reason="needs a checkout of the repository")
+
+
+@pytest.fixture
+def said(monkeypatch, capsys, tmp_path):
+    """Run an example in a folder of its own; what it prints."""
+
+    def run(name: str) -> str:
+        monkeypatch.chdir(tmp_path)
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def number(pattern: str, text: str) -> float:
+    """The number in words that are there once."""
+    (found,) = re.findall(pattern.replace("#", r"(-?[\d.]+)"), text)
+    return float(found)
+
+
+def test_a_stiff_disc_is_hardly_stretched_and_moves_half_the_way(said):
+    text = said("stiff_disc")
+    within = number("mean within the disc: # %", text)
+    assert 0 < within < 0.2 * number("mean around the disc: # %", text)
+    assert number("# to the right", text) == pytest.approx(4, abs=0.3)
+
+
+def test_a_tumour_grows_at_the_cost_of_what_is_around_it(said, tmp_path):
+    text = said("growing_tumour")
+    assert number("area of the tumour: # %", text) > 120
+    assert number("area of the ventricles: # %", text) < 100
+    assert number("area of the normal tissue: # %", text) < 100
+    assert number("tissue folds: #", text) == 0
+    before, after = re.findall(r"(\d+) before, (\d+) after", text)[0]
+    assert int(after) > 1.2 * int(before)
+    saved = Solution.load(tmp_path / "growing-tumour.npz")
+    assert (saved.tissue == phantom("mass-effect", size=150).problem.tissue).all()
+
+
+def test_landmarks_go_where_they_should_be_in_millimetres(said):
+    text = said("slice_in_millimetres")
+    moves = re.findall(r"moves (-?[\d.]+) mm down and (-?[\d.]+) mm to the right", text)
+    # Two rows of 1.5 mm, four columns of 0.75 mm, and nothing.
+    expected = [(3, 0), (0, 3), (0, 0)]
+    for found, wanted in zip(moves, expected, strict=True):
+        assert tuple(map(float, found)) == pytest.approx(wanted, abs=0.01)
+    assert number("further than # mm", text) == pytest.approx(3, abs=0.05)
+
+
+def test_the_papers_field_is_nearer_to_finite_elements_converged_and_elastic_is_there(said):
+    text = said("paper_beside_elastic")
+    paper = number("^paper: # px", text)
+    converged, elastic = number("paper, converged: # px", text), number("elastic: # px", text)
+    assert elastic < 0.005 < converged < 0.5 * paper
+    assert paper < 1.44, "as far as the paper's own"
+
+
+def test_a_drag_that_goes_on_as_it_did_is_the_same_field_for_less_work(said):
+    text = said("drag")
+    apart = [float(found) for found in re.findall(r"([\d.]+) px from a fresh start", text)]
+    assert len(apart) == 8
+    assert max(apart) < 0.003, "both are within the tolerance, a thousandth of a pixel"
+    assert number("# iterations in all", text) < number("each time, #", text)
