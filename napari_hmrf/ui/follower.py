@@ -137,7 +137,7 @@ class Follower:
     def at_work(self) -> bool:
         """Whether anything is computed, or will be."""
         self._jobs = [job for job in self._jobs if not job.done()]
-        return self.busy or bool(self._jobs)
+        return self.busy or bool(self._jobs) or self._newest.waits
 
     @property
     def monitor(self) -> Monitor:

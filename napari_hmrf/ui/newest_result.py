@@ -41,6 +41,11 @@ class Newest(QObject):
             if not told:
                 self._came.emit()
 
+    @property
+    def waits(self) -> bool:
+        """Whether something is not answered yet."""
+        return bool(self._waiting)
+
     def forget(self) -> None:
         """Drop what waits."""
         with self._lock:
