@@ -11,7 +11,7 @@ from typing import Any
 from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
-from napari_hmrf.errors import HmrfError
+from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request, read_study
@@ -21,10 +21,13 @@ from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 from napari_hmrf.ui.choices import Choices
+from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.follower import Done, Follower, Seen
 from napari_hmrf.ui.live_choice import LiveChoice
@@ -82,6 +85,8 @@ class LiveStudy:
         Whether a study is solved from nothing.
     live : LiveChoice
         Whether every edit is followed.
+    curve_layer : CurveLayer
+        Shows the curve by which tissue is made, if it is.
     note : str
         What was found in the paint, to be said with the next result.
     """
@@ -126,6 +131,7 @@ class LiveStudy:
         self._looking = single_shot(native, 0, self.look)
         self._resting = single_shot(native, _REST, self.complete)
         self._poll = repeating(native, _POLL, self._on_poll)
+        self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         self.live = LiveChoice(form.footer.live, self.touch)
         pointer.drawn.connect(self._on_drawn)
         for box in form.result.kinds.values():
@@ -180,6 +186,26 @@ class LiveStudy:
         settings = self._form.settings
         return read_study(request, settings.prior, settings.optimizer, self._copies)
 
+    def first_curve(self) -> StiffnessCurve:
+        """Guess by which curve the slice's brightness says how stiff tissue is.
+
+        Raises
+        ------
+        HmrfError
+            If it cannot be read, or is of one value.
+        """
+        image = self._form.image.value
+        study = self.read(Request(image=image, view=self._choices.view, drawing=Drawing()))
+        assert study.pictures.intensities is not None
+        try:
+            return first_curve(study.pictures.intensities)
+        except ProblemError as error:
+            raise LayerError(
+                image,
+                "is of one value in this slice, so that no curve can tell tissues apart. Choose "
+                "another image or slice.",
+            ) from error
+
     # What can be done
 
     def touch(self, *_: Any) -> None:
@@ -200,6 +226,7 @@ class LiveStudy:
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
             self._asked, self._outdated = None, True
+            self.curve_layer.show(None)
             self._cannot(error)
             return False
         study = self._stand_on(study, request.layers[0])
@@ -299,7 +326,7 @@ class LiveStudy:
     def _stand_on(self, study: Study, source: Any) -> Study:
         """Work on a study; returns it, with what is drawn on its slice."""
         before = self.study
-        self._pointer.tissue = self._form.tissue.choice.value
+        self._pointer.tissue = self._form.tissue.layer
         place, self.study = study.grid, study
         if before is None or source is not self.source or before.grid != place:
             self.source = source
@@ -311,6 +338,7 @@ class LiveStudy:
             self._follower.rehearse(study)
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
+        self.curve_layer.show(study, source)
         self._form.show_place(place, unit_symbol(place.unit), ways)
         motion = replace(study.motion, drawing=self._pointer.drawing)
         self.study = study = replace(study, motion=motion)
