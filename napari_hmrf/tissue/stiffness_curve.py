@@ -226,7 +226,10 @@ class StiffnessCurve:
         if void_below is not None:
             values = values[values >= void_below]
         if not values.size or values.min() == values.max():
-            raise _bad("cannot be made: the image has not two different intensities there")
+            raise _bad(
+                "cannot be made: the image has not two different intensities there. Choose another "
+                "image or slice"
+            )
         found = [float(f"{value:.5g}") for value in np.percentile(values, percentiles)]
         points = dict(zip(found, stiffnesses, strict=True))
         if len(points) < 2:  # most of the image is of one value

@@ -63,7 +63,7 @@ class DockSteps:
         for painted in (tissue.painted, boundary.painted):
             painted.changed.connect(lambda each=painted: self.note(each.by_itself))
         tissue.choice.changed.connect(lambda _: self.note())
-        tissue.editor.plot.edited.connect(lambda curve: self._take_curve(curve, settled=False))
+        tissue.editor.plot.edited.connect(self._take_curve)
         tissue.editor.plot.settled.connect(lambda _: self._model.end())
         boundary.landmarks.edited.connect(lambda: self.note())
         buttons = form.footer.steps
@@ -124,11 +124,12 @@ class DockSteps:
     def curve(self, curve: StiffnessCurve | None) -> None:
         if curve is not None:
             self._take_curve(curve)
+            self._model.end()
         elif self.curve is not None:
             self._form.tissue.choice.value = None
 
-    def _take_curve(self, curve: StiffnessCurve, settled: bool = True) -> None:
-        """Have the image go by a curve: its first, or a step, which goes on unless `settled`."""
+    def _take_curve(self, curve: StiffnessCurve) -> None:
+        """Have the image go by a curve: its first, or a step that is not over yet."""
         slot, model = self._curve_slot, self._model
         if slot.layer is None:
             raise HmrfError(WELCOME)
@@ -136,8 +137,6 @@ class DockSteps:
             if model.in_progress != slot:
                 model.begin(slot, f"changed the curve of '{slot.layer.name}'")
             model.update(curve)
-            if settled:
-                model.end()
         else:
             self._form.tissue.go_by(curve)
 

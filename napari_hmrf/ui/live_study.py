@@ -11,7 +11,7 @@ from typing import Any
 from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
-from napari_hmrf.errors import HmrfError, ProblemError
+from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request, read_study
@@ -21,7 +21,6 @@ from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
@@ -197,14 +196,7 @@ class LiveStudy:
         image = self._form.image.value
         study = self.read(Request(image=image, view=self._choices.view, drawing=Drawing()))
         assert study.pictures.intensities is not None
-        try:
-            return first_curve(study.pictures.intensities)
-        except ProblemError as error:
-            raise LayerError(
-                image,
-                "is of one value in this slice, so that no curve can tell tissues apart. Choose "
-                "another image or slice.",
-            ) from error
+        return first_curve(study.pictures.intensities)
 
     # What can be done
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from napari.layers import Layer
+from napari.layers import Image
 
 from napari_hmrf.layers.label_colours import stiffness_colours
 from napari_hmrf.layers.metadata import METADATA, TISSUE
@@ -52,22 +52,16 @@ class CurveLayer:
         elif before.tissue.curve == curve and before.grid == study.grid:
             return
         place, (softest, stiffest) = study.grid.place, curve.range
-        unit = f" ({curve.unit})" if curve.unit else ""
-        looks = {
-            "name": f"{image.name} stiffness{unit}",
-            "metadata": {METADATA: {"kind": "curve", "role": TISSUE, "unit": curve.unit}},
-            "colormap": stiffness_colours(),
-            "opacity": 0.5,
-            **place.placement(image=True),
-        }
+        known = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
+        looks = {"metadata": {METADATA: known}, **place.placement(image=True)}
         made = LayerData(place.put_image(curve(intensities)), looks, "image")
-        # From less than the softest, so that only what is void lies below.
-        limits = (min(softest / 2, stiffest / 256), stiffest)
         if still_there(self._viewer, self.layer):
             update_layer(self.layer, made)
-            self.layer.contrast_limits = limits
-            return
-        looks["contrast_limits"] = limits
-        self.layer = Layer.create(*made)
-        with same_selection(self._viewer):
-            self._viewer.layers.insert(self._viewer.layers.index(image) + 1, self.layer)
+        else:
+            unit = f" ({curve.unit})" if curve.unit else ""
+            look = {"colormap": stiffness_colours(), "opacity": 0.5}
+            self.layer = Image(made.data, name=f"{image.name} stiffness{unit}", **looks, **look)
+            with same_selection(self._viewer):
+                self._viewer.layers.insert(self._viewer.layers.index(image) + 1, self.layer)
+        # From less than the softest, so that only what is void lies below.
+        self.layer.contrast_limits = min(softest / 2, stiffest / 256), stiffest
