@@ -8,14 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from napari.layers import Layer
 from studies import Study
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
 from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.stiffness_layers import stiffness_layer
 from napari_hmrf.study.ground import Ground, statement_of
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -33,14 +31,14 @@ def read(study: Study) -> Read:
     """Read a study's layers, tables and drawing as the window does."""
     prior, optimizer = _model(**study.model)
     view = View.of(study.viewer.dims)
-    tissue = study.tissue if study.curve is None else _by_curve(study)
+    curve = None if study.curve is None else StiffnessCurve.from_dict(study.curve)
     landmarks = drawing = None
     if study.where is not None:
         landmarks = LandmarkLayers(study.where, study.should, **study.landmarks)
     if study.drawing is not None:
         drawing = Drawing.from_dict({"version": 1, "marks": study.drawing})
     request = Request(
-        tissue=tissue,
+        tissue=study.tissue,
         boundary=study.boundary,
         image=study.image,
         confidence=study.confidence,
@@ -48,6 +46,7 @@ def read(study: Study) -> Read:
         landmarks=landmarks,
         hold_edge=study.hold_edge and drawing is not None,
         drawing=drawing,
+        curve=curve,
     )
     stated = statement_of(read_study(request, prior, optimizer))
     return Read(stated.problem, stated.prior, stated.optimizer)
@@ -83,11 +82,6 @@ def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> S
         ignored=ground.ignored,
         notes=ground.notes_on(stated),
     )
-
-
-def _by_curve(study: Study) -> Any:
-    made = stiffness_layer(study.image, StiffnessCurve.from_dict(study.curve or {}))
-    return study.viewer.add_layer(Layer.create(*made))
 
 
 def _model(

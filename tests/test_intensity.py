@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance, with_point
+from napari_hmrf.tissue.stiffness_curve import (
+    StiffnessCurve,
+    first_curve,
+    luminance,
+    with_point,
+)
 
 RAMP = StiffnessCurve(((0, 1), (100, 100)))
 
@@ -165,6 +170,16 @@ def test_two_intensities_are_enough_for_a_first_curve_and_one_is_not():
     for flat in (np.full((4, 4), 3), np.full((4, 4), np.nan), np.zeros((0, 4))):
         with pytest.raises(ProblemError, match="two different intensities"):
             StiffnessCurve.from_percentiles(flat)
+
+
+def test_a_first_curve_leaves_out_the_dark_surroundings_and_keeps_dark_places_inside():
+    head = np.full((40, 40), 3.0) + np.random.default_rng(0).random((40, 40))
+    head[8:32, 8:32] = 100 + 20 * np.random.default_rng(1).random((24, 24))
+    head[18:22, 18:22] = 12  # fluid
+    m = first_curve(head)(head)
+    assert (m[:8] == 0).mean() > 0.97
+    assert (m[8:32, 8:32] > 0).all()
+    assert first_curve(head[8:32, 8:32]).void_below is None
 
 
 def test_colours_count_by_how_bright_they_look():

@@ -21,7 +21,7 @@ from napari_hmrf.study.study_model import Step, StudyModel
 
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
 DRAWING = "drawing"
-#: And that with the curve of a layer of stiffness.
+#: And that with the curve by which an image's intensity says how stiff tissue is.
 CURVE = "curve"
 #: And that with the points of a Points layer, or the lines of a Shapes layer.
 POINTS = "points"

@@ -57,13 +57,12 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The layer's name, the unit of stiffness, and a table of materials or a curve.
+        The layer's name, the unit of stiffness, and a table of materials.
     """
     known = known_of(layer)
-    record = {"layer": str(layer.name)}
-    record.update({key: known[key] for key in ("unit", "curve", "source") if key in known})
+    record = {"layer": str(layer.name), **({"unit": known["unit"]} if "unit" in known else {})}
     rows = [material.as_row() for material in materials]
-    return record if "curve" in known or not rows else {**record, "materials": rows}
+    return {**record, "materials": rows} if rows else record
 
 
 def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:

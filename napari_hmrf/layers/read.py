@@ -24,6 +24,7 @@ from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Ti
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 #: Pixels sheared by less than this many degrees pass for rectangles.
 _RIGHT_ANGLE = 0.1
@@ -60,6 +61,8 @@ class Request:
         The tissues that can be painted where the layer has no table of its own.
     without_border : bool
         Whether what is dark around the image is no tissue where its label is 0.
+    curve : StiffnessCurve, optional
+        By which the image's intensity says how stiff tissue is; with `image`, in place of `tissue`.
     """
 
     tissue: Any = None
@@ -74,6 +77,7 @@ class Request:
     drawing: Drawing | None = None
     preset: Preset | None = None
     without_border: bool = False
+    curve: StiffnessCurve | None = None
 
     @property
     def layers(self) -> tuple[Any, ...]:
@@ -175,7 +179,10 @@ class _Reader:
 
     def _tissue(self) -> Tissue:
         request = self._request
-        layer = request.tissue
+        layer, curve = request.tissue, request.curve
+        if curve is not None:
+            record = {"curve": curve.as_dict(), "source": str(self._reference.name)}
+            return Tissue(curve=curve, preset=request.preset, unit=curve.unit, record=record)
         if layer is None:
             return Tissue(preset=request.preset)
         unit = str(known_of(layer).get("unit", ""))

@@ -14,7 +14,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, unit_factor, unit_symbol
+from napari_hmrf.layers.slice_view import View, layer_extents, unit_factor, unit_symbol
 from napari_hmrf.solver.solution import Solution
 
 
@@ -84,7 +84,7 @@ def can_be_source(layer: Any, result: FoundResult) -> bool:
 def tissue_of(layers: Iterable[Any], result: FoundResult) -> Any:
     """Find the layer that says how stiff the tissue of a result is, or None.
 
-    That is one of labels with a table, or one of stiffness made from an image's intensity.
+    That is one of labels with a table, or one of stiffness.
     """
     for layer in reversed(list(layers)):
         if role_of(layer) != TISSUE:
@@ -104,6 +104,9 @@ def frame_in(layer: Any, result: FoundResult) -> Frame | None:
         index = ((0,) * more + result.frame.index)[-own.ndim :]
         if min(plane) < 0:
             return None
+        # A layer may be of that one slice alone.
+        sizes = layer_extents(layer)
+        index = tuple(min(at, size - 1) for at, size in zip(index, sizes, strict=True))
         own = replace(own, plane=(plane[0], plane[1]), index=index)
         fits = plane_shape(layer, own) == result.shape
         return own if fits and result.frame.same_place(own, result.shape) else None

@@ -41,7 +41,6 @@ from napari_hmrf.tissue.label_defaults import default_material, default_rule
 from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.palette import OTHER, Palette
-from napari_hmrf.tissue.stiffness_curve import luminance
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 FloatArray = npt.NDArray[np.float32]
@@ -282,11 +281,8 @@ class _Where:
             self.m = as_stiffness(tissue.stiffness)
             self.palette = Palette.of_preset(tissue.preset, relative=False)
             self.labels = np.full(shape, OTHER, dtype=np.int32)
-        elif tissue.curve is not None and study.pictures.image is not None:
-            colours = study.pictures.image.ndim == 3
-            self.m = tissue.curve(
-                luminance(study.pictures.image) if colours else study.pictures.image
-            )
+        elif tissue.curve and (intensities := study.pictures.intensities) is not None:
+            self.m = tissue.curve(intensities)
             self.palette = Palette.of_preset(tissue.preset, relative=False)
             self.labels = np.full(shape, OTHER, dtype=np.int32)
         else:

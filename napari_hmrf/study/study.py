@@ -22,7 +22,7 @@ from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
 Array = npt.NDArray[Any]
 
@@ -182,6 +182,12 @@ class Pictures:
     level: int | None = None
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def intensities(self) -> Array | None:
+        """How bright the image is; of colours, the luminance."""
+        image = self.image
+        return image if image is None or image.ndim == 2 else luminance(image)
 
 
 @dataclass(frozen=True, eq=False)

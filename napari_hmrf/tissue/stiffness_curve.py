@@ -20,6 +20,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_one_of, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.tissue.surroundings import background_of, surrounds
 
 FloatArray = npt.NDArray[np.float32]
 Between = Literal["straight", "smooth"]
@@ -35,6 +36,8 @@ _NODES = 64
 _TABLE = 2**16
 #: Stiffnesses are computed in single precision.
 _LARGEST = float(np.finfo(np.float32).max)
+#: So far above what surrounds it tissue begins, on the way to its usual intensity.
+_ABOVE = 0.01
 #: Of red, green and blue: how bright they look (ITU-R BT.709).
 _LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))
 
@@ -223,7 +226,10 @@ class StiffnessCurve:
         if void_below is not None:
             values = values[values >= void_below]
         if not values.size or values.min() == values.max():
-            raise _bad("cannot be made: the image has not two different intensities there")
+            raise _bad(
+                "cannot be made: the image has not two different intensities there. Choose another "
+                "image or slice"
+            )
         found = [float(f"{value:.5g}") for value in np.percentile(values, percentiles)]
         points = dict(zip(found, stiffnesses, strict=True))
         if len(points) < 2:  # most of the image is of one value
@@ -258,6 +264,24 @@ def luminance(colours: npt.NDArray[Any]) -> FloatArray:
     for number, share in enumerate(_LUMINANCE):
         bright += share * colours[..., number].astype(np.float32)
     return bright
+
+
+def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
+    """Guess a curve for an image, shape (H, W): brighter is stiffer, dark surroundings are void.
+
+    Raises
+    ------
+    ProblemError
+        If the image is of one value.
+    """
+    around, void_below = background_of(picture), None
+    if surrounds(around) and not around.all():
+        dark, rest = (part[np.isfinite(part)] for part in (picture[around], picture[~around]))
+        if dark.size and rest.size:
+            # Just above nearly all of it: dark places inside, such as fluid, stay tissue.
+            darkest, usual = float(np.percentile(dark, 99)), float(np.median(rest))
+            void_below = float(f"{darkest + _ABOVE * (usual - darkest):.4g}")
+    return StiffnessCurve.from_percentiles(picture, void_below=void_below)
 
 
 def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> StiffnessCurve:

@@ -9,7 +9,7 @@ from typing import Any
 from napari.layers import Labels, Vectors
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import DRAWING, Slot, steps_of
+from napari_hmrf.layers.edit_history import CURVE, DRAWING, Slot, steps_of
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.read import Request
@@ -74,7 +74,7 @@ class Choices:
             If there is nothing to work on.
         """
         form, boundary = self._form, self._form.motion.boundary
-        image, tissue = form.image.value, form.tissue.choice.value
+        image, tissue = form.image.value, form.tissue.layer
         if image is None and (self._lost or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
         labelled = isinstance(tissue, Labels)
@@ -92,6 +92,7 @@ class Choices:
             drawing=Drawing(),
             preset=form.motion.fields.preset.value,
             without_border=form.tissue.border.value,
+            curve=form.tissue.curve,
         )
 
     def look(self, *_: Any) -> None:
@@ -101,7 +102,6 @@ class Choices:
             choice.reset_choices()
         self._by_hand = by_hand
         form.motion.boundary.landmarks.look()
-        form.tissue.curve.look()
         if before is not None and form.image.value is None:
             others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
             images = [layer for layer in form.image.offered if layer not in others]
@@ -146,7 +146,7 @@ class Choices:
     def _take_painted(self, layer: Any) -> None:
         before, self._taking = self._taking, True
         role = role_of(layer)
-        if role == TISSUE:
+        if role == TISSUE and layer in self._form.tissue.choice.offered:
             self._form.tissue.choice.value = layer
         elif role == BOUNDARY:
             self._form.motion.boundary.choice.value = layer
@@ -186,6 +186,7 @@ class Choices:
         if before is not None:
             self._kept[before] = {name: field.value for name, field in self._fields.items()}
         self._image = None if image is None else weakref.ref(image)
+        self._form.tissue.offer(steps_of(self._viewer).edits.get(Slot(CURVE, image)))
         if image is None:
             return
         known = self._kept.get(image)
@@ -194,7 +195,7 @@ class Choices:
         for name, value in (known or self._beginning).items():
             field = self._fields[name]
             layer = hasattr(field, "offered")
-            field.value = value if not layer or value in field.offered else None
+            field.value = value if not layer or value in field.choices else None
         if known is None:
             for layer in painted_on(image, self._viewer.layers, self.view):
                 self._take_painted(layer)

@@ -44,7 +44,7 @@ class DockForm:
     ----------
     image : LayerChoice
     make, intensity : PushButton
-        Add layers to paint on, and one of stiffness.
+        Add layers to paint on, and have tissue go by brightness.
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
@@ -67,8 +67,7 @@ class DockForm:
         )
         self.intensity = PushButton(
             text="Tissue from brightness",
-            tooltip="Adds a layer of stiffness made from how bright the image is, by a curve that "
-            "you draw",
+            tooltip="How bright the image is says how stiff tissue is, by a curve that you draw",
         )
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
@@ -164,7 +163,7 @@ class DockForm:
             container.margins = (2, 2, 2, 2)
 
     def _on_tissue(self) -> None:
-        layer = self.tissue.choice.value
+        layer = self.tissue.layer if self.tissue.curve is None else self.image.value
         self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
 
     def _on_energy(self, *_: str) -> None:

@@ -1,4 +1,4 @@
-"""Tables, the curve and landmarks among the steps that are undone, by buttons and keys."""
+"""Tables, curves and landmarks among the steps that are undone, by buttons and keys."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from napari.layers import Points, Shapes
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import is_drawn
 from napari_hmrf.layers.edit_history import CURVE, POINTS, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.points_state import placed_in
 from napari_hmrf.layers.table_state import Table, change
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.messages import WELCOME
 from napari_hmrf.ui.step_buttons import StepKeys
 from napari_hmrf.ui.timers import single_shot
 
-#: How long points, or a curve, must rest until a drag of them is over, in milliseconds.
+#: How long points must rest until a drag of them is over, in milliseconds.
 _REST = 200
 
 
@@ -57,7 +60,8 @@ class DockSteps:
         for painted in (tissue.painted, boundary.painted):
             painted.changed.connect(lambda each=painted: self.note(each.by_itself))
         tissue.choice.changed.connect(lambda _: self.note())
-        tissue.curve.changed.connect(lambda _: self.note())
+        tissue.editor.plot.edited.connect(self._take_curve)
+        tissue.editor.plot.settled.connect(lambda _: self._model.end())
         boundary.landmarks.edited.connect(lambda: self.note())
         buttons = form.footer.steps
         buttons.undo.changed.connect(steps.undo)
@@ -97,14 +101,41 @@ class DockSteps:
                 self._step(slot, before, now)
         self._drop_points(self._known)
 
+    @property
+    def curve(self) -> StiffnessCurve | None:
+        """The curve by which the image's brightness is its tissue, if it is; to be set, too."""
+        return self._form.tissue.curve
+
+    @curve.setter
+    def curve(self, curve: StiffnessCurve | None) -> None:
+        if curve is not None:
+            self._take_curve(curve)
+            self._model.end()
+        elif self.curve is not None:
+            self._form.tissue.choice.value = None
+
+    def _take_curve(self, curve: StiffnessCurve) -> None:
+        """Have the image go by a curve: its first, or a step that is not over yet."""
+        slot, model = self._curve_slot, self._model
+        if slot.layer is None:
+            raise HmrfError(WELCOME)
+        if model.open(slot, curve) != curve:
+            if model.in_progress != slot:
+                model.begin(slot, f"changed the curve of '{slot.layer.name}'")
+            model.update(curve)
+        else:
+            self._form.tissue.go_by(curve)
+
+    @property
+    def _curve_slot(self) -> Slot:
+        return Slot(CURVE, self._form.image.value)
+
     def _edited(self) -> Iterator[tuple[Slot, Any]]:
         """What is chosen and can be edited, as it is now."""
         form = self._form
         for role, section in ((TISSUE, form.tissue), (BOUNDARY, form.motion.boundary)):
             if (layer := section.painted.layer) is not None:
                 yield Slot(role, layer), Table.of(layer, role)
-        if (layer := form.tissue.curve.layer) is not None:
-            yield Slot(CURVE, layer), form.tissue.curve.curve
         for layer in form.motion.boundary.landmarks.layers:
             if isinstance(layer, Points | Shapes):
                 yield Slot(POINTS, layer), placed_in(layer)
@@ -112,17 +143,12 @@ class DockSteps:
     def _step(self, slot: Slot, before: Any, now: Any) -> None:
         """Make a step, or go on with one: a drag is one, however many times napari tells of it."""
         model, layer = self._model, slot.layer
-        points, word = slot.what == POINTS, f"changed the curve of '{layer.name}'"
-        if points:
-            word = before.change(now, layer.name)
-        elif slot.what != CURVE:
-            word = change(before, now, layer.name)
-        if slot.what in (TISSUE, BOUNDARY) or (slot.what == CURVE and not _is_held()):
-            model.do(slot, now, word)
+        if slot.what != POINTS:
+            model.do(slot, now, change(before, now, layer.name))
             return
-        counted = points and now.count != before.count
+        counted = now.count != before.count
         if model.in_progress != slot or counted:
-            model.begin(slot, word)
+            model.begin(slot, before.change(now, layer.name))
         model.update(now)
         if counted and not is_drawn(layer):
             model.end()
@@ -137,9 +163,9 @@ class DockSteps:
 
     def _on_rest(self) -> None:
         slot = self._model.in_progress
-        if not isinstance(slot, Slot) or slot.what not in (CURVE, POINTS):
+        if not isinstance(slot, Slot) or slot.what != POINTS:
             return
-        if _is_held() or (slot.what == POINTS and is_drawn(slot.layer)):
+        if _is_held() or is_drawn(slot.layer):
             self._resting.start()
         else:
             self._model.end()
@@ -150,8 +176,8 @@ class DockSteps:
             return
         self._undoing = True
         try:
-            if slot.what == CURVE:
-                self._show_curve(slot.layer, value)
+            if slot == self._curve_slot:
+                self._form.tissue.go_by(value)
             elif slot.what == POINTS and placed_in(slot.layer) != value:
                 value.give_to(slot.layer)
             for section in (self._form.tissue, self._form.motion.boundary):
@@ -159,13 +185,6 @@ class DockSteps:
                     section.table.show(value)
         finally:
             self._undoing = False
-
-    def _show_curve(self, layer: Any, value: Any) -> None:
-        curve = self._form.tissue.curve
-        if curve.layer is not layer:
-            self._form.tissue.choice.value = layer
-        if curve.layer is layer and curve.curve != value:
-            curve.curve = value
 
 
 def _is_held() -> bool:

@@ -56,7 +56,7 @@ class Guide:
             section.table.refused.connect(self.say)
         form.tissue.menu.said.connect(self.say)
         form.tissue.menu.taken.connect(self._on_found)
-        form.tissue.curve.refused.connect(self.say)
+        form.tissue.editor.refused.connect(self.say)
         pointer.said.connect(self._on_pointer)
         for begun in (form.edited, pointer.drawn, pointer.begun):
             begun.connect(self._on_begun)

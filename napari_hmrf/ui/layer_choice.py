@@ -32,6 +32,8 @@ class LayerChoice(ComboBox):
     label, tooltip : str
     title : callable, optional
         How a layer is named in the menu; by default by its name.
+    more : callable, optional
+        What else can be chosen now: pairs of a title and a value.
     """
 
     def __init__(
@@ -41,10 +43,11 @@ class LayerChoice(ComboBox):
         label: str,
         tooltip: str,
         title: Callable[[Any], str] = lambda layer: str(layer.name),
+        more: Callable[[], list[tuple[str, Any]]] = list,
     ) -> None:
         self._layers, self._accept = layers, accept
         super().__init__(
-            choices=lambda _: [(title(layer), layer) for layer in self.offered],
+            choices=lambda _: [*more(), *((title(layer), layer) for layer in self.offered)],
             nullable=True,
             label=label,
             tooltip=tooltip,

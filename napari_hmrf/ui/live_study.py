@@ -23,8 +23,10 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
+from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.follower import Done, Follower, Seen
 from napari_hmrf.ui.live_choice import LiveChoice
@@ -64,6 +66,8 @@ class LiveStudy:
         Whether a study is solved from nothing.
     live : LiveChoice
         Whether every edit is followed.
+    curve_layer : CurveLayer
+        Shows the curve by which tissue is made, if it is.
     note : str
         What was found in the paint, to be said with the next result.
     """
@@ -107,6 +111,7 @@ class LiveStudy:
         self._looking = single_shot(native, 0, self.look)
         self._resting = single_shot(native, _REST, self.complete)
         self._poll = repeating(native, _POLL, self._on_poll)
+        self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         self.live = LiveChoice(form.footer.live, self.touch)
         pointer.drawn.connect(self._on_drawn)
         for box in form.result.kinds.values():
@@ -161,6 +166,19 @@ class LiveStudy:
         settings = self._form.settings
         return read_study(request, settings.prior, settings.optimizer, self._copies)
 
+    def first_curve(self) -> StiffnessCurve:
+        """Guess by which curve the slice's brightness says how stiff tissue is.
+
+        Raises
+        ------
+        HmrfError
+            If it cannot be read, or is of one value.
+        """
+        image = self._form.image.value
+        study = self.read(Request(image=image, view=self._choices.view, drawing=Drawing()))
+        assert study.pictures.intensities is not None
+        return first_curve(study.pictures.intensities)
+
     # What can be done
 
     def touch(self, *_: Any) -> None:
@@ -181,6 +199,7 @@ class LiveStudy:
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
             self._asked, self._outdated = None, True
+            self.curve_layer.show(None)
             self._cannot(error)
             return False
         study = self._stand_on(study, request.layers[0])
@@ -285,7 +304,7 @@ class LiveStudy:
     def _stand_on(self, study: Study, source: Any) -> Study:
         """Work on a study; returns it, with what is drawn on its slice."""
         before = self.study
-        self._pointer.tissue = self._form.tissue.choice.value
+        self._pointer.tissue = self._form.tissue.layer
         place, self.study = study.grid, study
         if before is None or source is not self.source or before.grid != place:
             self.source = source
@@ -297,6 +316,7 @@ class LiveStudy:
             self._follower.rehearse(study)
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
+        self.curve_layer.show(study, source)
         self._form.show_place(place, unit_symbol(place.unit), ways)
         motion = replace(study.motion, drawing=self._pointer.drawing)
         self.study = study = replace(study, motion=motion)

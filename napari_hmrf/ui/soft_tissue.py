@@ -37,6 +37,7 @@ from napari_hmrf.ui.remembered_settings import keep
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.settings import SolverSettings
 from napari_hmrf.ui.timers import single_shot
+from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
@@ -57,8 +58,9 @@ class SoftTissue(Dock):
     ----------
     image : napari.layers.Image or None
         What to deform; without, the motion alone is seen.
-    tissue : napari.layers.Labels, Image or None
-        Labels of tissues, or an image of stiffness; without, tissue is what the image shows.
+    tissue : napari.layers.Labels, Image, "brightness" or None
+        Labels of tissues, an image of stiffness, or the image's brightness by its curve; without,
+        tissue is what the image shows.
     boundary : napari.layers.Labels, Vectors or None
         Labels of what holds and moves, or observed displacements.
     confidence : napari.layers.Image or None
@@ -71,7 +73,7 @@ class SoftTissue(Dock):
     materials, rules : tuple of Material, tuple of BoundaryRule
         How stiff each tissue label is, and what each boundary label does.
     curve : StiffnessCurve or None
-        From intensity to stiffness, if the tissue is made by one.
+        From intensity to stiffness, if the tissue is made by one; to be set, too.
     hold_edge, without_border : bool
         Whether the outer edge of the tissue stays where it is, and whether what is dark around the
         image and unpainted is no tissue.
@@ -122,7 +124,7 @@ class SoftTissue(Dock):
     landmark_layers = Part[tuple[Any, ...]]("_form.motion.boundary.landmarks.layers")
     materials = Part[tuple[Material, ...]]("_form.tissue.table.rows")
     rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
-    curve = Part[StiffnessCurve | None]("_form.tissue.curve.curve")
+    curve = Part[StiffnessCurve | None]("_steps.curve")
     hold_edge = Part[bool]("_form.motion.edge.value")
     without_border = Part[bool]("_form.tissue.border.value")
     fields = Part[ToolFields]("_form.motion.fields")
@@ -299,7 +301,7 @@ class SoftTissue(Dock):
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
 
-        What is chosen there already stays; so does tissue that comes from the image's intensity.
+        What is chosen there already stays; so does tissue by the image's brightness.
 
         Raises
         ------
@@ -308,13 +310,14 @@ class SoftTissue(Dock):
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
-        chosen = (self.tissue, self.boundary)
+        by_itself = self.curve is not None
+        chosen = (self.image if by_itself else self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, View.of(self._viewer.dims))
-        self.tissue, self.boundary = made
+        self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
         self.say(messages.PAINT)
 
-    def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> Any:
-        """Choose as tissue a layer of stiffness made from the image's intensity; returns it.
+    def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
+        """Have the image's intensity say how stiff tissue is; returns the curve by which it does.
 
         The `curve` is by default the one that there is for this image, or else a first guess.
 
@@ -325,15 +328,13 @@ class SoftTissue(Dock):
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
-        made = self._form.tissue.curve
-        layer = made.layer_of(self.image, curve)
-        if layer not in self._viewer.layers:
-            self._viewer.layers.insert(self._viewer.layers.index(self.image) + 1, layer)
-        self.tissue = layer
-        if curve is not None:
-            made.curve = curve
+        curve = curve or self._form.tissue.known or self._live_study.first_curve()
+        self.curve = curve
+        self._live_study.look()
+        if (layer := self._live_study.curve_layer.layer) is not None:
+            self._viewer.layers.selection.active = layer
         self.say(messages.CURVE)
-        return layer
+        return curve
 
     def take_materials(self, materials: Preset | Any) -> None:
         """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
@@ -406,6 +407,7 @@ class SoftTissue(Dock):
         form.edited.connect(self.touch)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
+        form.tissue.editor.anew.clicked.connect(lambda: self._try(self._begin_curve))
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
@@ -431,6 +433,9 @@ class SoftTissue(Dock):
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
 
+    def _begin_curve(self) -> None:
+        self.tissue_from_intensity(self._live_study.first_curve())
+
     def _try(self, action: Any) -> None:
         try:
             action()
@@ -454,7 +459,9 @@ class SoftTissue(Dock):
         """Have the result be seen that was asked for, and not what was painted on it."""
         if outputs is not None and self.image is not None and self.tissue is not None:
             self._live_study.show_before(False)
-            self.tissue.visible = False  # it would tint what was deformed
+            tissue = self.tissue if self.curve is None else self._live_study.curve_layer.layer
+            if tissue is not None:
+                tissue.visible = False  # it would tint what was deformed
 
     def _on_left(self) -> None:
         """There is nothing to draw on."""
@@ -468,6 +475,7 @@ class SoftTissue(Dock):
         if closed:
             self._live_study.cancel()
             self._live_study.forget()
+            self._live_study.curve_layer.show(None)
             self._pointer.leave()
             self._view.rest()
         watch, live, guide = self._watch, self._live_study, self._guide

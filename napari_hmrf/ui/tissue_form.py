@@ -12,8 +12,9 @@ from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.boundary_table import BoundaryTable
-from napari_hmrf.ui.curve.tissue import TissueCurve
+from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.label_sync import PaintedLabels
 from napari_hmrf.ui.label_table import LabelTable, LabelTableView
 from napari_hmrf.ui.landmark_choice import LandmarkChoice
@@ -24,6 +25,10 @@ from napari_hmrf.ui.material_table import MaterialTable
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
 Table = TypeVar("Table", bound=LabelTable)
+#: The tissue of an image that goes by a curve, in place of a layer.
+BRIGHTNESS = "brightness"
+#: What an editor begins with.
+_UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 
 
 def _is_tissue(layer: Any) -> bool:
@@ -67,15 +72,20 @@ class _PaintedSection(Container, Generic[Table]):
 
 
 class TissueSection(_PaintedSection[MaterialTable]):
-    """Labels with a table of stiffness, or an image that is the stiffness, by a curve or not.
+    """Labels with a table of stiffness, an image that is the stiffness, or a curve by brightness.
 
     Attributes
     ----------
     menu : MaterialMenu
     border : CheckBox
         Tells air from tissue.
-    curve : TissueCurve
+    known : StiffnessCurve or None
+        The image's curve, which can be chosen.
+    editor : CurveEditor
+        Of that.
     """
+
+    known: StiffnessCurve | None = None
 
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
@@ -86,8 +96,9 @@ class TissueSection(_PaintedSection[MaterialTable]):
                 or (isinstance(layer, Image) and "kind" not in known_of(layer))
             ),
             "tissue",
-            "A Labels layer in which tissues are painted, or an image of stiffness",
+            "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
+            lambda: [("brightness of the image", BRIGHTNESS)] if self.known else [],
         )
         super().__init__(choice, [], TISSUE, MaterialTable(), view)
         self.border = CheckBox(
@@ -95,19 +106,39 @@ class TissueSection(_PaintedSection[MaterialTable]):
             text="the dark border is no tissue",
             tooltip="What is dark around the image and not painted is no tissue, such as air",
         )
+        self.editor = CurveEditor(_UNKNOWN)
         self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
         self._put_below("tissue", self.menu)
-        self.curve = TissueCurve(layers, view)
-        for part in (self.curve.editor, self.border.native):
+        for part in (self.editor, self.border.native):
             self.native.layout().addWidget(part)
         self.border.changed.connect(lambda _: self.edited.emit())
-        self.curve.changed.connect(lambda _: self.edited.emit())
-        self.choice.changed.connect(self._show_curve)
-        self._show_curve(None)
 
-    def _show_curve(self, layer: Any) -> None:
-        self.curve.layer = layer
-        self.curve.editor.setVisible(self.curve.layer is not None)
+    @property
+    def layer(self) -> Any:
+        """The layer that is chosen, if one is."""
+        return None if self.choice.value == BRIGHTNESS else self.choice.value
+
+    @property
+    def curve(self) -> StiffnessCurve | None:
+        """The curve, if tissue goes by the image's brightness."""
+        return self.known if self.choice.value == BRIGHTNESS else None
+
+    def offer(self, curve: StiffnessCurve | None) -> None:
+        """Have a curve to choose, that of the image; None if that has none."""
+        self.known = curve
+        if curve is not None:
+            self.editor.curve = curve
+        self.choice.reset_choices()
+
+    def go_by(self, curve: StiffnessCurve) -> None:
+        """Choose a curve of the image."""
+        self.offer(curve)
+        self.choice.value = BRIGHTNESS
+        self.edited.emit()
+
+    def _on_choice(self, layer: Any) -> None:
+        self.editor.setVisible(layer == BRIGHTNESS)
+        super()._on_choice(layer)
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):

@@ -117,15 +117,16 @@ class ViewerWatch:
 
     @property
     def _painted(self) -> tuple[Any, Any]:
-        """The layers that say what is tissue and what holds it."""
+        """What says what is tissue and what holds it: layers, or the image itself."""
         return self._form.tissue.choice.value, self._form.motion.boundary.choice.value
 
     # What is chosen, and what it holds
 
     def _on_choice(self, *_: Any) -> None:
         form = self._form
-        chosen = (form.image.value, *self._painted, form.motion.boundary.confidence.value)
-        layers = (*chosen, *form.motion.boundary.landmarks.layers)
+        boundary = form.motion.boundary
+        chosen = (form.image.value, form.tissue.layer, boundary.choice.value)
+        layers = (*chosen, boundary.confidence.value, *boundary.landmarks.layers)
         self._pixels.listen_to([layer for layer in layers if layer is not None])
         missing = form.image.value is not None and None in self._painted
         form.make.enabled = missing
@@ -146,7 +147,6 @@ class ViewerWatch:
         # An arrow over the image's edge makes the canvas larger, and napari says as much.
         before, self._slice = self._slice, _slice_of(self._viewer.dims)
         if self._slice != before:
-            self._form.tissue.curve.look()
             self._live.let_go()
             self.active_changed.emit()
             self.touched.emit()

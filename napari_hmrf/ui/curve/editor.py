@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -11,10 +10,10 @@ import numpy.typing as npt
 from psygnal import Signal
 from qtpy import QtWidgets
 
-from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.stiffness_curve import Between, StiffnessCurve
 from napari_hmrf.tissue.surroundings import between_air_and_tissue
 from napari_hmrf.ui.curve.plot import CurvePlot
+from napari_hmrf.ui.forms import menu
 
 #: Spin boxes need ends.
 _FAR = 1e12
@@ -31,16 +30,11 @@ class CurveEditor(QtWidgets.QWidget):
     Attributes
     ----------
     plot : CurvePlot
-    changed : Signal(StiffnessCurve)
-        Emitted with every curve that the user makes, while dragging, too.
-    settled : Signal(StiffnessCurve)
-        Emitted with the curve when an edit is at its end.
+        Which tells of edits.
     refused : Signal(str)
         Why something typed was not taken.
     """
 
-    changed = Signal(StiffnessCurve)
-    settled = Signal(StiffnessCurve)
     refused = Signal(str)
 
     def __init__(self, curve: StiffnessCurve) -> None:
@@ -57,15 +51,13 @@ class CurveEditor(QtWidgets.QWidget):
         tip = "What is darker than this, such as air, has stiffness 0"
         self.void = QtWidgets.QCheckBox("no tissue below", toolTip=tip)
         self.void_below = _Number(-_FAR, "Intensity, in the image's own unit")
-        self.between = _choice(
-            {between: between for between in get_args(Between)},
-            "How the points are joined; the smooth line overshoots none",
-        )
-        self.scale = _choice(
-            {True: "logarithmic", False: "linear"},
+        tip = "How the points are joined; the smooth line overshoots none"
+        self.between = menu("between points", {each: each for each in get_args(Between)}, tip)
+        tip = (
             "Of stiffness. Logarithmic: by equal factors, as tissues differ; linear: by equal "
-            "amounts. It counts between the points, too",
+            "amounts. It counts between the points, too"
         )
+        self.scale = menu("axis", {True: "logarithmic", False: "linear"}, tip)
         tip = "The first guess again, from the slice that is shown: the brighter, the stiffer"
         self.anew = QtWidgets.QPushButton("Start anew", toolTip=tip)
         self._showing = False
@@ -102,24 +94,25 @@ class CurveEditor(QtWidgets.QWidget):
         for row in (
             [label("intensity"), self.intensity, label("stiffness"), self.stiffness, self.unit],
             [self.void, self.void_below, self.add, self.remove, self.anew],
-            [label("between points"), self.between, label("axis"), self.scale],
+            [label("between points"), self.between.native, label("axis"), self.scale.native],
         ):
             line = QtWidgets.QHBoxLayout()
             for widget in row:
                 line.addWidget(widget, int(isinstance(widget, wide)))
+                if isinstance(widget, wide):
+                    policy = widget.sizePolicy().Policy
+                    widget.setSizePolicy(policy.Ignored, policy.Fixed)
             layout.addLayout(line)
 
     def _connect(self) -> None:
         for told in (self.plot.edited, self.plot.picked):
             told.connect(self._show)
-        self.plot.edited.connect(self.changed)
-        self.plot.settled.connect(self.settled)
         for field in (self.intensity, self.stiffness):
             field.valueChanged.connect(self._on_point)
         for told in (self.void.toggled, self.void_below.valueChanged):
             told.connect(self._on_void)
         for box in (self.between, self.scale):
-            box.currentIndexChanged.connect(self._on_choice)
+            box.changed.connect(self._on_choice)
         self.unit.editingFinished.connect(self._on_choice)
         self.add.clicked.connect(self._on_add)
         self.remove.clicked.connect(lambda: self.plot.remove())
@@ -136,8 +129,7 @@ class CurveEditor(QtWidgets.QWidget):
         self.void_below.setEnabled(edge is not None)
         if edge is not None:
             self.void_below.show_value(edge)
-        self.between.setCurrentIndex(self.between.findData(curve.between))
-        self.scale.setCurrentIndex(self.scale.findData(curve.logarithmic))
+        self.between.value, self.scale.value = curve.between, curve.logarithmic
         if not self.unit.hasFocus():
             self.unit.setText(curve.unit)
         self._showing = False
@@ -165,17 +157,12 @@ class CurveEditor(QtWidgets.QWidget):
         self._take(void_below=self.void_below.value() if self.void.isChecked() else None)
 
     def _on_choice(self, *_: Any) -> None:
-        between, logarithmic = self.between.currentData(), bool(self.scale.currentData())
+        between, logarithmic = self.between.value, self.scale.value
         self._take(between=between, logarithmic=logarithmic, unit=self.unit.text().strip())
 
     def _take(self, **values: Any) -> None:
-        if self._showing:
-            return
-        try:
+        if not self._showing:
             self.plot.take(replace(self.curve, **values))
-        except ProblemError as error:
-            self.refused.emit(str(error))
-            self._show()
 
 
 class _Number(QtWidgets.QDoubleSpinBox):
@@ -184,7 +171,6 @@ class _Number(QtWidgets.QDoubleSpinBox):
     def __init__(self, least: float, tooltip: str) -> None:
         super().__init__(keyboardTracking=False, toolTip=tooltip, minimumWidth=50)
         self.setRange(least, _FAR)
-        self.setSizePolicy(QtWidgets.QSizePolicy.Policy.Ignored, self.sizePolicy().Policy.Fixed)
         self.setButtonSymbols(self.ButtonSymbols.NoButtons)
 
     def textFromValue(self, value: float) -> str:
@@ -199,11 +185,3 @@ class _Number(QtWidgets.QDoubleSpinBox):
         self.setDecimals(min(12, max(0, 4 - size)))
         self.setSingleStep(10.0 ** (size - 1))
         self.setValue(value)
-
-
-def _choice(words: Mapping[Any, str], tooltip: str) -> QtWidgets.QComboBox:
-    box = QtWidgets.QComboBox(toolTip=tooltip)
-    for value, said in words.items():
-        box.addItem(said, value)
-    box.setSizePolicy(QtWidgets.QSizePolicy.Policy.Ignored, box.sizePolicy().Policy.Fixed)
-    return box

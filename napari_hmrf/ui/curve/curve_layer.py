@@ -1,0 +1,67 @@
+"""The layer that shows how stiff a curve makes the tissue of an image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from napari.layers import Image
+
+from napari_hmrf.layers.label_colours import stiffness_colours
+from napari_hmrf.layers.metadata import METADATA, TISSUE
+from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.viewer_layers import same_selection, still_there, update_layer
+from napari_hmrf.study.study import Study
+from napari_hmrf.ui.curve.editor import CurveEditor
+
+
+class CurveLayer:
+    """Shows what the curve of a study makes of the slice, and the slice's histogram behind it.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    editor : CurveEditor
+
+    Attributes
+    ----------
+    layer : napari.layers.Image or None
+        Directly above the image, while there is a curve; nothing is read from it.
+    """
+
+    def __init__(self, viewer: Any, editor: CurveEditor) -> None:
+        self._viewer, self._editor = viewer, editor
+        self._study: Study | None = None
+        self._image: Any = None
+        self.layer: Any = None
+
+    def show(self, study: Study | None, image: Any = None) -> None:
+        """Follow a study of an image; quick if neither its slice nor its curve is another."""
+        before, self._study = self._study, study
+        curve = None if study is None else study.tissue.curve
+        image = None if curve is None else image
+        if image is not self._image:
+            layer, self.layer, self._image, before = self.layer, None, image, None
+            if still_there(self._viewer, layer):
+                self._viewer.layers.remove(layer)
+        if study is None or curve is None:
+            return
+        intensities = study.pictures.intensities
+        assert intensities is not None
+        if before is None or before.pictures.image is not study.pictures.image:
+            self._editor.show_intensities(intensities)
+        elif before.tissue.curve == curve and before.grid == study.grid:
+            return
+        place, (softest, stiffest) = study.grid.place, curve.range
+        known = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
+        looks = {"metadata": {METADATA: known}, **place.placement(image=True)}
+        made = LayerData(place.put_image(curve(intensities)), looks, "image")
+        if still_there(self._viewer, self.layer):
+            update_layer(self.layer, made)
+        else:
+            unit = f" ({curve.unit})" if curve.unit else ""
+            look = {"colormap": stiffness_colours(), "opacity": 0.5}
+            self.layer = Image(made.data, name=f"{image.name} stiffness{unit}", **looks, **look)
+            with same_selection(self._viewer):
+                self._viewer.layers.insert(self._viewer.layers.index(image) + 1, self.layer)
+        # From less than the softest, so that only what is void lies below.
+        self.layer.contrast_limits = min(softest / 2, stiffest / 256), stiffest
