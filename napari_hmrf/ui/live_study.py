@@ -177,8 +177,8 @@ class LiveStudy:
 
     def read(self, request: Request) -> Study:
         """Read what is chosen, and how it is to be solved."""
-        settings = self._form.settings
-        return read_study(request, settings.prior, settings.optimizer, self._copies)
+        model = self._form.model
+        return read_study(request, model.prior, model.optimizer, self._copies)
 
     # What can be done
 
@@ -230,7 +230,7 @@ class LiveStudy:
         self.settling, self._since, self._asked = True, time.monotonic(), study
         self._layers = request.layers
         self.note = ""
-        self._follower.settle(study, self._form.settings.backend)
+        self._follower.settle(study, self._form.model.in_detail.details.device)
         self._poll.start()
 
     def is_solving(self, layer: Any) -> bool:
@@ -344,7 +344,7 @@ class LiveStudy:
         self._resting.stop()
         if self._is_hasty(study):
             study = replace(study, optimizer=Multigrid(TOLERANCE))
-        self._follower.follow(study, self._form.settings.backend)
+        self._follower.follow(study, self._form.model.in_detail.details.device)
         if not self._poll.isActive():
             self._poll.start()
 

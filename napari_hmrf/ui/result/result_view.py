@@ -87,7 +87,7 @@ class ResultView:
         self.cursor = UnderCursor(
             viewer, lambda line: form.point.say(line or POINT), lambda: int(form.slider.value)
         )
-        self._arrows = ArrowChoices(form, self.shown, self._errands)
+        self._arrows = ArrowChoices(form, self.shown)
         self._moving = MovingLayers(
             native, viewer, self.shown, self.cursor, self._arrows, self._refuse
         )
@@ -269,7 +269,6 @@ class ResultView:
                 form.grid.value = True
         self._say_where()
         self._prepare()
-        self._arrows.apply()
         if form.colours.value != NOTHING:
             self._layers.make_colours(result, form.colours.value)
         grid = self.shown.layer("grid")
