@@ -27,7 +27,6 @@ from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
-from napari_hmrf.ui.result.saving import save_canvas
 
 
 def names(viewer):
@@ -680,44 +679,7 @@ def test_what_others_drew_since_is_not_put_back(look, set_to):
     assert moved.data is newer
 
 
-def test_the_canvas_is_among_the_pictures_of_a_real_window(window, tmp_path, set_to, wait_for):
-    from skimage.io import imread
-
-    viewer, _, look = window
-    set_to(look, percent=30)
-    got = []
-    look.saved.connect(got.append)
-    look.save_pictures(tmp_path)
-    wait_for(lambda: bool(got))
-    assert got[0][0].name == "canvas.png"
-    assert "canvas.png is as you see it, at 30 %; the others show the whole" in look.status
-    assert imread(got[0][0]).std() > 5
-    assert not viewer.canvas.overlays.scale_bar.visible
-
-
-def test_the_brush_is_put_away_for_a_picture_of_the_canvas(tmp_path):
-    labels, bar = Labels(np.zeros((4, 4), int)), SimpleNamespace(visible=False)
-    labels.mode = "paint"
-    during = []
-
-    def screenshot(**_):
-        during.append((str(labels.mode), bar.visible))
-        return np.zeros((2, 2, 4), np.uint8)
-
-    selection = SimpleNamespace(active=labels)
-    viewer = SimpleNamespace(
-        layers=SimpleNamespace(selection=selection), scale_bar=bar, screenshot=screenshot
-    )
-    save_canvas(viewer, tmp_path / "canvas.png")
-    assert during == [("pan_zoom", True)]
-    assert (str(labels.mode), bar.visible) == ("paint", False)
-
-
-def test_nothing_of_the_cursor_is_in_a_picture_of_the_canvas(
-    make_napari_viewer, qtbot, tmp_path, at_rest
-):
-    from skimage.io import imread
-
+def test_nothing_stays_of_the_circle_around_the_cursor(make_napari_viewer, qtbot, at_rest):
     viewer = make_napari_viewer(show=True)
     viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
     dock_in(viewer)
@@ -729,15 +691,14 @@ def test_nothing_of_the_cursor_is_in_a_picture_of_the_canvas(
     person.move(20, 30, Qt.MouseButton.NoButton)
     at_rest()
 
-    def white_at_the_cursor(picture):
-        place = person.where(20, 30)
+    def white_at_the_cursor():
+        place, picture = person.where(20, 30), viewer.screenshot(flash=False)
         rows, cols = (slice(at - 15, at + 15) for at in (place.y(), place.x()))
         return (picture[rows, cols] == 255).all()
 
-    save_canvas(viewer, tmp_path / "canvas.png")
-    assert white_at_the_cursor(imread(tmp_path / "canvas.png"))
+    assert not white_at_the_cursor(), "the circle is there"
     arrows.cursor = "standard"
-    assert white_at_the_cursor(viewer.screenshot(flash=False)), "napari's own square stayed there"
+    assert white_at_the_cursor(), "napari's own square stayed there"
 
 
 def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_for, monkeypatch):

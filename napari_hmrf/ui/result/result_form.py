@@ -81,8 +81,9 @@ class ResultForm(Container):
         self.point.say(POINT)
         self.save = PushButton(
             text="Save pictures ...",
-            tooltip="PNG files, in a new folder: the canvas with a scale bar, and figures of "
-            "displacement, before and after, grid, Jacobian, strain and energy",
+            tooltip="PNG files, in a new folder: figures of displacement, before and after, grid, "
+            "Jacobian, strain and energy. What the canvas shows, at any percent, is saved by "
+            "File > Save Screenshot",
         )
         super().__init__(
             widgets=[

@@ -46,7 +46,6 @@ from napari_hmrf.ui.result.result_messages import (
     saved,
 )
 from napari_hmrf.ui.result.result_work import figures_of
-from napari_hmrf.ui.result.saving import new_folder, save_canvas
 from napari_hmrf.ui.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
@@ -168,27 +167,15 @@ class ResultView:
             self.said.emit(NO_IMAGE)
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
-        """Write pictures of what is seen, and of the result; `saved` is emitted at the end."""
+        """Write pictures of the result, perhaps into a new folder; `saved` is emitted at the end."""
         result = self.shown.result
         if result is None:
             self.said.emit(NO_RESULT)
             return
-        try:
-            if own_folder:
-                folder = new_folder(folder, f"{result.source or 'result'} pictures")
-            written = save_canvas(self._viewer, folder / "canvas.png")
-        except OSError as error:
-            self._refuse(error)
-            return
-        motion, percent = self.player.motion, self._form.slider.value
-        image = None if motion is None else motion.image
-
-        def tell(paths: list[Path]) -> None:
-            self.said.emit(saved(written, paths, percent))
-            self.saved.emit([*written, *paths])
-
+        image = None if self.player.motion is None else self.player.motion.image
         self.said.emit(SAVING)
-        self._errands.send("pictures", partial(figures_of, result, image, folder), tell)
+        work = partial(figures_of, result, image, folder, own_folder)
+        self._errands.send("pictures", work, self._on_saved)
 
     def rest(self) -> None:
         """Touch nothing any more, until a result is taken again."""
@@ -426,6 +413,10 @@ class ResultView:
         chosen = QFileDialog.getExistingDirectory(self._native, title)
         if chosen:
             self.save(Path(chosen), own_folder=True)
+
+    def _on_saved(self, paths: list[Path]) -> None:
+        self.said.emit(saved(paths))
+        self.saved.emit(paths)
 
     def _while_key_is_held(self, _: Any) -> Any:
         self.before = True
