@@ -1,5 +1,6 @@
 """What the user does with *Soft tissue*, and what then happens."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from napari.utils.notifications import notification_manager
 from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication
+from qtpy.QtWidgets import QApplication, QLabel
 from screen import Cell, Screen, head
 
 from napari_hmrf import ICM, ElasticPrior, HmrfError, Multigrid, SeilerPrior
@@ -682,14 +683,27 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
     from napari_hmrf.solver.optimizers import Monitor
-    from napari_hmrf.ui.messages import COMPILING, DRAWING, progress
+    from napari_hmrf.ui.messages import COMPILING, progress
 
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
-    assert progress(preparing, 0.1) == "Preparing ..."
-    assert progress(preparing, 3.0) == COMPILING
-    assert progress(Monitor("level 3", 0.4), 9.0) == "Level 3 ..."
-    assert progress(Monitor("drawing the result", 0.0), 0.5) == "Drawing the result ..."
-    assert progress(Monitor("drawing the result", 0.0), 5.0) == DRAWING
+    assert progress(preparing, 0.1) == "Deforming ..."
+    assert progress(preparing, 3.0) == f"Deforming: {COMPILING}"
+    compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
+    edit = "Following the last edit"
+    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), 9.0, edit) == f"{edit}: 60 %"
+    assert progress(compiling, 3.0) == "Deforming: compiling loops (3 of 10), about 18 s left."
+
+
+def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_rests(
+    docked, small_sample, wait_for
+):
+    small_sample(viewer_of(docked))
+    docked.settings = replace(docked.settings, sweeps=100_000)
+    docked.deform()
+    wait_for(lambda: bool(re.fullmatch(r"Deforming: \d+ %", docked.status)))
+    tips = [label.toolTip() for label in docked.native.findChildren(QLabel)]
+    assert any(re.match(r"level \d+ \(.*\), sweep \d+", tip) for tip in tips)
+    docked.cancel()
 
 
 def test_one_sweep_is_told_as_one():
@@ -777,8 +791,9 @@ def test_cancel_stops_a_long_solve_long_before_its_end(
     run(docked)
     before = state(viewer)
     docked.settings = replace(docked.settings, sweeps=100_000)
+    swept.clear()
     docked.deform()
-    wait_for(lambda: "sweep" in docked.status)
+    wait_for(lambda: bool(swept))
     docked.cancel()
     compute_thread.submit(lambda: None).result(timeout=LONG)
     assert sum(swept) < 100_000, "of as many on each level"

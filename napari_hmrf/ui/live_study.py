@@ -412,11 +412,14 @@ class LiveStudy:
         if self.settling:
             self._form.footer.progress(monitor.fraction)
             if self.settling:  # Qt may have answered whatever waited, Cancel among it
-                self.doing.emit(progress(monitor, waited))
+                self._say_progress(progress(monitor, waited))
         elif waited > _PATIENCE:
             self._form.footer.following(True)
-            doing = progress(monitor, waited)
-            self.doing.emit(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
+            self._say_progress(progress(monitor, waited, "Following the last edit"))
+
+    def _say_progress(self, sentence: str) -> None:
+        self.doing.emit(sentence)
+        self._form.footer.explain(self._follower.monitor.message)
 
     def _cannot(self, error: Exception) -> None:
         """Say why the tissue does not follow, once; the last result stays."""

@@ -32,8 +32,7 @@ CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
-DRAWING = "Drawing the result; the first time after the start that takes some seconds."
-COMPILING = "Getting the kernels ready, as for the first time on this machine: some seconds."
+COMPILING = "getting ready, as for the first time on this machine: some seconds."
 
 MODELS: dict[ModelName, str] = {
     "elastic": "elastic: as finite elements",
@@ -72,6 +71,8 @@ ELASTIC = "Take the elastic model"
 
 #: What moves by less than this part of a pixel has not moved, but for rounding.
 _UNSEEN = 1e-3
+#: What people can do something about, or have to wait for.
+_WAITS = ("waiting for", "compiling", "starting to compile")
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 _HANDFUL = 5
 
@@ -196,13 +197,14 @@ def painting(layer: Any) -> str:
     return f"Painting {what} in '{layer.name}'."
 
 
-def progress(monitor: Monitor, seconds: float) -> str:
-    """What is going on, after so many seconds of it."""
-    if monitor.message.startswith("preparing"):
-        return COMPILING if seconds >= 1 else "Preparing ..."
-    if monitor.message.startswith("drawing") and seconds > 1:
-        return DRAWING
-    return f"{monitor.message[0].upper()}{monitor.message[1:]} ..."
+def progress(monitor: Monitor, seconds: float, what: str = "Deforming") -> str:
+    """How far the work is after so many seconds, in words for all; `monitor` has the others."""
+    if monitor.message.startswith(_WAITS):
+        return f"{what}: {monitor.message}."
+    if monitor.message.startswith("preparing") and seconds >= 1:
+        return f"{what}: {COMPILING}"
+    percent = round(100 * monitor.fraction)
+    return f"{what}: {percent} %" if percent else f"{what} ..."
 
 
 def _farthest(done: Done) -> str:

@@ -167,7 +167,7 @@ class ResultView:
             self.said.emit(NO_IMAGE)
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
-        """Write pictures of the result, perhaps into a new folder; `saved` is emitted at the end."""
+        """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
         result = self.shown.result
         if result is None:
             self.said.emit(NO_RESULT)
