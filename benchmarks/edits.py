@@ -15,6 +15,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 # Before napari comes: what is compiled here and now, and a Qt without a display.
 os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
@@ -47,8 +48,8 @@ class Painter:
         for made in phantom_layers(phantom("mass-effect", size)):
             self._viewer.add_layer(Layer.create(*made))
         self._dock.live = False
-        self._dock.settings.device.value = "cpu"
-        self._dock.model.energy.value = "elastic"
+        self._dock.settings = replace(self._dock.settings, device="cpu")
+        self._dock.model = "elastic"
         self._ended: list[object] = []
         self._dock.finished.connect(self._ended.append)
         self.press()

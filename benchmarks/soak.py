@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -149,7 +149,8 @@ def _available(size: int) -> list[str]:
 
 
 def _start(widget: Any, turn: tuple[str, str]) -> None:
-    widget.settings.device.value, widget.model.energy.value = turn
+    device, widget.model = turn
+    widget.settings = replace(widget.settings, device=device)
     widget.deform()
 
 

@@ -16,7 +16,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.model_names import ModelName
-from napari_hmrf.solver.optimizers import ICM, Monitor, Optimizer
+from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.study.models import chosen
@@ -183,7 +183,7 @@ def _demo(options: argparse.Namespace) -> int:
         return 0
     if _has_display():
         _tell("opening napari ...")
-        _open_napari(demonstration, *models[0])
+        _open_napari(demonstration, models[0][0])
     else:
         _tell("napari is not opened, as there is no display (or CI is set)")
     return 0
@@ -234,7 +234,7 @@ def _has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _open_napari(demonstration: Demonstration, prior: Prior, optimizer: Optimizer) -> None:
+def _open_napari(demonstration: Demonstration, prior: Prior) -> None:
     """Show a demonstration in napari, with the widget beside it, until the window is closed."""
     import napari
     from napari.layers import Layer
@@ -245,10 +245,9 @@ def _open_napari(demonstration: Demonstration, prior: Prior, optimizer: Optimize
     for data, attributes, kind in phantom_layers(demonstration.phantom):
         viewer.add_layer(Layer.create(data, attributes, kind))
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
-    widget.model.schedule.value = "paper" if isinstance(optimizer, ICM) else "converged"
-    widget.model.energy.value = "elastic" if isinstance(prior, ElasticPrior) else "paper"
+    widget.model = demonstration.solution.provenance.model
     if isinstance(prior, ElasticPrior):
-        widget.model.plane.value = prior.plane
+        widget.plane = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
     # Solved again, so that the layers of the result are the widget's own, which it will update.
     widget.deform()

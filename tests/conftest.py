@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -116,9 +117,9 @@ def dock_in(viewer):
 
 def quick(widget):
     """The paper's model by a few sweeps on the CPU, when told to, without waiting for compilers."""
-    widget.settings.device.value = "cpu"
-    widget.model.energy.value = "paper"
-    widget.settings.sweeps.value = 3
+    widget.settings = replace(widget.settings, device="cpu")
+    widget.model = "paper"
+    widget.settings = replace(widget.settings, sweeps=3)
     widget.live = False
     return widget
 

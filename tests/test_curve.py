@@ -438,7 +438,7 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     widget.boundary.data[12, 6] = 1
     widget.boundary.data[12, 24] = 2
     widget.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0)))
-    widget.settings.sweeps.value = 50
+    widget.settings = replace(widget.settings, sweeps=50)
     first = run(widget).solution.displacement.copy()
     assert first[12, 24, 1] == pytest.approx(2, abs=0.05)
     assert not layer.visible, "it would tint what was deformed"

@@ -199,7 +199,7 @@ def test_points_alone_are_boundary_enough(chosen, run):
     widget.boundary = None
     widget.landmarks = LandmarkLayers(where, should, 1.5)
     assert widget.invitation == "Press Deform."
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
     assert run(widget) is not None, widget.status
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)
     np.testing.assert_allclose(widget.solution.displacement[14, 15], (0, 0), atol=0.05)
@@ -211,7 +211,7 @@ def test_landmarks_alone_need_neither_layers_nor_paint(widget, run):
     where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
     should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
     widget.landmarks = LandmarkLayers(where, should, 1.5)
-    widget.settings.sweeps.value = 30
+    widget.settings = replace(widget.settings, sweeps=30)
     assert run(widget) is not None, widget.status
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.1)
 
@@ -245,7 +245,7 @@ def test_a_missing_partner_is_said_while_points_are_clicked(chosen, wait_for):
 def test_the_tissue_follows_a_point_that_is_dragged(chosen, run, wait_for):
     widget, where, should = chosen
     widget.landmarks = LandmarkLayers(where, should, 1.5)
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
     run(widget)
     widget.live = True
     should.selected_data = {0}
@@ -358,7 +358,7 @@ def test_a_point_dragged_by_the_mouse_is_followed_and_taken_back_by_one_key(
     where = viewer.add_points([[8.0, 8.0]], name="is", size=1)
     should = viewer.add_points([[10.0, 8.0]], name="ought", size=1)
     widget.landmarks = LandmarkLayers(where, should, 1.5)
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
     run(widget)
     widget.live = True
     undo = Screen(widget).button("Undo")
@@ -429,7 +429,7 @@ def test_lines_are_chosen_alone_and_followed(docked, small_sample, run, wait_for
     docked._form.motion.boundary.landmarks.where.value = drawn
     assert docked.landmarks == LandmarkLayers(drawn)
     assert not menus(docked).should.visible
-    docked.model.energy.value = "elastic"
+    docked.model = "elastic"
     docked.landmarks = LandmarkLayers(drawn, radius=1.5)
     run(docked)
     np.testing.assert_allclose(docked.solution.displacement[8, 8], (2, 0), atol=0.05)

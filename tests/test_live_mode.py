@@ -52,7 +52,7 @@ def assert_newest(widget):
 def living(widget, small_sample, run):
     """The dock with a result that follows, and the layers it follows."""
     layers = small_sample(viewer_of(widget))
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
     run(widget)
     widget.live = True
     return widget, layers
@@ -80,18 +80,18 @@ def test_paint_tables_and_model_are_followed_without_a_button(living, settle):
     widget.materials = (*widget.materials[:2], Material(2, "lump", 900.0))
     settle(widget)
     assert_newest(widget)
-    widget.model.poisson.value = 0.1
-    widget.model.plane.value = "strain"
+    widget.poisson = 0.1
+    widget.plane = "strain"
     settle(widget)
     assert_newest(widget)
     assert [id(layer) for layer in viewer_of(widget).layers] == layers, "in place"
     assert widget.status.startswith("Tissue moved up to")
 
 
-@pytest.mark.parametrize("schedule", ["paper", "converged"])
-def test_the_papers_energy_is_followed_too(widget, small_sample, run, settle, schedule):
+@pytest.mark.parametrize("model", ["paper", "paper, converged"])
+def test_the_papers_energy_is_followed_too(widget, small_sample, run, settle, model):
     _, _, boundary = small_sample(viewer_of(widget))
-    widget.model.schedule.value = schedule
+    widget.model = model
     run(widget)
     widget.live = True
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
@@ -324,7 +324,7 @@ def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
     boundary.data[0] = 0
     dims = viewer_of(widget).dims
     dims.set_current_step(0, 1)
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
     run(widget)
     widget.live = True
     first = widget.solution
@@ -362,7 +362,7 @@ def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, 
         viewer = make_napari_viewer()
         small_sample(viewer)
         dock = dock_in(viewer)
-        quick(dock).model.energy.value = "elastic"
+        quick(dock).model = "elastic"
         run(dock)
         dock.live = True
         docks.append(dock)
@@ -399,7 +399,7 @@ def at_work(make_napari_viewer, small_sample, run, qtbot, at_rest):
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
     dock = dock_in(viewer)
-    quick(dock).model.energy.value = "elastic"
+    quick(dock).model = "elastic"
     run(dock)
     dock.live = True
     at_rest()

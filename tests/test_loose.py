@@ -136,7 +136,7 @@ def painted(qtbot, wall=True, moves=True):
 
 def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
     widget = painted(qtbot)
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
     outputs = run(widget)
     assert outputs is not None
     assert (

@@ -170,7 +170,7 @@ def tumour(qtbot):
     viewer.add_labels(tissue, name="Tissue", metadata=described(TISSUE, table, "kPa"), **PLACE)
     viewer.add_labels(boundary, name="Boundary", metadata=described(BOUNDARY, said), **PLACE)
     dock = SoftTissue(viewer)
-    dock.settings.device.value = "cpu"
+    dock.settings = replace(dock.settings, device="cpu")
     qtbot.addWidget(dock.native)
     return dock
 
@@ -195,7 +195,7 @@ def test_what_is_drawn_is_read_with_what_is_painted(tumour):
 def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, energy):
     deform = tumour
     deform.live = False
-    deform.model.energy.value = energy
+    deform.model = energy
     with qtbot.waitSignal(deform.finished, timeout=240_000):
         deform.deform()
     seen = deform.solution

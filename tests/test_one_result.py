@@ -1,5 +1,7 @@
 """Of an image and a slice there is one result, however one came to it: the newest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import dock_in
@@ -18,7 +20,7 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 def opened(viewer):
     """The dock, elastic, which computes when it is told to."""
     dock = dock_in(viewer)
-    dock.settings.device.value = "cpu"
+    dock.settings = replace(dock.settings, device="cpu")
     dock.live = False
     return dock
 
@@ -388,7 +390,7 @@ def pull(widget, by):
 def folding(widget, small_sample, run):
     """A result with folds."""
     small_sample(widget._viewer)
-    widget.settings.sweeps.value = 60
+    widget.settings = replace(widget.settings, sweeps=60)
     pull(widget, -40.0)
     assert run(widget).folds > 5
     return widget

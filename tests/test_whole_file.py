@@ -16,7 +16,6 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.io import figures
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.material_tables import save_materials
-from napari_hmrf.ui.result.saving import save_canvas
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
 
@@ -38,16 +37,7 @@ def _energies():
     return SimpleNamespace(energy=np.ones(3), levels=(), provenance=provenance)
 
 
-def canvas(path):
-    viewer = SimpleNamespace(
-        layers=SimpleNamespace(selection=SimpleNamespace(active=None)),
-        scale_bar=SimpleNamespace(visible=False),
-        screenshot=lambda **_: np.zeros((4, 4, 4), np.uint8),
-    )
-    save_canvas(viewer, path)
-
-
-@pytest.fixture(params=[solution, materials, figure, canvas], ids=lambda each: each.__name__)
+@pytest.fixture(params=[solution, materials, figure], ids=lambda each: each.__name__)
 def writer(request):
     return request.param
 

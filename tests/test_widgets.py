@@ -1,5 +1,8 @@
 """What the user does with *Soft tissue*, and what then happens."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import dock_in, quick
@@ -9,7 +12,7 @@ from napari.utils.notifications import notification_manager
 from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication
+from qtpy.QtWidgets import QApplication, QLabel
 from screen import Cell, Screen, head
 
 from napari_hmrf import ICM, ElasticPrior, HmrfError, Multigrid, SeilerPrior
@@ -17,6 +20,7 @@ from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
@@ -61,7 +65,7 @@ def test_opening_a_sample_leaves_one_button_to_press(docked, run, at_rest, name)
     at_rest()
     assert docked.status == "Press Deform."
     assert [material.stiffness for material in docked.materials if material.label] != []
-    docked.settings.sweeps.value = 1
+    docked.settings = replace(docked.settings, sweeps=1)
     outputs = run(docked)
     assert outputs is not None
     added = set(names(viewer)) - {"Tissue", "Boundary"}
@@ -82,7 +86,7 @@ def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, 
 
 def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_sample, run):
     small_sample(viewer_of(widget))
-    widget.settings.sweeps.value = 200
+    widget.settings = replace(widget.settings, sweeps=200)
     outputs = run(widget)
     moved = outputs.solution.displacement
     assert moved[10, -3, 1] == pytest.approx(3, abs=0.05)
@@ -435,30 +439,29 @@ def test_images_and_arrows_can_take_the_place_of_paint(widget, small_sample, run
 
 
 def test_settings_become_prior_and_optimizer(widget):
-    settings = widget.settings
-    settings.reading.value = "blanket"
-    settings.method.value = "closed form"
-    settings.tolerance.value = 1e-3
-    settings.penalty.value = 500
-    settings.sweeps.value = 12
-    assert settings.prior.conditional == "blanket"
-    assert settings.prior.penalty == 500
-    assert settings.optimizer.steps is None
-    assert settings.optimizer.energy_change == 1e-3
-    assert settings.optimizer.iterations == 12
-    assert settings.backend == "cpu"
-    assert "Stiff-soft borders lock" in settings.sentence.value
+    widget.settings = replace(
+        widget.settings,
+        reading="blanket",
+        method="closed form",
+        energy_change=1e-3,
+        penalty=500.0,
+        sweeps=12,
+    )
+    chosen = widget._form.model
+    assert chosen.prior == SeilerPrior(penalty=500, conditional="blanket")
+    assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
+    assert widget.settings.device == "cpu"
+    assert "Stiff-soft borders lock" in chosen.in_detail["reading"].tooltip
 
 
 def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_click_away(qtbot):
     widget = SoftTissue(ViewerModel())
     qtbot.addWidget(widget.native)
-    assert widget.settings.prior == ElasticPrior()
-    assert widget.settings.optimizer == Multigrid()
-    Screen(widget).press("Back to the paper's")
-    assert widget.settings.prior == SeilerPrior()
-    assert widget.settings.optimizer == ICM()
-    assert widget.settings.backend == "auto"
+    chosen = widget._form.model
+    assert (chosen.prior, chosen.optimizer) == (ElasticPrior(), Multigrid())
+    Screen(widget).choose(MODELS["paper"])
+    assert (chosen.prior, chosen.optimizer) == (SeilerPrior(), ICM())
+    assert widget.settings.device == "auto"
 
 
 # Place
@@ -529,7 +532,7 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     _, _, boundary = small_sample(viewer_of(widget))
     boundary.data[0, :5] = 1
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
-    widget.settings.sweeps.value = 60
+    widget.settings = replace(widget.settings, sweeps=60)
     outputs = run(widget)
     assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
@@ -562,7 +565,7 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
     boundary.undo()
     wait_for(lambda: widget.status == said)
-    widget.settings.sweeps.value = 4
+    widget.settings = replace(widget.settings, sweeps=4)
     wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
     run(widget)
     before = widget.solution
@@ -680,14 +683,27 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
     from napari_hmrf.solver.optimizers import Monitor
-    from napari_hmrf.ui.messages import COMPILING, DRAWING, progress
+    from napari_hmrf.ui.messages import COMPILING, progress
 
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
-    assert progress(preparing, 0.1) == "Preparing ..."
-    assert progress(preparing, 3.0) == COMPILING
-    assert progress(Monitor("level 3", 0.4), 9.0) == "Level 3 ..."
-    assert progress(Monitor("drawing the result", 0.0), 0.5) == "Drawing the result ..."
-    assert progress(Monitor("drawing the result", 0.0), 5.0) == DRAWING
+    assert progress(preparing, 0.1) == "Deforming ..."
+    assert progress(preparing, 3.0) == f"Deforming: {COMPILING}"
+    compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
+    edit = "Following the last edit"
+    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), 9.0, edit) == f"{edit}: 60 %"
+    assert progress(compiling, 3.0) == "Deforming: compiling loops (3 of 10), about 18 s left."
+
+
+def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_rests(
+    docked, small_sample, wait_for
+):
+    small_sample(viewer_of(docked))
+    docked.settings = replace(docked.settings, sweeps=100_000)
+    docked.deform()
+    wait_for(lambda: bool(re.fullmatch(r"Deforming: \d+ %", docked.status)))
+    tips = [label.toolTip() for label in docked.native.findChildren(QLabel)]
+    assert any(re.match(r"level \d+ \(.*\), sweep \d+", tip) for tip in tips)
+    docked.cancel()
 
 
 def test_one_sweep_is_told_as_one():
@@ -774,9 +790,10 @@ def test_cancel_stops_a_long_solve_long_before_its_end(
     small_sample(viewer)
     run(docked)
     before = state(viewer)
-    docked.settings.sweeps.value = 100_000
+    docked.settings = replace(docked.settings, sweeps=100_000)
+    swept.clear()
     docked.deform()
-    wait_for(lambda: "sweep" in docked.status)
+    wait_for(lambda: bool(swept))
     docked.cancel()
     compute_thread.submit(lambda: None).result(timeout=LONG)
     assert sum(swept) < 100_000, "of as many on each level"

@@ -1,21 +1,25 @@
 """What tissue is taken to be, as the user chooses it beside the painted layers."""
 
+import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image
-from screen import Cell
+from screen import Cell, Screen
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request
+from napari_hmrf.samples.phantoms import phantom
+from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.study.ground import statement_of
-from napari_hmrf.study.models import converges
+from napari_hmrf.study.models import SolverDetails, converges
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.ui.messages import READY, when_to_take
+from napari_hmrf.ui.messages import MODELS, PLANES, READY, when_to_take
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 POISSON = 3  # the column of the table of tissues
@@ -30,7 +34,13 @@ def names(widget):
 
 
 def elastic(widget):
-    widget.model.energy.value = "elastic"
+    widget.model = "elastic"
+
+
+def solved(widget):
+    """The energy that is chosen, and how it is minimised."""
+    chosen = widget._form.model
+    return chosen.prior, chosen.optimizer
 
 
 # What is chosen
@@ -39,19 +49,19 @@ def elastic(widget):
 def test_it_starts_with_elastic_tissue_and_has_the_papers_prior_and_schedule(qtbot, widget):
     begun = SoftTissue(ViewerModel())
     qtbot.addWidget(begun.native)
-    assert (begun.settings.prior, begun.settings.optimizer) == (ElasticPrior(), Multigrid())
-    assert begun.model.energy.value == "elastic"
-    widget.settings.sweeps.value = 70  # tests are in a hurry otherwise
-    assert (widget.settings.prior, widget.settings.optimizer) == (SeilerPrior(), ICM())
-    assert widget.model.energy.value == "paper"
-    assert not widget.model.back.visible
+    assert solved(begun) == (ElasticPrior(), Multigrid())
+    assert begun.model == "elastic"
+    widget.settings = replace(widget.settings, sweeps=70)  # tests are in a hurry otherwise
+    assert solved(widget) == (SeilerPrior(), ICM())
+    assert widget.model == "paper"
 
 
 def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run):
     small_sample(viewer_of(widget))
-    widget.model.schedule.value = "converged"
-    assert widget.settings.prior == SeilerPrior()
-    assert converges(widget.settings.optimizer)
+    widget.model = "paper, converged"
+    prior, optimizer = solved(widget)
+    assert prior == SeilerPrior()
+    assert converges(optimizer)
     solution = run(widget).solution
     longer = solve_again(widget, SeilerPrior(), ICM(100_000, steps=None, energy_change=1e-9))
     np.testing.assert_allclose(solution.displacement, longer.displacement, atol=0.01)
@@ -68,7 +78,7 @@ def solve_again(widget, prior, optimizer=None):
 def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
     small_sample(viewer_of(widget))
     elastic(widget)
-    widget.model.plane.value = "strain"
+    widget.plane = "strain"
     solution = run(widget).solution
     expected = solve_again(widget, ElasticPrior(0.45, plane="strain"))
     np.testing.assert_array_equal(solution.displacement, expected.displacement)
@@ -78,27 +88,38 @@ def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
 
 def test_only_what_applies_is_asked(docked, small_sample):
     image, *_ = small_sample(viewer_of(docked))
-    settings, model = docked.settings, docked.model
+    form = docked._form.model
     always = {"device"}
-    papers = {"reading", "sentence", "penalty"}
-    sweeps = {"method", "sweeps", "tolerance"}
+    papers = {"reading", "penalty"}
+    sweeps = {"method", "sweeps", "energy_change"}
 
     def asked():
-        return {widget.name for widget in settings if not widget.native.isHidden()}
+        return {field.name for field in form.in_detail if not field.native.isHidden()}
 
     assert asked() == always | papers | sweeps
-    model.schedule.value = "converged"
+    docked.model = "paper, converged"
     assert asked() == always | papers | {"accuracy"}
+    assert form.plane.native.isHidden()
     elastic(docked)
     assert asked() == always | {"accuracy", "grip"}
-    assert model.schedule.native.isHidden()
-    assert not model.plane.native.isHidden()
-    assert model.poisson.native.isHidden()  # the table has them
+    assert not form.plane.native.isHidden()
+    assert form.poisson.native.isHidden()  # the table has them
     docked.tissue = image
-    assert not model.poisson.native.isHidden()
-    model.energy.value = "paper"
-    assert model.plane.native.isHidden()
-    assert model.poisson.native.isHidden()
+    assert not form.poisson.native.isHidden()
+    docked.model = "paper"
+    assert form.plane.native.isHidden()
+    assert form.poisson.native.isHidden()
+
+
+def test_what_lies_around_a_slice_is_chosen_by_its_picture(widget):
+    elastic(widget)
+    first, second = (Screen(widget).button(PLANES[plane]) for plane in ("stress", "strain"))
+    assert first.isChecked()
+    pictures = [button.icon().pixmap(64, 32).toImage() for button in (first, second)]
+    assert not any(picture.isNull() for picture in pictures)
+    assert pictures[0] != pictures[1]
+    second.click()
+    assert widget.plane == "strain"
 
 
 RIGID_AND_PAPER = (
@@ -114,17 +135,17 @@ def be_rigid(widget):
 
 def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
     small_sample(viewer_of(widget))
-    model = widget.model
+    model = widget._form.model
     assert model.elastic.native.isHidden()
     be_rigid(widget)
     assert model.objection == RIGID_AND_PAPER
     assert not model.elastic.native.isHidden()
     wait_for(lambda: RIGID in widget.status)
     model.elastic.native.click()
-    assert model.energy.value == "elastic"
+    assert widget.model == "elastic"
     assert model.elastic.native.isHidden()
     wait_for(lambda: widget.status == READY)
-    model.energy.value = "paper"
+    widget.model = "paper"
     wait_for(lambda: RIGID in widget.status)
     Cell(widget._form.tissue.seen, 1, 2).write("900")
     assert not model.objection
@@ -180,57 +201,55 @@ def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample,
     wait_for(lambda: "Tissue moved up to" in widget.status)
 
 
-@pytest.mark.parametrize("model", ["elastic", "paper"])
+@pytest.mark.parametrize("model", ["elastic", "paper, converged"])
 def test_how_near_to_converged_can_be_chosen(widget, model):
-    widget.model.energy.value = model
-    widget.model.schedule.value = "converged"
-    assert widget.settings.optimizer == Multigrid()
-    widget.settings.accuracy.value = 0.1
-    assert widget.settings.optimizer == Multigrid(0.1)
+    widget.model = model
+    assert solved(widget)[1] == Multigrid()
+    widget.settings = replace(widget.settings, accuracy=0.1)
+    assert solved(widget)[1] == Multigrid(0.1)
 
 
 def test_one_click_leads_back_to_the_paper(widget, small_sample, run):
     small_sample(viewer_of(widget))
-    settings, model = widget.settings, widget.model
-    settings.sweeps.value = 70
+    widget.settings = replace(widget.settings, sweeps=70)
     papers = run(widget).solution
     elastic(widget)
-    model.schedule.value = "converged"
-    settings.sweeps.value, settings.penalty.value = 12, 5.0
-    settings.reading.value, settings.method.value = "blanket", "closed form"
-    settings.accuracy.value = 0.1
+    widget.settings = SolverDetails(
+        "blanket", "closed form", sweeps=12, penalty=5.0, accuracy=0.1, device="cpu"
+    )
     run(widget)
-    model.back.changed.emit(True)
-    assert (settings.prior, settings.optimizer) == (SeilerPrior(), ICM())
-    assert model.energy.value == "paper"
-    assert settings.device.value == "cpu"
+    Screen(widget).choose(MODELS["paper"])
+    assert solved(widget) == (SeilerPrior(), ICM())
+    assert widget.settings == SolverDetails(device="cpu")
     again = run(widget).solution
     np.testing.assert_array_equal(again.displacement, papers.displacement)
     np.testing.assert_array_equal(again.energy, papers.energy)
 
 
-def test_the_way_back_is_offered_when_something_differs(widget):
-    widget.settings.sweeps.value = 70
-    for change in (
-        lambda: setattr(widget.model.energy, "value", "elastic"),
-        lambda: setattr(widget.model.schedule, "value", "converged"),
-        lambda: setattr(widget.settings.sweeps, "value", 71),
-    ):
-        assert widget.model.back.native.isHidden()
-        change()
-        assert not widget.model.back.native.isHidden()
-        widget.model.back.changed.emit(True)
+def test_the_paper_s_own_numbers_are_back_when_it_is_chosen_again(widget):
+    assert widget.settings.sweeps == 3
+    menu = widget._form.model.model.native
+    menu.activated.emit(menu.currentIndex())
+    assert solved(widget) == (SeilerPrior(), ICM())
 
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])
 def test_every_choice_has_a_sentence_with_what_was_measured(plane):
-    said = {
-        when_to_take("paper", "paper", plane),
-        when_to_take("paper", "converged", plane),
-        when_to_take("elastic", "paper", plane),
-    }
+    said = {when_to_take(model, plane) for model in get_args(ModelName)}
     assert len(said) == 3
     assert all("px from finite elements" in sentence for sentence in said)
+
+
+def test_the_two_planes_differ_by_as_much_as_is_said():
+    said = when_to_take("elastic", "stress")
+    low, high = map(int, re.search(r"(\d+) to (\d+) %", said).groups())
+    problem = phantom("mass-effect", 128).problem
+    tissue = problem.stiffness > 0
+    thin, thick = (
+        solve(problem, ElasticPrior(plane=plane), backend="cpu").displacement[tissue]
+        for plane in ("stress", "strain")
+    )
+    assert low / 100 < np.sqrt(((thin - thick) ** 2).sum() / (thin**2).sum()) < high / 100
 
 
 # Poisson's ratio
@@ -243,7 +262,7 @@ def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sam
     elastic(widget)
     assert not table.isColumnHidden(POISSON)
     assert [Cell(table, row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
-    widget.model.energy.value = "paper"
+    widget.model = "paper"
     assert table.isColumnHidden(POISSON)
 
 
@@ -334,7 +353,7 @@ def test_an_image_of_stiffness_has_one_poisson_ratio(widget, small_sample, run):
     stiffness = viewer.add_image(20.0 * (tissue.data == 1), name="stiffness")
     elastic(widget)
     widget.tissue = stiffness
-    widget.model.poisson.value = 0.2
+    widget.poisson = 0.2
     solution = run(widget).solution
     assert solution.provenance.parameters["prior"]["poisson"] == 0.2
     widget.tissue = tissue
@@ -360,8 +379,7 @@ def test_results_say_which_model_made_them(widget, small_sample, run):
     assert known["model"] == "elastic (Poisson's ratio 0.45, plane stress), converged"
     assert known["provenance"]["parameters"]["prior"]["name"] == "ElasticPrior"
     assert known["provenance"]["model"] == "elastic"
-    widget.model.energy.value = "paper"
-    widget.model.schedule.value = "converged"
+    widget.model = "paper, converged"
     run(widget)
     assert "MR arrows, converged" in names(widget)
 
@@ -371,7 +389,7 @@ def test_a_name_of_the_users_stays(widget, small_sample, run):
     run(widget)
     viewer_of(widget).layers["MR arrows"].name = "mine"
     for energy in ("elastic", "paper", "elastic"):
-        widget.model.energy.value = energy
+        widget.model = energy
         run(widget)
         assert "mine" in names(widget)
     assert "MR deformed, elastic" in names(widget)
@@ -379,10 +397,11 @@ def test_a_name_of_the_users_stays(widget, small_sample, run):
 
 def test_another_model_means_that_the_result_is_old(widget, small_sample, run, wait_for):
     small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=70)
     run(widget)
     elastic(widget)
     wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
-    widget.model.energy.value = "paper"
+    widget.model = "paper"
     wait_for(lambda: widget.status.startswith("Tissue moved"))
 
 
@@ -399,12 +418,11 @@ def test_the_plot_copes_with_cycles(widget, small_sample, run):
     np.testing.assert_array_equal(curve.get_ydata(), solution.energy)
     assert axes.get_xlabel() == "cycle over all levels"
     assert axes.get_title().endswith("px of the converged field")
-    widget.model.energy.value = "paper"
-    widget.model.schedule.value = "converged"
+    widget.model = "paper, converged"
     solution = run(widget).solution
     (curve,) = axes.lines
     assert list(curve.get_xdata()) == [solution.iterations]
-    widget.model.schedule.value = "paper"
+    widget.model = "paper"
     run(widget)
     assert len(axes.lines) > 3
     assert axes.get_title() == ""
@@ -425,7 +443,7 @@ def test_tissue_that_could_turn_is_refused_in_one_sentence(widget, small_sample,
     assert "could still move by turning" in widget.status
     assert "Fix some of it in place" in widget.status
     assert not any("arrows" in name for name in names(widget))
-    widget.model.energy.value = "paper"
+    widget.model = "paper"
     assert run(widget) is not None
 
 
@@ -433,7 +451,7 @@ def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, 
     small_sample(viewer_of(widget))
     elastic(widget)
     hasty = property(lambda _: Multigrid(1e-3, max_iterations=1))
-    monkeypatch.setattr(type(widget.settings), "optimizer", hasty)
+    monkeypatch.setattr(type(widget._form.model), "optimizer", hasty)
     assert run(widget) is None
     assert widget.status.startswith("No result: ")
     assert "px from converged" in widget.status
@@ -467,7 +485,7 @@ def test_a_boundary_with_little_grip_slips(widget, small_sample, run):
         return across[-3] - across[2]
 
     assert stretched() == pytest.approx(3, abs=1e-3)
-    widget.settings.grip.value = 0.05
+    widget.settings = replace(widget.settings, grip=0.05)
     # Both sides grip alike: which of them slips is nobody's to say.
     assert 0.1 < stretched() < 2.9
 

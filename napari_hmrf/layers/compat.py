@@ -22,22 +22,19 @@ def camera_of(viewer: Any) -> Any:
     return getattr(viewer, "scene", viewer).camera
 
 
-def scale_bar_of(viewer: Any) -> Any:
-    """A viewer's scale bar; napari 0.9 has moved it to the canvas."""
-    overlay = _overlay(viewer, "scale_bar")
-    return viewer.scale_bar if overlay is None else overlay
-
-
 def text_of(viewer: Any) -> Any:
     """The text in a corner of the canvas; napari 0.9 has moved it to the canvas."""
     overlay = _overlay(viewer, "text")
     return viewer.text_overlay if overlay is None else overlay
 
 
-def brush_circle_of(viewer: Any) -> Any:
-    """The circle around the cursor; None in versions of napari that keep it elsewhere."""
-    # Private: pictures are taken without it, and napari offers the other overlays only.
-    return _overlay(viewer, "_brush_circle")
+def clear_middle(viewer: Any) -> None:
+    """Let what is pointed at be seen through the circle around the cursor."""
+    # Private: napari 0.9 puts a small square there, in the colour of the canvas and meant for the
+    # background of words; it stays behind when the circle goes. Others of its overlays are public.
+    circle = _overlay(viewer, "_brush_circle")
+    if getattr(circle, "box", False):
+        circle.box = False
 
 
 def paint_steps(layer: Any, name: str) -> Collection[Any] | None:

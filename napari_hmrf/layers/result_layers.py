@@ -142,22 +142,14 @@ def result_layers(
     return Outputs(solution, layers, int(folded.sum()), overlaps, worst)
 
 
-def arrows_apart(solution: Solution, about: int = ARROWS) -> tuple[npt.NDArray[np.float32], float]:
-    """Pick about so many arrows of which none lies on another, and how thick they are drawn.
-
-    Returns
-    -------
-    segments : ndarray, shape (N, 2, 2), float32
-        Arrows as (start, direction), each (row, col) in pixels.
-    width : float
-        In pixels.
-    """
+def _arrows_apart(solution: Solution) -> tuple[npt.NDArray[np.float32], float]:
+    """Pick arrows as (start, step) in pixels, none on another, and how thick they are drawn."""
     found = arrows(
-        solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=about
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=ARROWS
     )
     lengths = np.linalg.norm(found[:, 1], axis=1)
     found = found[lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)]
-    pixels = max(1.0, math.sqrt(solution.tissue.sum() / about))
+    pixels = max(1.0, math.sqrt(solution.tissue.sum() / ARROWS))
     chosen = apart(found, pixels * math.prod(solution.spacing) ** 0.5 / 4, solution.spacing)
     return found[chosen], pixels / 8
 
@@ -314,7 +306,7 @@ class _Maker:
 
     def arrows(self) -> LayerData:
         """Where the tissue goes."""
-        found, width = arrows_apart(self._solution)
+        found, width = _arrows_apart(self._solution)
         look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": width}
         return self._vectors("arrows", found, "arrows", look)
 

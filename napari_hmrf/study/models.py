@@ -2,18 +2,159 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args
 
 from napari_hmrf.errors import ArgumentError
+from napari_hmrf.solver.backends import BackendName
 from napari_hmrf.solver.model_names import ModelName, converged, model_name, parts
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.priors.seiler import Conditional
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: The paper's Markov random field, or linear elasticity.
-Model = Literal["paper", "elastic"]
-#: By the paper's schedule, or until the field no longer changes.
-Schedule = Literal["paper", "converged"]
+
+def _words(label: str, tooltip: str, **options: Any) -> dict[str, Any]:
+    """What a form says of a field, and what it lets people choose."""
+    return {"label": label, "tooltip": tooltip, **options}
+
+
+@dataclass(frozen=True)
+class SolverDetails:
+    """How a model is solved: what is the paper's own, or usual, and need not be chosen.
+
+    A form is made from these annotations; `asked` says which of them a model knows.
+
+    Attributes
+    ----------
+    reading : {"centred", "blanket"}
+    method : {"steps", "closed form"}
+    sweeps : int
+    energy_change : float
+        0: a level is never left early.
+    penalty, grip : float
+        K of eq. 19, of the paper's and of the elastic model; 0: large enough to hold.
+    accuracy : float
+        In pixels.
+    device : str
+    """
+
+    reading: Annotated[
+        Conditional,
+        _words(
+            "reading",
+            "Which cliques count when a site chooses its displacement.\n"
+            "centred: those whose middle it is. Nearest to finite elements, and independent of the "
+            "pixel size.\n"
+            "blanket: all that contain it, the textbook reading of the energy. Stiff-soft borders "
+            "lock, the more so the finer the pixels.",
+        ),
+    ] = "centred"
+    method: Annotated[
+        Literal["steps", "closed form"],
+        _words(
+            "site update",
+            "Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 pixels.\n"
+            "Closed form: straight to the site's best displacement.",
+            choices=[("candidate steps", "steps"), ("closed form", "closed form")],
+        ),
+    ] = "steps"
+    sweeps: Annotated[
+        int,
+        _words(
+            "sweeps per level",
+            "Updates of all sites on each level; with a tolerance, the most there may be",
+            min=1,
+            max=100_000,
+        ),
+    ] = ICM().iterations
+    energy_change: Annotated[
+        float,
+        _words(
+            "stop when stable to",
+            "Leave a level when its mean energy has changed by less than this fraction over ten "
+            "sweeps",
+            choices=[("never early", 0.0)]
+            + [(f"{100 * part:g} %", part) for part in (1e-2, 1e-3, 1e-4, 1e-5)],
+        ),
+    ] = 0.0
+    penalty: Annotated[
+        float,
+        _words(
+            "penalty K",
+            "Energy per pixel of deviation from a boundary of confidence 1; the larger, the firmer "
+            "boundaries hold. Automatic: large enough to hold them",
+            max=1e9,
+            step=1000,
+        ),
+    ] = 0.0
+    grip: Annotated[
+        float,
+        _words(
+            "penalty K",
+            "The greatest force that holds a boundary pixel of confidence 1; 1 is what strains a "
+            "pixel of the stiffest tissue by 1. Where tissue pulls harder, it slips",
+            max=1e6,
+            step=0.01,
+        ),
+    ] = 0.0
+    accuracy: Annotated[
+        float,
+        _words(
+            "converged to",
+            "No pixel is estimated to be further than this from where the model has it in the end",
+            choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
+        ),
+    ] = Multigrid.tolerance
+    device: Annotated[
+        BackendName,
+        _words(
+            "device",
+            "Automatic: the graphics card if there is one, else compiled loops on the CPU",
+            choices=[
+                ("automatic", "auto"),
+                ("OpenGL", "opengl"),
+                ("OpenGL, fragment", "opengl:fragment"),
+                ("OpenGL, compute", "opengl:compute"),
+                ("CPU", "cpu"),
+            ],
+        ),
+    ] = "auto"
+
+
+_USUAL = SolverDetails()
+
+
+def asked(model: ModelName) -> tuple[str, ...]:
+    """The details that a model knows, in their order."""
+    if model == "elastic":
+        return "grip", "accuracy", "device"
+    if model == "paper":
+        return "reading", "method", "sweeps", "energy_change", "penalty", "device"
+    return "reading", "penalty", "accuracy", "device"
+
+
+def prior_of(
+    model: ModelName,
+    details: SolverDetails = _USUAL,
+    plane: Plane = "stress",
+    poisson: float = USUAL_POISSON,
+) -> Prior:
+    """The energy of a model; of tissue by labels their table has Poisson's ratios."""
+    if model == "elastic":
+        return ElasticPrior(poisson, plane=plane, penalty=details.grip or math.inf)
+    return SeilerPrior(penalty=details.penalty or None, conditional=details.reading)
+
+
+def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer:
+    """How the energy of a model is minimised."""
+    if model != "paper":
+        return Multigrid(details.accuracy)
+    steps: dict[str, Any] = {} if details.method == "steps" else {"steps": None}
+    return ICM(details.sweeps, energy_change=details.energy_change or None, **steps)
 
 
 def chosen(name: str) -> tuple[Prior, Optimizer]:
@@ -24,12 +165,11 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
     ArgumentError
         If there is no model of that name.
     """
-    if name not in get_args(ModelName):
-        listed = ", ".join(f'"{each}"' for each in get_args(ModelName))
+    known: dict[str, ModelName] = {each: each for each in get_args(ModelName)}
+    if name not in known:
+        listed = ", ".join(f'"{each}"' for each in known)
         raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
-    if name == "elastic":
-        return ElasticPrior(), Multigrid()
-    return SeilerPrior(), Multigrid() if name == "paper, converged" else ICM()
+    return prior_of(known[name]), optimizer_of(known[name])
 
 
 def converges(optimizer: Optimizer) -> bool:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from magicgui.widgets import Container, PushButton
-from magicgui.widgets.bases import ValueWidget
 from napari.layers import Labels
 from psygnal import Signal
 from superqt import QCollapsible
@@ -18,12 +15,10 @@ from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.material_table import POISSON
-from napari_hmrf.ui.model import TissueModel
+from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
-from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.settings import SolverSettings
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
@@ -48,8 +43,7 @@ class DockForm:
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
-    model : TissueModel
-    settings : SolverSettings
+    model : ModelForm
     energy : EnergyPlot
     footer : Footer
     """
@@ -72,20 +66,18 @@ class DockForm:
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
         self.result = ResultForm(layers, lambda layer: result_of(layer) is not None)
-        self.model = TissueModel()
-        self.settings = SolverSettings(self.model)
+        self.model = ModelForm()
         self.energy = EnergyPlot()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
-        self.model.energy.changed.connect(self._on_energy)
-        self._on_energy()
-        remember("deform", {"device": self.settings.device})
+        self.model.model.changed.connect(self._on_model)
+        self._on_model()
         for part in (self.tissue.edited, self.motion.boundary.edited):
             part.connect(self.edited)
         for field in (
             self.model,
-            self.settings,
+            self.model.in_detail,
             self.motion.edge,
             self.motion.fields.preset,
         ):
@@ -98,18 +90,6 @@ class DockForm:
         boundary = self.motion.boundary
         pair = (boundary.landmarks.where, boundary.landmarks.should)
         return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *pair)
-
-    @property
-    def solved(self) -> dict[str, ValueWidget[Any]]:
-        """All that says how to solve, by names."""
-        model = self.model
-        fields: dict[str, ValueWidget[Any]] = {
-            "energy": model.energy,
-            "schedule": model.schedule,
-            "plane": model.plane,
-            "poisson": model.poisson,
-        }
-        return fields | self.settings.details
 
     def show_place(self, grid: Grid, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way rows and columns run on the screen."""
@@ -134,7 +114,7 @@ class DockForm:
             ("2  Motion", (self.motion,), True),
             ("3  Result", (self.result,), True),
             ("Model", (self.model,), False),
-            ("Advanced", (self.settings, self.energy), False),
+            ("Advanced", (self.model.in_detail, self.energy), False),
         ):
             step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
             for inner in (step.layout(), step.content().layout()):
@@ -166,6 +146,6 @@ class DockForm:
         layer = self.tissue.layer if self.tissue.curve is None else self.image.value
         self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
 
-    def _on_energy(self, *_: str) -> None:
+    def _on_model(self, *_: str) -> None:
         # Only elastic tissue has it.
         self.tissue.seen.setColumnHidden(POISSON, not self.model.is_elastic)

@@ -100,6 +100,10 @@ class Footer:
         self._status.setText(status)
         self._status.setToolTip(status)
 
+    def explain(self, technical: str) -> None:
+        """Show, where the mouse rests on the sentence, what few want to know of it."""
+        self._status.setToolTip(technical)
+
     def tell(self, brief: str, details: str = "") -> None:
         """Show a line about a result, and where the mouse rests on it what few want to know."""
         self._details.setText(brief)

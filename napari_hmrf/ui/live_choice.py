@@ -12,8 +12,8 @@ LIVE = "Live"
 _SLOW = "So many pixels take seconds an edit, unless there is a graphics card: tick it to try.\n"
 _ABOUT = (
     "The tissue follows any edit of tissue, boundary or tables. Elastic tissue, and the paper's "
-    "energy 'to convergence', go on from the last field; the paper's schedule begins anew each "
-    "time. What is pulled is followed always"
+    "computed to the end, go on from the last field; the paper's 70 sweeps begin anew each time. "
+    "What is pulled is followed always"
 )
 
 

@@ -163,8 +163,8 @@ class LiveStudy:
 
     def read(self, request: Request) -> Study:
         """Read what is chosen, and how it is to be solved."""
-        settings = self._form.settings
-        return read_study(request, settings.prior, settings.optimizer, self._copies)
+        model = self._form.model
+        return read_study(request, model.prior, model.optimizer, self._copies)
 
     def first_curve(self) -> StiffnessCurve:
         """Guess by which curve the slice's brightness says how stiff tissue is.
@@ -230,7 +230,7 @@ class LiveStudy:
         self.settling, self._since, self._asked = True, time.monotonic(), study
         self._layers = request.layers
         self.note = ""
-        self._follower.settle(study, self._form.settings.backend)
+        self._follower.settle(study, self._form.model.in_detail.details.device)
         self._poll.start()
 
     def is_solving(self, layer: Any) -> bool:
@@ -352,7 +352,7 @@ class LiveStudy:
         self._resting.stop()
         if self._is_hasty(study):
             study = replace(study, optimizer=Multigrid(TOLERANCE))
-        self._follower.follow(study, self._form.settings.backend)
+        self._follower.follow(study, self._form.model.in_detail.details.device)
         if not self._poll.isActive():
             self._poll.start()
 
@@ -420,11 +420,14 @@ class LiveStudy:
         if self.settling:
             self._form.footer.progress(monitor.fraction)
             if self.settling:  # Qt may have answered whatever waited, Cancel among it
-                self.doing.emit(messages.progress(monitor, waited))
+                self._say_progress(messages.progress(monitor, waited))
         elif waited > _PATIENCE:
             self._form.footer.following(True)
-            doing = messages.progress(monitor, waited)
-            self.doing.emit(f"Following the last edit: {doing[0].lower()}{doing[1:]}")
+            self._say_progress(messages.progress(monitor, waited, "Following the last edit"))
+
+    def _say_progress(self, sentence: str) -> None:
+        self.doing.emit(sentence)
+        self._form.footer.explain(self._follower.monitor.message)
 
     def _cannot(self, error: Exception) -> None:
         """Say why the tissue does not follow, once; the last result stays."""

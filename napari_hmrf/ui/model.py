@@ -1,59 +1,115 @@
-"""The part of the widget that says what kind of material tissue is, and how far to solve it."""
+"""The part of the dock that says what tissue is taken to be, and how that is solved in detail."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, get_type_hints
 
-from magicgui.widgets import Container, FloatSpinBox, PushButton
+from magicgui.widgets import (
+    Container,
+    FloatSpinBox,
+    PushButton,
+    RadioButtons,
+    create_widget,
+)
 from napari.layers import Image
-from qtpy.QtWidgets import QSizePolicy
+from qtpy.QtCore import QSize
+from qtpy.QtGui import QIcon
+from qtpy.QtWidgets import QRadioButton, QSizePolicy
 
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.ui.forms import Prose, align_labels, menu
 from napari_hmrf.ui.messages import (
     ABOUT_POISSON,
     ELASTIC,
     MODELS,
-    PAPERS,
     PLANES,
-    SCHEDULES,
     cannot_be_rigid,
     when_to_take,
 )
 
+#: Of the picture of a plane, in pixels.
+_PICTURE = QSize(64, 32)
 
-class TissueModel(Container):
-    """The energy and how far it is minimised, with a sentence of when to take which.
+
+class DetailsForm(Container):
+    """A field for each of `SolverDetails`; those are seen that a model asks for."""
+
+    def __init__(self) -> None:
+        hints = get_type_hints(SolverDetails, include_extras=True)
+        super().__init__(
+            widgets=[
+                create_widget(value, annotation=hints[name], name=name)
+                for name, value in asdict(SolverDetails()).items()
+            ]
+        )
+        align_labels(self)
+        self["penalty"].native.setSpecialValueText("automatic")
+        self["grip"].native.setSpecialValueText("held exactly")
+        self["grip"].native.setDecimals(4)
+
+    @property
+    def details(self) -> SolverDetails:
+        """What is chosen."""
+        return SolverDetails(**self.asdict())
+
+    @details.setter
+    def details(self, details: SolverDetails) -> None:
+        self.update(asdict(details))
+
+
+class _PlaneChoice(RadioButtons):
+    """Buttons with a picture each; whenever it is put elsewhere magicgui makes them anew."""
+
+    def reset_choices(self, *_: Any) -> None:
+        super().reset_choices()
+        buttons = self.native.findChildren(QRadioButton)
+        for button, plane in zip(buttons, PLANES, strict=True):
+            button.setIcon(QIcon(str(Path(__file__).with_name(f"plane-{plane}.svg"))))
+            button.setIconSize(_PICTURE)
+
+
+class ModelForm(Container):
+    """One of the models, with a sentence of when to take which.
 
     Attributes
     ----------
-    energy : ComboBox
-        "paper" or "elastic".
-    schedule : ComboBox
-        Of the paper's energy: "paper" or "converged".
-    plane : ComboBox
-        Of the elastic energy: "stress" or "strain".
+    model : ComboBox
+        A `ModelName`. Whoever chooses the paper's has its own numbers, too.
+    plane : RadioButtons
+        Of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
-        Of the elastic energy, where the tissue is an image of stiffness; labels have a table.
+        Of the elastic model, where the tissue is an image of stiffness; labels have a table.
     elastic : PushButton
-        To the elastic energy, where there is rigid tissue, which the paper's cannot have.
-    back : PushButton
-        Back to the paper's energy and schedule, which are what the widget starts with.
+        To the elastic model, where there is rigid tissue, which the paper's cannot have.
+    in_detail : DetailsForm
+        To be put elsewhere.
     """
 
     def __init__(self) -> None:
         low, high = POISSON_RANGE
-        self.energy = menu("model", MODELS, "What tissue is taken to be")
-        self.schedule = menu("solved", SCHEDULES, "How near to the model's own answer")
-        self.plane = menu(
-            "taken as",
-            PLANES,
-            "What is in front of the image and behind it. Plane stress: nothing that holds it; "
-            "plane strain: tissue that lets nothing through",
+        self.model = menu(
+            "model",
+            MODELS,
+            "What tissue is taken to be. The paper's brings its own numbers back under Advanced",
+            name="model",
+        )
+        self.plane = _PlaneChoice(
+            name="plane",
+            label="taken as",
+            choices=[(words, plane) for plane, words in PLANES.items()],
+            value="stress",
+            tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
+            "it; plane strain: tissue that lets nothing through",
         )
         self.poisson = FloatSpinBox(
+            name="poisson",
             label="Poisson's ratio",
             min=low,
             max=high,
@@ -64,29 +120,47 @@ class TissueModel(Container):
         self._when = Prose()
         self._against = Prose()
         self.elastic = PushButton(text=ELASTIC, tooltip="In which bone and implants move as one")
-        self.back = PushButton(
-            text=PAPERS, tooltip="The paper's model and schedule, and its settings under Advanced"
-        )
-        form = Container(widgets=[self.energy, self.schedule, self.plane, self.poisson])
-        super().__init__(
-            widgets=[form, self._when, self._against, self.elastic, self.back], labels=False
-        )
+        self._form = form = Container(widgets=[self.model, self.plane, self.poisson])
+        super().__init__(widgets=[form, self._when, self._against, self.elastic], labels=False)
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         self.poisson.native.setDecimals(3)
-        for button in (self.elastic, self.back):
-            button.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
-        self.elastic.changed.connect(lambda _: setattr(self.energy, "value", "elastic"))
+        self.elastic.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
+        self.in_detail = DetailsForm()
         self._tissue: Any = None
         self._rigid: tuple[str, ...] = ()
-        for choice in (self.energy, self.schedule, self.plane):
-            choice.changed.connect(self._show)
+        self.elastic.changed.connect(lambda _: setattr(self.model, "value", "elastic"))
+        self.model.changed.connect(self._on_model)
+        # A menu tells of no change where what is chosen already is chosen again.
+        self.model.native.activated.connect(lambda _: self._on_model(self.model.value))
+        self.plane.changed.connect(self._show)
         self._show()
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All that is chosen, by name."""
+        return {**self._form.asdict(), "details": self.in_detail.details}
+
+    @values.setter
+    def values(self, values: Mapping[str, Any]) -> None:
+        self._form.update(values)
+        self.in_detail.details = values.get("details", self.in_detail.details)
 
     @property
     def is_elastic(self) -> bool:
         """Whether Poisson's ratios count."""
-        return bool(self.energy.value == "elastic")
+        return bool(self.model.value == "elastic")
+
+    @property
+    def prior(self) -> Prior:
+        """The energy chosen; where tissues are labels, Poisson's ratios are still to come."""
+        details = self.in_detail.details
+        return prior_of(self.model.value, details, self.plane.value, self.poisson.value)
+
+    @property
+    def optimizer(self) -> Optimizer:
+        """How it is minimised."""
+        return optimizer_of(self.model.value, self.in_detail.details)
 
     @property
     def objection(self) -> str:
@@ -108,11 +182,19 @@ class TissueModel(Container):
             self._tissue, self._rigid = layer, rigid
             self._show()
 
+    def _on_model(self, model: str) -> None:
+        if model == "paper":
+            device = self.in_detail["device"].value
+            self.in_detail.details = SolverDetails(device=device)
+        self._show()
+
     def _show(self, *_: Any) -> None:
         """Show what applies."""
-        elastic, one_for_all = self.is_elastic, isinstance(self._tissue, Image)
-        self._when.say(when_to_take(self.energy.value, self.schedule.value, self.plane.value))
+        model = self.model.value
+        self._when.say(when_to_take(model, self.plane.value))
         self._against.say(self.objection)
-        self.schedule.visible, self.plane.visible = not elastic, elastic
-        self.poisson.visible = elastic and one_for_all
+        self.plane.visible = self.is_elastic
+        self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         self._against.visible = self.elastic.visible = bool(self.objection)
+        for field in self.in_detail:
+            field.visible = field.name in asked(model)

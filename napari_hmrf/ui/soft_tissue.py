@@ -13,7 +13,10 @@ from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Probe
+from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -29,13 +32,11 @@ from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.material_menu import preset_of
-from napari_hmrf.ui.model import TissueModel
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
-from napari_hmrf.ui.remembered_settings import keep
+from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
-from napari_hmrf.ui.settings import SolverSettings
 from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.viewer_dock import Dock
@@ -77,8 +78,15 @@ class SoftTissue(Dock):
     hold_edge, without_border : bool
         Whether the outer edge of the tissue stays where it is, and whether what is dark around the
         image and unpainted is no tissue.
-    fields, model, settings : ToolFields, TissueModel, SolverSettings
-        How the tools draw, what tissue is taken to be, and how to solve, in detail.
+    fields : ToolFields
+        How the tools draw.
+    model, plane : str
+        What tissue is taken to be: "elastic", "paper" or "paper, converged"; and of what is
+        elastic "stress" or "strain". The paper's brings its own numbers into `settings`.
+    poisson : float
+        Of elastic tissue that is an image of stiffness; labels have it in `materials`.
+    settings : SolverDetails
+        How to solve, in detail: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`.
     history : History
         The drawing of the slice that is shown, and its steps.
     active, playing : bool
@@ -91,8 +99,6 @@ class SoftTissue(Dock):
         Whether the image is seen as it was, and nothing of the result.
     arrows, grid : bool
         Whether arrows are drawn, and a grid that moves with the tissue.
-    arrow_count, arrow_length : int, float
-        How many arrows are drawn, roughly, and how many times longer than true.
     colours : str
         What colours show: "nothing", "magnitude", "jacobian", "equivalent", ... (`Quantity`).
     outputs : tuple of Kind
@@ -128,8 +134,10 @@ class SoftTissue(Dock):
     hold_edge = Part[bool]("_form.motion.edge.value")
     without_border = Part[bool]("_form.tissue.border.value")
     fields = Part[ToolFields]("_form.motion.fields")
-    model = Part[TissueModel]("_form.model")
-    settings = Part[SolverSettings]("_form.settings")
+    model = Part[ModelName]("_form.model.model.value")
+    plane = Part[Plane]("_form.model.plane.value")
+    poisson = Part[float]("_form.model.poisson.value")
+    settings = Part[SolverDetails]("_form.model.in_detail.details")
     history = Part[History]("_pointer.history")
     active = Part[bool]("_pointer.active")
     result = Part[Any]("_form.result.result.value")
@@ -138,8 +146,6 @@ class SoftTissue(Dock):
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
     grid = Part[bool]("_form.result.grid.value")
-    arrow_count = Part[int]("_form.result.count.value")
-    arrow_length = Part[float]("_form.result.length.value")
     point = Part[str]("_form.result.point.value")
     saved = Part[Any]("_view.saved")
     live = Part[bool]("_live_study.live.on")
@@ -166,7 +172,7 @@ class SoftTissue(Dock):
         self._steps = DockSteps(self.native, form, steps, self._pointer)
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(self.native, 0, self._on_left)
-        keep(viewer, form.solved)
+        remember(viewer, form.model)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(self.native, viewer, form, self._choices, self._live_study)
         self._connect()

@@ -10,10 +10,9 @@ from typing import Any
 from magicgui.widgets import Container
 from qtpy.QtCore import QTimer
 
-from napari_hmrf.layers.compat import camera_of, unwrapped
+from napari_hmrf.layers.compat import camera_of, clear_middle, unwrapped
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
-from napari_hmrf.ui.brush_circle import clear_middle
 from napari_hmrf.ui.timers import single_shot
 
 #: Until the canvas has the size that a new dock leaves it, in milliseconds.

@@ -14,6 +14,7 @@ from napari_hmrf.layers.result_lookup import picture_of, tissue_of
 from napari_hmrf.ui.result.arrow_choices import ArrowChoices
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.looked_at import LookedAt
+from napari_hmrf.ui.result.result_messages import FULL
 from napari_hmrf.ui.result.result_work import unmoved
 from napari_hmrf.ui.timers import single_shot
 
@@ -113,7 +114,7 @@ class MovingLayers:
         """Draw arrows of the whole deformation, and no lines of what was drawn before."""
         self._lines.stop()
         self._drawn = None
-        self._arrows.show_whole()
+        self._arrows.show(FULL)
 
     def _draw_lines(self) -> None:
         if self._drawn is not None:

@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, get_args
 
-from magicgui.widgets import (
-    CheckBox,
-    ComboBox,
-    Container,
-    FloatSlider,
-    Label,
-    PushButton,
-    Slider,
-    SpinBox,
-)
+from magicgui.widgets import CheckBox, ComboBox, Container, Label, PushButton, Slider
 
-from napari_hmrf.layers.result_layers import ARROWS, Kind
+from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice
-from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_messages import COLOURS_TIP, NOTHING, POINT, colour_choices
 
 Layers = Callable[[], list[Any]]
@@ -74,32 +64,15 @@ class ResultForm(Container):
         )
         narrow(self.colours)
         self.arrows = CheckBox(
-            value=True, text="arrows", tooltip="From where tissue was to where it is"
+            value=True,
+            text="arrows",
+            tooltip="From where tissue was to where it is; napari has their length, width and "
+            "colour among the controls of their layer",
         )
         self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
         self.kinds: dict[Kind, CheckBox] = {
             kind: CheckBox(text=words, tooltip=about) for kind, (words, about) in _KINDS.items()
         }
-        self.count = SpinBox(
-            value=ARROWS,
-            min=10,
-            max=10_000,
-            step=100,
-            label="arrows, about",
-            tooltip="How many arrows, roughly; of those that would lie on each other the longer "
-            "one stays",
-        )
-        # Only when it is all there: 2000 begins with 2, which is too few.
-        self.count.native.setKeyboardTracking(False)
-        self.length = FloatSlider(
-            value=1.0,
-            min=0.25,
-            max=10.0,
-            step=0.25,
-            label="length x",
-            tooltip="How much longer than true arrows are drawn; at 1 their tips are where the "
-            "tissue is",
-        )
         self.point = Prose()
         self.point.native.setToolTip(
             "The tissue that is seen under the cursor, also in the status bar: its displacement in "
@@ -108,11 +81,10 @@ class ResultForm(Container):
         self.point.say(POINT)
         self.save = PushButton(
             text="Save pictures ...",
-            tooltip="PNG files, in a new folder: the canvas with a scale bar, and figures of "
-            "displacement, before and after, grid, Jacobian, strain and energy",
+            tooltip="PNG files, in a new folder: figures of displacement, before and after, grid, "
+            "Jacobian, strain and energy. What the canvas shows, at any percent, is saved by "
+            "File > Save Screenshot",
         )
-        # Not how long they are: arrows that are not true to scale are asked for each time.
-        remember("look", {"count": self.count})
         super().__init__(
             widgets=[
                 Container(widgets=[self.result]),
@@ -122,7 +94,6 @@ class ResultForm(Container):
                 Container(widgets=[self.colours]),
                 row(self.arrows, self.grid, self.kinds["labels"]),
                 row(Label(value="given:"), *list(self.kinds.values())[1:]),
-                Container(widgets=[self.count, self.length]),
                 self.point,
                 self.save,
             ],
@@ -149,5 +120,5 @@ class ResultForm(Container):
         """What is of no use without a result."""
         return (
             *self.kinds.values(), self.slider, self.play, self.before, self.colours, self.arrows,
-            self.grid, self.count, self.length, self.save,
+            self.grid, self.save,
         )  # fmt: skip

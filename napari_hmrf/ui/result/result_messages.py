@@ -106,14 +106,6 @@ def stiffness_of(name: str, stiffness: float, unit: str) -> str:
     return f"{amount} ({name})" if name else amount
 
 
-def saved(canvas: Sequence[Path], figures: Sequence[Path], percent: int) -> str:
-    """What was written, and where; the canvas at so much of the deformation, figures of all."""
-    paths = [*canvas, *figures]
-    if not paths:
-        return "Nothing was saved."
-    names = ", ".join(path.name for path in paths)
-    said = f"Saved in {paths[0].parent}: {names}."
-    if not canvas or percent == FULL:
-        return said
-    shown = f"{canvas[0].name} is as you see it, at {percent} %"
-    return f"{said} {shown}; the others show the whole deformation."
+def saved(paths: Sequence[Path]) -> str:
+    """What was written, and where."""
+    return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."

@@ -45,7 +45,6 @@ from napari_hmrf.ui.result.result_messages import (
     saved,
 )
 from napari_hmrf.ui.result.result_work import figures_of
-from napari_hmrf.ui.result.saving import new_folder, save_canvas
 from napari_hmrf.ui.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
@@ -83,7 +82,7 @@ class ResultView:
         self.cursor = UnderCursor(
             viewer, lambda line: form.point.say(line or POINT), lambda: int(form.slider.value)
         )
-        self._arrows = ArrowChoices(form, self.shown, self._errands)
+        self._arrows = ArrowChoices(form, self.shown)
         self._moving = MovingLayers(
             native, viewer, self.shown, self.cursor, self._arrows, self._refuse
         )
@@ -159,27 +158,15 @@ class ResultView:
             self.said.emit(NO_IMAGE)
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
-        """Write pictures of what is seen, and of the result; `saved` is emitted at the end."""
+        """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
         result = self.shown.result
         if result is None:
             self.said.emit(NO_RESULT)
             return
-        try:
-            if own_folder:
-                folder = new_folder(folder, f"{result.source or 'result'} pictures")
-            written = save_canvas(self._viewer, folder / "canvas.png")
-        except OSError as error:
-            self._refuse(error)
-            return
-        motion, percent = self.player.motion, self._form.slider.value
-        image = None if motion is None else motion.image
-
-        def tell(paths: list[Path]) -> None:
-            self.said.emit(saved(written, paths, percent))
-            self.saved.emit([*written, *paths])
-
+        image = None if self.player.motion is None else self.player.motion.image
         self.said.emit(SAVING)
-        self._errands.send("pictures", partial(figures_of, result, image, folder), tell)
+        work = partial(figures_of, result, image, folder, own_folder)
+        self._errands.send("pictures", work, self._on_saved)
 
     def rest(self) -> None:
         """Leave the layers as they were before they were moved."""
@@ -255,7 +242,6 @@ class ResultView:
                 form.grid.value = True
         self._say_where()
         self._prepare()
-        self._arrows.apply()
         if form.colours.value != NOTHING:
             self._layers.make_colours(result, form.colours.value)
         grid = self.shown.layer("grid")
@@ -407,6 +393,10 @@ class ResultView:
         chosen = QFileDialog.getExistingDirectory(self._native, title)
         if chosen:
             self.save(Path(chosen), own_folder=True)
+
+    def _on_saved(self, paths: list[Path]) -> None:
+        self.said.emit(saved(paths))
+        self.saved.emit(paths)
 
     def _while_key_is_held(self, _: Any) -> Any:
         self.before = True
