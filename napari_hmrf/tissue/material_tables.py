@@ -22,18 +22,17 @@ Nothing here needs napari.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
 
-from psygnal import Signal
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.tissue.boundary_rules import RIGID, USUAL_POISSON, Material, read_stiffness
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.tissue.material_presets import Preset
 
 FORMAT = "napari-hmrf materials"
@@ -120,14 +119,7 @@ class MaterialLibrary:
     ----------
     folder : str or Path
         Made when something is put into it.
-
-    Attributes
-    ----------
-    changed : Signal()
-        Emitted when something was put into it or taken out.
     """
-
-    changed = Signal()
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -161,25 +153,20 @@ class MaterialLibrary:
         if not name:
             raise FileFormatError("Materials are remembered by a name. Give them one.")
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = save_materials(self._file_of(name) or self._free(name), replace(preset, name=name))
-        self.changed.emit()
-        return path
+        # No file's name can hold all that a name can.
+        new = self.folder / f"{quote(name, safe=' ')[:200]}{ENDING}"
+        return save_materials(self._file_of(name) or new, replace(preset, name=name))
 
     def forget(self, name: str) -> bool:
         """Take a preset out of the folder; whether it was there."""
         path = self._file_of(name)
-        if path is None:
-            return False
-        path.unlink()
-        self.changed.emit()
-        return True
-
-    def _files(self) -> list[Path]:
-        return sorted(self.folder.glob(f"*{ENDING}")) if self.folder.is_dir() else []
+        if path is not None:
+            path.unlink()
+        return path is not None
 
     def _read(self) -> tuple[dict[Path, Preset], tuple[str, ...]]:
         presets, refused = {}, []
-        for path in self._files():
+        for path in sorted(self.folder.glob(f"*{ENDING}")):
             try:
                 presets[path] = load_materials(path)
             except (FileFormatError, OSError) as error:
@@ -189,81 +176,69 @@ class MaterialLibrary:
     def _file_of(self, name: str) -> Path | None:
         return next((path for path, each in self._read()[0].items() if each.name == name), None)
 
-    def _free(self, name: str) -> Path:
-        """A file for a name, which may hold what no file's name can."""
-        kept = "".join(letter if letter.isalnum() or letter in " -_" else "_" for letter in name)
-        kept = kept.strip()[:80] or "materials"
-        taken = {path.name.lower() for path in self._files()}
-        number = 1
-        while (file := f"{kept}{'' if number == 1 else f' {number}'}{ENDING}").lower() in taken:
-            number += 1
-        return self.folder / file
+
+class _Row(BaseModel):
+    """A material as a file says it."""
+
+    model_config = ConfigDict(strict=True)
+
+    label: int = Field(ge=0)
+    name: str = ""
+    # Only the word says rigid: JSON has no infinite number, and one like 1e999 is a slip.
+    stiffness: Annotated[
+        Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["rigid"],
+        BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
+    ]
+    poisson: float = Field(USUAL_POISSON, ge=POISSON_RANGE[0], le=POISSON_RANGE[1])
+
+
+class _File(BaseModel):
+    """All that a file says."""
+
+    model_config = ConfigDict(strict=True)
+
+    version: int = Field(ge=1)
+    name: str = ""
+    unit: str = ""
+    source: str = ""
+    materials: list[_Row] = Field(min_length=1)
 
 
 def _preset(values: Any, path: Path) -> Preset:
-    if not isinstance(values, Mapping) or values.get("format") != FORMAT:
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise _bad(path, f'is no file of materials: it does not say "format": "{FORMAT}"')
-    version = values.get("version")
-    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise _bad(path, f'has no version. Write "version": {VERSION}')
-    if version > VERSION:
+    try:
+        file = _File.model_validate(values)
+    except ValidationError as error:
+        raise _bad(path, _in_words(error)) from error
+    if file.version > VERSION:
         raise _bad(
-            path, f"was written by a newer napari-hmrf (version {version}). Install the newest one"
+            path,
+            f"was written by a newer napari-hmrf (version {file.version}). Install the newest one",
         )
-    words = {key: values.get(key, "") for key in ("name", "unit", "source")}
-    for key, word in words.items():
-        if not isinstance(word, str):
-            raise _bad(path, f'has a {key} that is no word: {word!r}. Write it in "quotes"')
-    rows = values.get("materials")
-    if not isinstance(rows, list) or not rows:
-        raise _bad(path, 'lists no "materials". Write one or more')
-    materials = tuple(_material(row, number, path) for number, row in enumerate(rows, start=1))
-    seen: set[int] = set()
-    for material in materials:
-        if material.label in seen:
-            raise _bad(path, f"has two materials for label {material.label}. Remove one")
-        seen.add(material.label)
+    materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
+    labels = [material.label for material in materials]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise _bad(path, f"has two materials for label {label}. Remove one")
     if not any(material.stiffness > 0 for material in materials):
         raise _bad(path, "has no material with a stiffness above 0. Write one that is tissue")
-    return Preset(words["name"] or path.stem, words["unit"], words["source"], materials)
+    return Preset(file.name or path.stem, file.unit, file.source, materials)
 
 
-def _material(row: Any, number: int, path: Path) -> Material:
-    if not isinstance(row, Mapping) or not {"label", "stiffness"} <= set(row):
-        raise _bad(path, f'has a material, number {number}, without a "label" or a "stiffness"')
-    label, name = row["label"], row.get("name", "")
-    which = f"material {number}" + (f" ({name})" if isinstance(name, str) and name else "")
-    if not isinstance(label, int) or isinstance(label, bool) or label < 0:
-        raise _bad(path, f"gives {which} the label {label!r}. Write a whole number, 0 or more")
-    if not isinstance(name, str):
-        raise _bad(path, f'gives {which} the name {name!r}. Write it in "quotes"')
-    given = row["stiffness"]
-    # Only the word says rigid: JSON has no infinite number, and one like 1e999 is a slip.
-    rigid = isinstance(given, str) and read_stiffness(given) == RIGID
-    stiffness = RIGID if rigid else _number(given)
-    if not (rigid or (math.isfinite(stiffness) and stiffness >= 0)):
-        raise _bad(
-            path,
-            f'gives {which} the stiffness {given!r}. Write a number, 0 or more, or "rigid"',
-        )
-    poisson, (low, high) = _number(row.get("poisson", USUAL_POISSON)), POISSON_RANGE
-    if not low <= poisson <= high:
-        raise _bad(
-            path,
-            f"gives {which} the Poisson's ratio {row['poisson']!r}. Write a number from {low:g} to "
-            f"{high:g}",
-        )
-    return Material(label, name, stiffness, poisson)
-
-
-def _number(value: Any) -> float:
-    """A number; NaN for anything else, true and false among it."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return math.nan
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
+def _in_words(error: ValidationError) -> str:
+    """What is wrong first, where, and what would be right."""
+    first = error.errors(include_url=False)[0]
+    place = " ".join(
+        str(part + 1) if isinstance(part, int) else part.replace("materials", "material")
+        for part in first["loc"][:3]
+    )
+    if first["type"] == "missing":
+        return f"lacks {place}"
+    right = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
+    if "stiffness" in place:
+        right = 'a number, 0 or more, or "rigid"'
+    return f"says {place} is {str(first['input'])[:40]!r}. It should be: {right}"
 
 
 def _bad(path: Path, message: str) -> FileFormatError:
