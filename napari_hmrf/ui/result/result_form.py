@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import Any
 
 from magicgui.widgets import (
     CheckBox,
     ComboBox,
     Container,
     FloatSlider,
-    Label,
     PushButton,
     Slider,
     SpinBox,
 )
 
-from napari_hmrf.layers.result_layers import ARROWS, Kind
-from napari_hmrf.layers.strain_layers import Quantity
+from napari_hmrf.layers.overlay import NAMES
+from napari_hmrf.layers.result_layers import ARROWS
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.remembered_settings import remember
-from napari_hmrf.ui.result.result_messages import COLOURS_TIP, NOTHING, POINT, colour_choices
+from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, POINT, overlay_choices
 
 Layers = Callable[[], list[Any]]
 Accept = Callable[[Any], bool]
 
-#: What can be drawn of a result beside its image, its arrows and its grid.
-_KINDS: dict[Kind, tuple[str, str]] = {
-    "labels": ("labels", "The tissue labels, moved with the tissue"),
-    "stiffness": ("m", "How stiff tissue was taken to be, before it moved"),
-    "observed": ("y", "How tissue was to move where that is known; what is held has a dot"),
-    "confidence": ("c", "How sure that is, from 0 to 1"),
-}
 #: What is held to see the image as it was.
 BEFORE_KEY = "Shift-B"
 PLAY, PAUSE = "Play", "Pause"
@@ -69,17 +61,13 @@ class ResultForm(Container):
             tooltip=f"The image as it was, as long as this is held (or {BEFORE_KEY} on the canvas)",
         )
         self.how_far = Prose()
-        self.colours = ComboBox(
-            choices=colour_choices("px"), value=NOTHING, label="colours", tooltip=COLOURS_TIP
+        self.overlay = ComboBox(
+            choices=overlay_choices("px"), value=NOTHING, label="show", tooltip=OVERLAY_TIP
         )
-        narrow(self.colours)
+        narrow(self.overlay)
         self.arrows = CheckBox(
             value=True, text="arrows", tooltip="From where tissue was to where it is"
         )
-        self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
-        self.kinds: dict[Kind, CheckBox] = {
-            kind: CheckBox(text=words, tooltip=about) for kind, (words, about) in _KINDS.items()
-        }
         self.count = SpinBox(
             value=ARROWS,
             min=10,
@@ -119,9 +107,8 @@ class ResultForm(Container):
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
-                Container(widgets=[self.colours]),
-                row(self.arrows, self.grid, self.kinds["labels"]),
-                row(Label(value="given:"), *list(self.kinds.values())[1:]),
+                Container(widgets=[self.overlay]),
+                self.arrows,
                 Container(widgets=[self.count, self.length]),
                 self.point,
                 self.save,
@@ -133,21 +120,21 @@ class ResultForm(Container):
                 part.margins = (0, 0, 0, 0)
 
     @property
-    def coloured_by(self) -> str:
-        """What colours show; "nothing", or a `Quantity`."""
-        return str(self.colours.value)
+    def overlaid(self) -> str:
+        """What lies over the image; "nothing", or one of `overlay.NAMES`."""
+        return str(self.overlay.value)
 
-    @coloured_by.setter
-    def coloured_by(self, quantity: str) -> None:
-        known = (NOTHING, *get_args(Quantity))
-        if quantity not in known:
-            raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
-        self.colours.value = quantity
+    @overlaid.setter
+    def overlaid(self, name: str) -> None:
+        known = (NOTHING, *NAMES)
+        if name not in known:
+            raise ValueError(f"there is no overlay {name!r}; take one of {list(known)}")
+        self.overlay.value = name
 
     @property
     def of_result(self) -> tuple[Any, ...]:
         """What is of no use without a result."""
         return (
-            *self.kinds.values(), self.slider, self.play, self.before, self.colours, self.arrows,
-            self.grid, self.count, self.length, self.save,
+            self.slider, self.play, self.before, self.overlay, self.arrows, self.count, self.length,
+            self.save,
         )  # fmt: skip
