@@ -211,7 +211,7 @@ def test_a_result_that_is_chosen_has_its_colours_alone(two_images, settle):
     viewer, dock = two_images
     for name in ("MR", "CT", "MR"):
         dock.result = viewer.layers[f"{name} arrows, elastic"]
-        for kind in ("magnitude", "grid"):
+        for kind in ("magnitude", "stiffness", "grid"):
             dock.overlay = kind
             settle(dock)
             shown = [layer for layer in parts(viewer, kind) if layer.visible]
@@ -372,7 +372,9 @@ def test_a_closed_dock_leaves_no_second_colours(at_hand, run, settle):
         viewer.window.remove_dock_widget(dock.native)
         dock = opened(viewer)
         run(dock)
-    assert len(parts(viewer, "magnitude")) <= 1
+        settle(dock)
+        assert dock.overlay == "magnitude", "the next dock goes on with it"
+    assert len(parts(viewer, "magnitude")) == 1
     assert np.unique([layer.name for layer in viewer.layers]).size == len(viewer.layers)
     assert not any("[1]" in layer.name for layer in viewer.layers)
 

@@ -263,6 +263,17 @@ def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_t
     assert layer.visible
 
 
+def test_lines_that_are_still_to_be_drawn_are_not_drawn_over_what_came_since(look, set_to):
+    set_to(look, overlay="grid", percent=50)
+    moving, drawn = look._view._moving, look._view._moving._drawn
+    set_to(look, overlay="labels")
+    labels = viewer_of(look).layers["Tissue deformed"]
+    before = labels.data
+    moving._drawn = drawn
+    moving._draw_lines()
+    assert labels.data is before
+
+
 def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid")

@@ -252,19 +252,13 @@ class Result:
             if (layer := self.layer(part)) is not None:
                 yield layer, held
 
-    def _put(
-        self,
-        part: Part,
-        made: LayerData,
-        source: Any = None,
-    ) -> _Held:
+    def _put(self, part: Part, made: LayerData, source: Any = None) -> _Held:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
         name, is_scale = made.attributes["name"], part == "overlay" and made.kind == "image"
         with same_selection(self._viewer):
             if held is None or layer is None or not _fits(layer, made):
-                if layer is not None:
-                    self._take_out(layer)
+                self.drop(part)
                 layer = Layer.create(*made)
                 # Who hears that it comes can ask whose it is.
                 held = self._held[part] = _Held(weakref.ref(layer), name, name)

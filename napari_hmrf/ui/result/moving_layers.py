@@ -102,8 +102,10 @@ class MovingLayers:
         if self._drawn is not None:
             percent, moment = self._drawn
             self._arrows.show(percent)
-            result, layers = self._shown.result, self._shown.layers
-            if result is not None and layers is not None and moment.grid is not None:
+            result, layers, overlay = self._shown.result, self._shown.layers, self._shown.overlay
+            if result is None or layers is None or overlay is None or moment.grid is None:
+                return
+            if overlay.name == "grid":  # another may have taken its place since
                 layers.show_part(percent, {"overlay": result.frame.put_vectors(moment.grid)})
 
 

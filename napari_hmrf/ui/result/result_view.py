@@ -49,6 +49,7 @@ from napari_hmrf.ui.result.result_messages import (
     overlay_choices,
     saved,
 )
+from napari_hmrf.ui.result.result_work import figures_of
 from napari_hmrf.ui.result.saving import new_folder, save_canvas
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
@@ -188,7 +189,7 @@ class ResultView:
             self.saved.emit([*written, *paths])
 
         self.said.emit(SAVING)
-        self._errands.send("pictures", partial(_draw_figures, result, image, folder), tell)
+        self._errands.send("pictures", partial(figures_of, result, image, folder), tell)
 
     def rest(self) -> None:
         """Touch nothing any more, until a result is taken again."""
@@ -450,9 +451,3 @@ class ResultView:
 def _may_move(layer: Any, result: FoundResult | None) -> bool:
     """Whether a layer may be the image that a result was made from: of a file, or opened again."""
     return result is not None and can_be_source(layer, result)
-
-
-def _draw_figures(result: FoundResult, image: Any, folder: Path) -> list[Path]:
-    from napari_hmrf.io.figures import save_result_pictures
-
-    return save_result_pictures(folder, result.solution, image, result.unit)
