@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,8 @@ from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.strain_layers import QUANTITIES, Quantity, quantity_layer, quantity_of
 
 Given = Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]
-Name = Quantity | Given
 #: What there is to lie over the image.
-NAMES: tuple[Name, ...] = (*get_args(Quantity), *get_args(Given))
+Name = Quantity | Given
 
 
 class Overlay(NamedTuple):

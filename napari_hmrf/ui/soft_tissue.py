@@ -139,7 +139,7 @@ class SoftTissue(Dock):
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
-    overlay = Part[str]("_form.result.overlaid")
+    overlay = Part[str]("_form.result.overlay.value")
     arrow_count = Part[int]("_form.result.count.value")
     arrow_length = Part[float]("_form.result.length.value")
     point = Part[str]("_form.result.point.value")

@@ -15,7 +15,6 @@ from magicgui.widgets import (
     SpinBox,
 )
 
-from napari_hmrf.layers.overlay import NAMES
 from napari_hmrf.layers.result_layers import ARROWS
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice
@@ -118,18 +117,6 @@ class ResultForm(Container):
         for part in self:
             if isinstance(part, Container):
                 part.margins = (0, 0, 0, 0)
-
-    @property
-    def overlaid(self) -> str:
-        """What lies over the image; "nothing", or one of `overlay.NAMES`."""
-        return str(self.overlay.value)
-
-    @overlaid.setter
-    def overlaid(self, name: str) -> None:
-        known = (NOTHING, *NAMES)
-        if name not in known:
-            raise ValueError(f"there is no overlay {name!r}; take one of {list(known)}")
-        self.overlay.value = name
 
     @property
     def of_result(self) -> tuple[Any, ...]:
