@@ -153,6 +153,12 @@ MUTATIONS = (
         "c = self._problem.confidence.min(axis=-1)",
         "test_layers_outputs.py",
     ),
+    Mutation(
+        "layers/overlay.py",
+        "Motion(solution, overlay=values).at(1).overlay",
+        "Motion(solution, overlay=values).at(0).overlay",
+        "test_widgets_look.py",
+    ),
     Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),
     Mutation(
         "ui/live_choice.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"

@@ -168,13 +168,13 @@ def tumour(_: dict[str, Path]) -> None:
     form = dock._form
     wait_until(lambda: dock.solution is not None and not dock.busy)
     keep(person, "tumour-painted", pointer=False)
-    person.show(form.result.colours.native)
-    person.choose(form.result.colours, "Jacobian")
+    person.show(form.result.overlay.native)
+    person.choose(form.result.overlay, "Jacobian")
     wait_until(lambda: not dock.busy)
     person.tick(form.result.arrows)
     wait_until(lambda: not dock.busy)
     keep(person, "tumour-jacobian")
-    person.choose(form.result.colours, "nothing")
+    person.choose(form.result.overlay, "nothing")
     table = form.motion.boundary.seen
     person.show(table)
     person.write(table, 1, 5, "12")

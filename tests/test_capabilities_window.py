@@ -448,18 +448,20 @@ def test_before_is_seen_while_a_button_is_held(look, viewer):
 
 def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
     dock, screen = look
-    for words, kind in (("m", "stiffness"), ("y", "motion given"), ("c", "confidence")):
-        screen.tick(words)
-        wait_for(lambda kind=kind: any(f"MR {kind}" in layer.name for layer in viewer.layers))
-    wait_for(lambda: not dock.busy)
-    given = {layer.name.split(",")[0]: layer.data for layer in viewer.layers}
+    given = {}
+    for words, kind in (
+        ("given: stiffness m", "stiffness"),
+        ("given: motion y", "motion given"),
+        ("given: confidence c", "confidence"),
+    ):
+        screen.choose(words)
+        wait_for(lambda: not dock.busy)
+        given[f"MR {kind}"] = layer(viewer, f"MR {kind}").data
     assert set(np.unique(given["MR stiffness"])) == {0, 20}, "air and gel"
     assert set(np.unique(given["MR confidence"])) == {0, 1}
     assert given["MR motion given"][:, 1].max() == 3
-    screen.tick("m", on=False)
-    wait_for(
-        lambda: not any("MR stiffness" in layer.name and layer.visible for layer in viewer.layers)
-    )
+    screen.choose("nothing")
+    wait_for(lambda: not any("MR confidence" in layer.name for layer in viewer.layers))
 
 
 def test_the_first_image_is_pulled_without_a_press(make_napari_viewer, qtbot, at_rest):

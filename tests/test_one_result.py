@@ -156,7 +156,7 @@ def test_what_was_pulled_is_seen_as_it_was_too(pulled):
 
 def test_colours_of_what_was_pulled_are_named_after_the_image(pulled, settle):
     viewer, dock = pulled
-    dock.colours = "squeeze"
+    dock.overlay = "squeeze"
     settle(dock)
     assert "MR largest squeeze (%), elastic" in viewer.layers
     assert dock.image is viewer.layers["MR"]
@@ -164,7 +164,7 @@ def test_colours_of_what_was_pulled_are_named_after_the_image(pulled, settle):
 
 def test_colours_of_a_result_are_gone_with_it_and_there_for_the_next(pulled, run, settle):
     viewer, dock = pulled
-    dock.colours = "magnitude"
+    dock.overlay = "magnitude"
     settle(dock)
     (colours,) = parts(viewer, "magnitude")
     before = colours.data.copy()
@@ -173,10 +173,29 @@ def test_colours_of_a_result_are_gone_with_it_and_there_for_the_next(pulled, run
     settle(dock)
     assert colours.visible
     assert not np.array_equal(colours.data, before, equal_nan=True)
-    dock.colours = "nothing"
+    dock.overlay = "nothing"
     run(dock)
     settle(dock)
-    assert not colours.visible
+    assert not parts(viewer, "magnitude")
+
+
+@pytest.mark.parametrize("name", ["magnitude", "grid", "labels", "stiffness"])
+def test_what_lay_over_a_picture_is_never_seen_over_the_next(pulled, run, settle, name):
+    viewer, dock = pulled
+    dock.overlay = name
+    settle(dock)
+    (layer,) = parts(viewer, name)
+    assert layer.visible
+    seen_over_another = []
+    for shown in (dock.seen, dock.followed):
+        shown.connect(lambda _: seen_over_another.append(layer.visible))
+    dock.rules = (dock.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    run(dock)
+    settle(dock)
+    assert seen_over_another
+    assert not any(seen_over_another)
+    assert parts(viewer, name) == [layer]
+    assert layer.visible, "its own has come"
 
 
 @pytest.fixture
@@ -195,22 +214,21 @@ def test_a_result_that_is_chosen_has_its_colours_alone(two_images, settle):
     viewer, dock = two_images
     for name in ("MR", "CT", "MR"):
         dock.result = viewer.layers[f"{name} arrows, elastic"]
-        dock.colours, dock.grid = "magnitude", True
-        settle(dock)
-        assert dock.grid
-        for kind in ("magnitude", "grid"):
+        for kind in ("magnitude", "stiffness", "grid"):
+            dock.overlay = kind
+            settle(dock)
             shown = [layer for layer in parts(viewer, kind) if layer.visible]
             assert [known_of(layer)["source"] for layer in shown] == [name]
     dock.result = None
     settle(dock)
-    assert not any(layer.visible for layer in parts(viewer, "magnitude"))
+    assert not any(layer.visible for layer in parts(viewer, "grid"))
 
 
 def test_nothing_of_an_image_that_is_deleted_stays(two_images, settle, wait_for):
     viewer, dock = two_images
-    dock.colours, dock.grid = "magnitude", True
+    dock.overlay = "magnitude"
     settle(dock)
-    assert len([layer for layer in viewer.layers if known_of(layer).get("source") == "CT"]) == 4
+    assert len([layer for layer in viewer.layers if known_of(layer).get("source") == "CT"]) == 3
     viewer.layers["MR arrows, elastic"].name = "mine"
     viewer.layers.remove("CT")
     wait_for(lambda: not any(known_of(layer).get("source") == "CT" for layer in viewer.layers))
@@ -222,7 +240,7 @@ def test_nothing_of_an_image_that_is_deleted_stays(two_images, settle, wait_for)
 
 def test_all_layers_can_be_deleted_at_once(two_images, settle, wait_for):
     viewer, dock = two_images
-    dock.colours = "magnitude"
+    dock.overlay = "magnitude"
     settle(dock)
     viewer.layers.selection = {viewer.layers["MR"], viewer.layers["CT"]}
     viewer.layers.remove_selected()
@@ -236,7 +254,7 @@ def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, settle, w
     person, dock = at_hand
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
-    dock.percent, dock.grid = 50, True
+    dock.percent, dock.overlay = 50, "grid"
     picture = viewer.layers["MR deformed, elastic"]
     wait_for(lambda: not dock.busy and known_of(picture).get("percent") == 50)
     before = viewer.layers["MR grid, elastic"].data.copy()
@@ -352,12 +370,14 @@ def test_a_closed_dock_leaves_no_second_colours(at_hand, run, settle):
     viewer = person.viewer
     run(dock)
     for _ in range(2):
-        dock.colours = "magnitude"
+        dock.overlay = "magnitude"
         settle(dock)
         viewer.window.remove_dock_widget(dock.native)
         dock = opened(viewer)
         run(dock)
-    assert len(parts(viewer, "magnitude")) <= 1
+        settle(dock)
+        assert dock.overlay == "magnitude", "the next dock goes on with it"
+    assert len(parts(viewer, "magnitude")) == 1
     assert np.unique([layer.name for layer in viewer.layers]).size == len(viewer.layers)
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
@@ -406,28 +426,34 @@ def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run,
     assert layer.data.sum() == folding._live_study.latest.outputs.folds
     pull(folding, 1.0)
     assert not run(folding).folds
+    settle(folding)
     assert not folding.warning
-    assert not layer.visible
+    assert not parts(folding._viewer, "folds")
     pull(folding, -40.0)
     outputs = run(folding)
+    settle(folding)
+    (layer,) = parts(folding._viewer, "folds")
     assert layer.visible
     assert layer.data.sum() == outputs.folds
 
 
-def test_what_is_no_longer_ticked_shows_no_earlier_result(folding, run, settle):
+def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
     viewer = folding._viewer
-    folding.outputs = ("labels",)
+    folding.overlay = "labels"
     settle(folding)
     (labels,) = parts(viewer, "labels")
     assert labels.visible
-    folding.outputs = ()
+    before = labels.data.copy()
+    folding.overlay = "nothing"
     pull(folding, 1.0)
     run(folding)
     assert "MR deformed" in seen(viewer)
-    assert not labels.visible
-    folding.outputs = ("labels",)
-    run(folding)
+    assert not parts(viewer, "labels")
+    folding.overlay = "labels"
+    settle(folding)
+    (labels,) = parts(viewer, "labels")
     assert labels.visible
+    assert (labels.data != before).any()
 
 
 def test_the_boxes_say_which_layers_are_seen(at_hand, run, settle):

@@ -1,5 +1,7 @@
 """The tissue at a point: found where it is seen, told where it came from."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -66,12 +68,12 @@ def test_at_rest_a_motion_is_the_image_itself(solution):
     image = np.random.default_rng(0).random((30, 40)).astype(np.float32)
     labels = (image > 0.5).astype(np.uint8)
     colours = np.where(solution.tissue, image, np.float32(np.nan))
-    motion = Motion(solution, image, labels, colours, grid=True)
-    rest = compute_thread.submit(lambda: motion.at(0)).result()
-    np.testing.assert_array_equal(rest.image, image)
-    np.testing.assert_array_equal(rest.labels, labels)
-    np.testing.assert_array_equal(rest.colours, colours)
-    assert rest.nbytes > image.nbytes
+    for overlay in (labels, colours):
+        motion = Motion(solution, image, overlay, grid=True)
+        rest = compute_thread.submit(partial(motion.at, 0)).result()
+        np.testing.assert_array_equal(rest.image, image)
+        np.testing.assert_array_equal(rest.overlay, overlay)
+        assert rest.nbytes > image.nbytes
     only = Motion(solution, grid=True).at(0.5)
-    assert only.image is only.labels is only.colours is None
+    assert only.image is only.overlay is None
     assert len(only.grid)

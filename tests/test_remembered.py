@@ -24,13 +24,12 @@ def test_the_device_is_remembered(qtbot):
 
 def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
     def drawn(dock):
-        return dock.arrows, dock.grid, dock.outputs, dock.colours
+        return dock.arrows, dock.overlay
 
     first = another(qtbot)
     before = drawn(first)
-    first.grid, first.outputs = True, ("labels",)
-    first.colours = "magnitude"
-    assert drawn(another(qtbot)) == before == (True, False, ("image", "arrows"), "nothing")
+    first.overlay = "magnitude"
+    assert drawn(another(qtbot)) == before == (True, "nothing")
 
 
 def test_what_is_computed_begins_with_elastic_tissue_each_time(qtbot):

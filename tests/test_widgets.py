@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import dock_in, quick
 from napari.components import ViewerModel
-from napari.layers import Image, Labels, Vectors
+from napari.layers import Image, Vectors
 from napari.utils.notifications import notification_manager
 from patience import LONG
 from qtpy.QtCore import Qt
@@ -99,10 +99,8 @@ def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_samp
 
 
 def see_all(widget, at_rest):
-    """Have all be drawn that can be seen of a result."""
-    widget.outputs = ("labels",)
-    widget.grid = True
-    widget.colours = "magnitude"
+    """Have all be drawn that can be seen of a result at once."""
+    widget.overlay = "magnitude"
     at_rest.until(lambda: not widget.busy)
 
 
@@ -114,14 +112,14 @@ def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
         "MR",
         "MR deformed",
         "MR displacement (px)",
-        "Tissue deformed",
         "Tissue",
         "Boundary",
         "MR arrows",
-        "MR grid",
     ]
-    with pytest.raises(ValueError, match="no colours 'hologram'"):
-        widget.colours = "hologram"
+    with pytest.raises(
+        ValueError, match=r"'hologram' is not a valid choice.*'magnitude', 'jacobian'"
+    ):
+        widget.overlay = "hologram"
 
 
 def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at_rest):
@@ -569,7 +567,7 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
     run(widget)
     before = widget.solution
-    widget.outputs = ("labels",)
+    widget.overlay = "labels"
     wait_for(lambda: "Tissue deformed" in names(viewer))  # drawn at once, from the same solution
     assert widget.solution.provenance == before.provenance
     while viewer.layers:
@@ -895,7 +893,7 @@ def test_the_kinds_of_result_layers(widget, small_sample, run, at_rest):
     run(widget)
     see_all(widget, at_rest)
     kinds = [type(layer) for layer in results_of(widget)]
-    assert kinds == [Image, Image, Labels, Vectors, Vectors]
+    assert kinds == [Image, Image, Vectors]
 
 
 def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_rest):

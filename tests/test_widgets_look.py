@@ -42,7 +42,6 @@ def deformed(widget, small_sample, run):
     """The dock with a result: a block of gel, held left, pushed 3 px right at the right."""
     small_sample(viewer_of(widget))
     widget.settings = replace(widget.settings, sweeps=60)
-    widget.outputs = ("labels",)
     run(widget)
     return widget
 
@@ -92,14 +91,14 @@ def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
     look.play()
     assert look.status.startswith("There is no result to look at yet: drag tissue, or press Deform")
     look.percent = 30
-    look.colours = "jacobian"
+    look.overlay = "jacobian"
     assert not look.playing
     run(widget)
     wait_for(lambda: not look.busy)
     assert look.result is viewer_of(widget).layers["MR arrows"]
     assert look._form.result.slider.enabled
     assert look.status.startswith("Tissue moved up to 3")
-    assert look.colours == "jacobian", "what was asked for before there was a result is kept"
+    assert look.overlay == "jacobian", "what was asked for before there was a result is kept"
     assert "MR Jacobian (area ratio)" in names(viewer_of(widget))
 
 
@@ -131,22 +130,29 @@ def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(loo
     assert names(viewer) == layers
 
 
+def end_of(grid):
+    """The column in which a grid ends to the right."""
+    return grid.data.sum(axis=1)[:, 1].max()
+
+
 def test_labels_and_grid_move_along(look, set_to):
     viewer = viewer_of(look)
+    set_to(look, overlay="labels")
     labels = viewer.layers["Tissue deformed"]
     assert column_of_edge(labels) == 24 - 1  # pushed 3 px, to where the image ends
-    set_to(look, grid=True)
-    grid = viewer.layers["MR grid"]
-    ends = grid.data.sum(axis=1)[:, 1].max()
-    assert ends == pytest.approx(21 + 3, abs=0.1)
     set_to(look, percent=0)
     assert column_of_edge(labels) == 21
-    assert grid.data.sum(axis=1)[:, 1].max() == 21
-    set_to(look, grid=False)
-    assert not grid.visible
-    set_to(look, grid=True, percent=100)
-    assert grid.visible
-    assert grid.data.sum(axis=1)[:, 1].max() == ends
+    set_to(look, overlay="grid")
+    assert labels not in viewer.layers, "one thing at a time"
+    grid = viewer.layers["MR grid"]
+    assert end_of(grid) == 21, "as much of it as of the image"
+    set_to(look, percent=100)
+    assert end_of(grid) == pytest.approx(21 + 3, abs=0.1)
+    set_to(look, overlay="nothing", percent=0)
+    assert grid not in viewer.layers
+    set_to(look, overlay="grid")
+    set_to(look, percent=100)
+    assert end_of(viewer.layers["MR grid"]) == pytest.approx(21 + 3, abs=0.1)
 
 
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
@@ -202,7 +208,7 @@ def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_
 def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
     look, run, set_to, wait_for
 ):
-    set_to(look, percent=50, colours="magnitude")
+    set_to(look, percent=50, overlay="magnitude")
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     outputs = run(look)
     wait_for(lambda: not look.busy and look.percent == 100)
@@ -218,10 +224,12 @@ def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
 # Before and after
 
 
-def test_before_is_seen_as_long_as_the_button_is_held(look, qtbot):
+def test_before_is_seen_as_long_as_the_button_is_held(look, set_to, qtbot):
     viewer = viewer_of(look)
     image, moved, arrows = (viewer.layers[name] for name in ("MR", "MR deformed", "MR arrows"))
-    viewer.layers["Tissue deformed"].visible = False
+    set_to(look, overlay="labels")
+    labels = viewer.layers["Tissue deformed"]
+    labels.visible = False
     button = look._form.result.before.native
     qtbot.mousePress(button, Qt.MouseButton.LeftButton)
     assert look.before
@@ -232,24 +240,60 @@ def test_before_is_seen_as_long_as_the_button_is_held(look, qtbot):
     assert not look.before
     assert moved.visible
     assert arrows.visible
-    assert not viewer.layers["Tissue deformed"].visible
+    assert not labels.visible
 
 
-def test_the_grid_is_still_ticked_after_a_look_at_before(look, set_to):
-    set_to(look, grid=True)
-    layer = look._view.shown.layer("grid")
+def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="grid")
+    layer = viewer.layers["MR grid"]
     look.before = True
     assert not layer.visible
-    assert look.grid
+    look.before = False
+    assert (look.overlay, layer.visible) == ("grid", True)
+    set_to(look, overlay="magnitude")
+    layer = viewer.layers["MR displacement (px)"]
+    look.before = True
+    set_to(look, overlay="jacobian")
+    assert layer.name == "MR Jacobian (area ratio)"
+    assert not layer.visible, "nor is another that comes meanwhile"
     look.before = False
     assert layer.visible
-    assert look.grid
-    layer.visible = False
-    assert not look.grid, "its eye was closed by hand"
-    layer.visible = True
-    viewer_of(look).layers.remove(layer)
+
+
+def test_lines_that_are_still_to_be_drawn_are_not_drawn_over_what_came_since(look, set_to):
+    set_to(look, overlay="grid", percent=50)
+    moving, drawn = look._view._moving, look._view._moving._drawn
+    set_to(look, overlay="labels")
+    labels = viewer_of(look).layers["Tissue deformed"]
+    before = labels.data
+    moving._drawn = drawn
+    moving._draw_lines()
+    assert labels.data is before
+
+
+def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="grid")
+    viewer.layers.remove("MR grid")
+    assert look.overlay == "nothing"
+    run(look)
     set_to(look)
-    assert not look.grid
+    assert "MR grid" not in names(viewer)
+
+
+def test_an_overlay_that_is_hidden_by_hand_is_drawn_anew_and_stays_hidden(look, run, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="magnitude")
+    layer = viewer.layers["MR displacement (px)"]
+    layer.visible = False
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    run(look)
+    set_to(look)
+    assert (look.overlay, layer.visible) == ("magnitude", False)
+    assert np.nanmax(layer.data) == pytest.approx(1, abs=0.01), "whoever opens its eye sees no lie"
+    set_to(look, overlay="jacobian")
+    assert layer.visible, "what is chosen is seen"
 
 
 def test_before_is_on_a_key_as_well(look):
@@ -282,31 +326,62 @@ def test_arrows_are_as_long_as_their_layer_s_own_control_says(look, run, set_to,
 def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     viewer = viewer_of(look)
     solution = known_of(look.result)["solution"]
-    set_to(look, colours="magnitude")
+    set_to(look, overlay="magnitude")
     layer = viewer.layers["MR displacement (px)"]
     set_to(look, percent=0)
     expected = np.linalg.norm(solution.displacement, axis=-1)
     np.testing.assert_allclose(layer.data[solution.tissue], expected[solution.tissue])
     assert np.isnan(layer.data[~solution.tissue]).all()
     assert layer.contrast_limits == [0, 3]
-    set_to(look, colours="jacobian")
+    set_to(look, overlay="jacobian")
     assert layer.name == "MR Jacobian (area ratio)"
     assert viewer.layers.index(layer) == viewer.layers.index("MR deformed") + 1
     inside = layer.data[10, 5:19]
     assert ((inside > 1.02) & (inside < 1.4)).all(), "the block is pulled apart"
     low, high = layer.contrast_limits
     assert low + high == pytest.approx(2), "no change is in the middle"
-    set_to(look, colours="columns")
+    set_to(look, overlay="columns")
     assert layer.name == "MR strain along columns (%)"
     np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
     layer.name = "mine"
-    set_to(look, colours="equivalent")
+    set_to(look, overlay="equivalent")
     assert layer.name == "mine"
     assert layer.contrast_limits[0] == 0
-    set_to(look, colours="nothing")
+    set_to(look, overlay="nothing")
+    assert layer in viewer.layers, "what somebody has named is theirs"
     assert not layer.visible
-    with pytest.raises(ValueError, match="no colours 'heat'"):
-        look.colours = "heat"
+    with pytest.raises(ValueError, match=r"'heat' is not a valid choice.*'nothing', 'magnitude'"):
+        look.overlay = "heat"
+
+
+def test_one_thing_at_a_time_lies_over_the_image(look, set_to):
+    viewer = viewer_of(look)
+    before = names(viewer)
+    for name, shown in (
+        ("grid", "MR grid"),
+        ("stiffness", "MR stiffness"),
+        ("jacobian", "MR Jacobian (area ratio)"),
+        ("labels", "Tissue deformed"),
+        ("observed", "MR motion given"),
+        ("confidence", "MR confidence"),
+    ):
+        set_to(look, overlay=name)
+        assert set(names(viewer)) - set(before) == {shown}
+        assert viewer.layers[shown].visible
+        assert look.overlay == name
+    limits = viewer.layers["MR confidence"].contrast_limits
+    assert limits == [0, 1], "its own scale, not that of what was seen before"
+    set_to(look, overlay="nothing")
+    assert names(viewer) == before
+
+
+def test_what_a_result_does_not_have_is_not_seen_and_said(look, set_to):
+    viewer = viewer_of(look)
+    before = names(viewer)
+    set_to(look, overlay="jacobian")
+    set_to(look, overlay="folds")
+    assert look.status == "The tissue folds nowhere."
+    assert names(viewer) == before
 
 
 def test_arrows_end_where_the_tissue_is_seen(look, set_to):
@@ -338,7 +413,7 @@ def test_numbers_can_be_read_beside_a_scale_to_both_sides(largest):
 
 
 def test_colours_move_with_the_tissue(look, set_to):
-    set_to(look, colours="magnitude")
+    set_to(look, overlay="magnitude")
     layer = viewer_of(look).layers["MR displacement (px)"]
     assert column_of_edge_of_colours(layer) == 23
     set_to(look, percent=0)
@@ -354,7 +429,7 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
     widget.settings = replace(widget.settings, sweeps=60)
     outputs = run(widget)
-    set_to(widget, colours="jacobian", percent=0)
+    set_to(widget, overlay="jacobian", percent=0)
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "(it folds)" in widget.warning
     layer = viewer_of(widget).layers["MR Jacobian (area ratio)"]
@@ -419,7 +494,7 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
     def said():
         return look._view.cursor.at((10, 12))[1]
 
-    set_to(look, colours="columns")
+    set_to(look, overlay="columns")
     solution = known_of(look.result)["solution"]
     along = green_lagrange_strain(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
@@ -427,8 +502,9 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
     col = look.at((10, 12)).col
     assert f"strain along columns {100 * along[10, col, 1, 1]:.3g} %" in said()
     assert along[10, col, 1, 1] > 0.05, "it is pulled out"
-    set_to(look, colours="magnitude")
-    assert "strain" not in said()
+    for other in ("magnitude", "labels", "grid", "nothing"):
+        set_to(look, overlay=other)
+        assert "strain" not in said()
 
 
 def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
@@ -452,7 +528,7 @@ def test_reading_under_the_cursor_waits_for_nothing(look, busy_thread):
 def test_a_slice_of_a_stack_moves_in_its_place(make_stack, set_to):
     look, outputs = make_stack
     viewer = viewer_of(look)
-    set_to(look, percent=50, colours="jacobian", grid=True)
+    set_to(look, percent=50, overlay="jacobian")
     assert "MR Jacobian (area ratio) (z = 2)" in names(viewer)
     moved = viewer.layers["MR deformed (z = 2)"]
     assert moved.data.shape == (1, 20, 24)
@@ -521,7 +597,9 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     wait_for(lambda: not look.busy)
     look.percent = 50
     assert look.status.startswith("There is no image on the pixels of this result")
-    set_to(look, colours="magnitude")
+    set_to(look, overlay="stiffness")
+    assert look.status.startswith("What was given is not in the file")
+    set_to(look, overlay="magnitude")
     assert "displacement (px)" in names(viewer)
     set_to(look, percent=40)
     viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
@@ -605,7 +683,7 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     viewer.layers.remove("MR deformed")
     QApplication.processEvents()
     viewer.layers.remove("MR")
-    look.colours = "jacobian"
+    look.overlay = "jacobian"
     viewer.layers.remove("MR arrows")
     wait_for(lambda: not look.busy)
     assert look.result is None
@@ -721,15 +799,17 @@ def test_closing_the_window_while_playing_is_quiet(window, at_rest):
 
 
 def test_what_is_added_says_what_it_is(look, set_to):
-    set_to(look, colours="stretch", grid=True)
     viewer = viewer_of(look)
-    kinds = {known_of(layer).get("kind"): type(layer) for layer in viewer.layers}
-    assert kinds["stretch"] is Image
-    assert kinds["grid"] is Vectors
-    assert kinds["labels"] is Labels
+    for name, kind in (("grid", Vectors), ("labels", Labels), ("stretch", Image)):
+        set_to(look, overlay=name)
+        (layer,) = (each for each in viewer.layers if known_of(each).get("kind") == name)
+        assert type(layer) is kind
     facts = viewer.layers["MR largest stretch (%)"].metadata[METADATA]
     assert facts["source"] == "MR"
-    assert facts["percent"] == 100
+    assert "percent" not in facts, "all of the deformation"
+    set_to(look, percent=30)
+    facts = viewer.layers["MR largest stretch (%)"].metadata[METADATA]
+    assert facts["percent"] == 30
 
 
 def test_what_was_deformed_is_not_offered_as_stiffness(deformed):

@@ -1,4 +1,4 @@
-"""A result on its way: image, labels and grid after any part of the deformation."""
+"""A result on its way: its image, and what lies over that, after any part of the deformation."""
 
 from __future__ import annotations
 
@@ -23,21 +23,19 @@ class Moment:
     Attributes
     ----------
     image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
-    labels : ndarray of int, shape (H, W), optional
-    colours : ndarray of float, shape (H, W), optional
+    overlay : ndarray, shape (H, W), optional
     grid : ndarray, shape (N, 2, 2), optional
         Segments as (start, direction), each (row, col) in pixels.
     """
 
     image: npt.NDArray[Any] | None = None
-    labels: npt.NDArray[Any] | None = None
-    colours: npt.NDArray[np.float32] | None = None
+    overlay: npt.NDArray[Any] | None = None
     grid: npt.NDArray[np.float32] | None = None
 
     @property
     def nbytes(self) -> int:
         """How much memory it takes."""
-        parts = (self.image, self.labels, self.colours, self.grid)
+        parts = (self.image, self.overlay, self.grid)
         return sum(part.nbytes for part in parts if part is not None)
 
 
@@ -50,18 +48,15 @@ class Motion:
     solution : Solution
     image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
         Before it moves.
-    labels : ndarray of int, shape (H, W), optional
-        Before they move.
-    colours : ndarray of float, shape (H, W), optional
-        A quantity of the tissue before it moves, NaN where there is none.
+    overlay : ndarray, shape (H, W), optional
+        Before it moves: labels, or a quantity of the tissue, NaN where there is none.
     grid : bool
         Whether the deformation grid moves, too.
     """
 
     solution: Solution
     image: npt.NDArray[Any] | None = None
-    labels: npt.NDArray[Any] | None = None
-    colours: npt.NDArray[np.float32] | None = None
+    overlay: npt.NDArray[Any] | None = None
     grid: bool = False
 
     def at(self, fraction: float) -> Moment:
@@ -101,10 +96,9 @@ class Motion:
         pictures = {}
         if self.image is not None:
             pictures["image"] = Picture(self.image, order=1, fill=emptiness(self.image))
-        if self.labels is not None:
-            pictures["labels"] = Picture(self.labels, order=0)
-        if self.colours is not None:
-            pictures["colours"] = Picture(self.colours, order=0, fill=np.nan)
+        if self.overlay is not None:
+            fill = np.nan if self.overlay.dtype.kind == "f" else 0
+            pictures["overlay"] = Picture(self.overlay, order=0, fill=fill)
         return pictures
 
     @cached_property

@@ -15,16 +15,10 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: A layer of a result: what was made with it, or the colours that it is looked at with.
-Part = Kind | Literal["colours"]
-#: What fills its pixels, lowest first: directly above the image, so that paint stays above it.
-FILLING: tuple[Part, ...] = ("image", "stiffness", "confidence", "colours", "labels")
-#: What has a bar of colours, and which of its looks belong to the numbers it shows.
-_BARS: dict[Part, tuple[str, ...]] = {
-    "stiffness": ("contrast_limits",),
-    "confidence": (),
-    "colours": ("colormap", "contrast_limits"),
-}
+#: A layer of a result: what was made with it, or what it is looked at with, one thing at a time.
+Part = Kind | Literal["overlay"]
+#: Of an overlay's looks, those that belong to the numbers it shows.
+_LOOKS = ("colormap", "contrast_limits")
 _WHOLE = 100
 
 
@@ -83,9 +77,9 @@ class Result:
         held = self._held.get(part)
         return still_there(self._viewer, None if held is None else held.layer())
 
-    def holds(self, layer: Any) -> bool:
-        """Whether a layer is one of these."""
-        return any(held.layer() is layer for held in self._held.values())
+    def part_of(self, layer: Any) -> Part | None:
+        """Which part a layer is, or was until it was removed; None if it is none of these."""
+        return next((part for part, held in self._held.items() if held.layer() is layer), None)
 
     def wants(self, part: Part) -> bool:
         """Whether a part is seen, or will be with what comes next."""
@@ -105,7 +99,7 @@ class Result:
     @property
     def percent(self) -> int:
         """How much of the deformation is seen."""
-        for part in ("image", "colours"):
+        for part in ("image", "overlay"):
             layer = self.layer(part)
             if layer is not None and layer.visible:
                 return _percent_of(layer)
@@ -117,8 +111,8 @@ class Result:
         """Have a layer that somebody else made."""
         self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name)
 
-    def put(self, part: Part, made: LayerData, source: Any = None) -> Any:
-        """Show one more layer of the result there is; returns it.
+    def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> Any:
+        """Have one more layer of the result there is; returns it.
 
         Parameters
         ----------
@@ -126,10 +120,13 @@ class Result:
         made : LayerData
         source : napari.layers.Layer, optional
             The image that is moved, where that is not what was deformed.
+        show : bool
+            Whether it is shown though somebody has hidden it.
         """
+        seen = show or self.layer(part) is None or self.wants(part) or self.is_before
         held = self._put(part, made, source)
         layer, held.added = held.layer(), True
-        layer.visible, held.stale = True, False
+        layer.visible, held.stale = seen, False
         self._keep_before()
         return layer
 
@@ -190,11 +187,20 @@ class Result:
         if (layer := self.layer(part)) is not None:
             layer.visible, self._held[part].stale = False, False
 
+    def drop(self, part: Part) -> None:
+        """Take a part out of the viewer; one that somebody has named is theirs, and hidden."""
+        layer = self.layer(part)
+        if layer is not None and layer.name == self._held[part].name:
+            self._take_out(layer)
+        elif layer is not None:
+            layer.visible = False
+        self._held.pop(part, None)
+
     def leave(self) -> None:
         """Hide what was added, as another result is looked at."""
-        for part in self._held:
-            if self.is_added(part):
-                self.hide(part)
+        for held in self._held.values():
+            if held.added:
+                self._hide(held)
 
     def hold_before(self, source: Any) -> None:
         """Show the image as it was, and nothing of the result, until `release`."""
@@ -221,13 +227,16 @@ class Result:
 
     def remove(self) -> None:
         """Take the layers out of the viewer, but for those that somebody has named."""
-        self.leaving = True
         for layer, held in self._there():
             if layer.name == held.name:
-                self._viewer.layers.remove(layer)
-        self.leaving = False
+                self._take_out(layer)
 
     # How it is done
+
+    def _take_out(self, layer: Any) -> None:
+        self.leaving = True
+        self._viewer.layers.remove(layer)
+        self.leaving = False
 
     def _keep_before(self) -> None:
         """What comes while the image is seen as it was is seen later."""
@@ -243,29 +252,23 @@ class Result:
             if (layer := self.layer(part)) is not None:
                 yield layer, held
 
-    def _put(
-        self,
-        part: Part,
-        made: LayerData,
-        source: Any = None,
-    ) -> _Held:
+    def _put(self, part: Part, made: LayerData, source: Any = None) -> _Held:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
-        name = made.attributes["name"]
+        name, is_scale = made.attributes["name"], part == "overlay" and made.kind == "image"
         with same_selection(self._viewer):
             if held is None or layer is None or not _fits(layer, made):
-                if layer is not None:
-                    layers.remove(layer)
+                self.drop(part)
                 layer = Layer.create(*made)
                 # Who hears that it comes can ask whose it is.
                 held = self._held[part] = _Held(weakref.ref(layer), name, name)
-                layers.insert(self._index(part, source), layer)
+                layers.insert(self._index(part, made, source), layer)
                 held.name = layer.name
-                if part in _BARS:
+                if is_scale:
                     layer.colorbar.visible = True
             else:
                 update_layer(layer, made)
-                for look in _BARS.get(part, ()):
+                for look in _LOOKS if is_scale else ():
                     setattr(layer, look, made.attributes[look])
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
@@ -273,12 +276,12 @@ class Result:
         held.added, held.own, held.part, held.whole = False, None, None, None
         return held
 
-    def _index(self, part: Part, source: Any) -> int:
+    def _index(self, part: Part, made: LayerData, source: Any) -> int:
         """Pictures go directly above what was deformed and has moved, lines on top."""
         layers = self._viewer.layers
-        if part not in FILLING:
+        if made.kind == "vectors":
             return len(layers)
-        below = [self.layer(lower) for lower in FILLING[: FILLING.index(part)]]
+        below = [] if part == "image" else [self.layer("image")]
         if source is None:
             below.append(self._anchor())
         else:
@@ -302,8 +305,12 @@ def _know(layer: Any, **facts: Any) -> None:
 
 
 def _fits(layer: Any, made: LayerData) -> bool:
+    """Whether a layer can show this: other pixels or another scale, but no other sort of thing."""
     axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
-    return bool(layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
+    kind = made.attributes["metadata"][METADATA]["kind"]
+    same = made.kind == "image" or known_of(layer).get("kind") == kind
+    same = same and made.kind == type(layer).__name__.lower()
+    return bool(same and layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
 
 
 def _same(held: _Held, made: LayerData) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.colormaps import OPACITY
 from napari_hmrf.field.deformation import (
     arrows,
     deformation_grid,
@@ -48,6 +49,8 @@ ARROWS = 250
 _LEAST = 0.1
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
+#: How quantities lie over the image.
+_OVER = {"blending": "translucent", "opacity": OPACITY}
 #: Lines of the deformation grid across the longer side.
 LINES = 30
 
@@ -259,14 +262,14 @@ class _Maker:
         m = self._problem.stiffness
         finite = m[np.isfinite(m)]
         most = float(finite.max(initial=0.0)) or 1.0
-        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), "opacity": 0.7}
+        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **_OVER}
         return self._picture("stiffness", m, "stiffness", look)
 
     def confidence(self) -> LayerData | None:
         """How sure it was how tissue moves: c, the larger of its components."""
         if self._problem is None:
             return None
-        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0)}
+        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **_OVER}
         c = self._problem.confidence.max(axis=-1)
         return self._picture("confidence", c, "confidence", look)
 
@@ -308,7 +311,11 @@ class _Maker:
         """Where the tissue goes."""
         found, width = _arrows_apart(self._solution)
         look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": width}
-        return self._vectors("arrows", found, "arrows", look)
+        made = self._vectors("arrows", found, "arrows", look)
+        # What can be shown of the result later on; in memory only.
+        given = {"pictures": replace(self._pictures, image=None, look={}), "problem": self._problem}
+        made.attributes["metadata"][METADATA].update(given)
+        return made
 
     @cached_property
     def _inverted(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,9 @@ from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of, rows_o
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View, layer_extents, unit_factor, unit_symbol
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.study import Pictures
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +31,17 @@ class FoundResult:
         Where it lies.
     facts : dict
         What the layer's metadata say of it beside.
+    pictures : Pictures
+        What moved with it, but for the image; nothing, of a result from a file.
+    problem : Problem, optional
+        What was solved; not known of a result from a file.
     """
 
     solution: Solution
     frame: Frame
     facts: dict[str, Any]
+    pictures: Pictures = field(default_factory=Pictures)
+    problem: Problem | None = None
 
     @property
     def unit(self) -> str:
@@ -63,8 +71,10 @@ def result_of(layer: Any) -> FoundResult | None:
         frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
     except ValueError:
         return None
-    facts = {key: value for key, value in known.items() if key not in ("solution", "kind")}
-    return FoundResult(solution, frame, facts)
+    held = ("solution", "kind", "pictures", "problem")
+    facts = {key: value for key, value in known.items() if key not in held}
+    pictures = known.get("pictures", Pictures())
+    return FoundResult(solution, frame, facts, pictures, known.get("problem"))
 
 
 def source_of(layers: Iterable[Any], result: FoundResult) -> Any:

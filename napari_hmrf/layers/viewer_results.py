@@ -61,7 +61,7 @@ class ResultLayers:
     def of(self, arrows: Any) -> Result:
         """The result that a layer of arrows holds, be it from a file."""
         for result in self._all():
-            if result.holds(arrows):
+            if result.part_of(arrows) is not None:
                 return result
         result = self.at(arrows, str(known_of(arrows).get("slice", "")))
         result.take("arrows", arrows)

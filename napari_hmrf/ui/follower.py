@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
-from napari_hmrf.layers.result_layers import Kind, Outputs, result_layers
+from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Engine
@@ -101,7 +101,7 @@ class Follower:
         self._behind = True
         self._engine.settle(study, backend)
 
-    def complete(self, kinds: Collection[Kind]) -> None:
+    def complete(self) -> None:
         """Have what takes longer made of the latest result, unless there is a newer one then."""
         engine = self._engine
 
@@ -113,7 +113,7 @@ class Follower:
             if latest is None or latest.solution is None or engine.busy:
                 return
             try:
-                self._newest.put(drawn(latest, self._canvas, kinds, checkpoint))
+                self._newest.put(drawn(latest, self._canvas, checkpoint))
             except Cancelled:
                 return
             except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
@@ -210,7 +210,6 @@ class Follower:
 def drawn(
     moved: Deformation,
     canvas: Canvas | None,
-    kinds: Collection[Kind],
     checkpoint: Callable[[], None] = lambda: None,
 ) -> Done:
     """Draw the layers of a deformation, and find what there is to say of it.
@@ -221,8 +220,6 @@ def drawn(
         With a solution.
     canvas : Canvas, optional
         Its ground, with what is drawn on top.
-    kinds : collection of str
-        The layers to make.
     checkpoint : callable
         Called between the parts; raises to stop the work.
     """
@@ -231,7 +228,7 @@ def drawn(
     assert stated is not None
     kept = _to_be_kept(moved, ground)
     place, pictures = study.grid.place, study.pictures
-    outputs = result_layers(kept, place, pictures, kinds, checkpoint, stated.problem)
+    outputs = result_layers(kept, place, pictures, checkpoint=checkpoint, problem=stated.problem)
     notes = ground.notes_on(stated)
     if ground.ignored:
         some = f"{ground.ignored} boundary pixels outside tissue were"

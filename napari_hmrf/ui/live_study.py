@@ -14,7 +14,6 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.result_layers import KINDS, Kind
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.layers.viewer_shared import shared
@@ -106,7 +105,6 @@ class LiveStudy:
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
         self._since = 0.0
-        self._folds = False
         self._failed = ""
         self._looking = single_shot(native, 0, self.look)
         self._resting = single_shot(native, _REST, self.complete)
@@ -114,8 +112,6 @@ class LiveStudy:
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         self.live = LiveChoice(form.footer.live, self.touch)
         pointer.drawn.connect(self._on_drawn)
-        for box in form.result.kinds.values():
-            box.changed.connect(self.complete)
         form.footer.chip.clicked.connect(self._on_chip)
 
     # What there is
@@ -133,21 +129,6 @@ class LiveStudy:
         """Whether the latest result is of the study as it is."""
         latest, study = self.latest, self.study
         return latest is not None and study is not None and latest.moved.study.same_as(study)
-
-    @property
-    def kinds(self) -> tuple[Kind, ...]:
-        """The layers that a result makes."""
-        ticked = [kind for kind, box in self._form.result.kinds.items() if box.value]
-        return ("image", "arrows", *ticked, *(("folds",) if self._folds else ()))
-
-    @kinds.setter
-    def kinds(self, kinds: tuple[Kind, ...]) -> None:
-        unknown = set(kinds) - set(KINDS)
-        if unknown:
-            raise ValueError(f"there are no layers {sorted(unknown)}; take some of {list(KINDS)}")
-        for kind, box in self._form.result.kinds.items():
-            box.value = kind in kinds
-        self._folds = "folds" in kinds
 
     def request(self) -> Request:
         """All that is chosen, with the slice that is shown and what is drawn on it.
@@ -255,7 +236,7 @@ class LiveStudy:
             )
 
     def complete(self, *_: Any) -> None:
-        """Have all layers of the latest result drawn, once nothing is held or on its way."""
+        """Have image and arrows of the latest result drawn, once nothing is held or on its way."""
         if self.study is None:
             return
         if self._pointer.hand.holding or self._follower.busy:
@@ -268,7 +249,7 @@ class LiveStudy:
         else:
             self._resting.stop()
             self._pointer.display.arrows.keep(self._pointer.drawing)
-            self._follower.complete(self.kinds)
+            self._follower.complete()
 
     def let_go(self) -> None:
         """End a drag where it is: another slice is shown."""
@@ -468,8 +449,7 @@ class LiveStudy:
         """Say what there is to know, and mark where tissue folds."""
         self.said.emit(self._form.footer.warning)
         if self.latest is not None and self.latest.outputs.folds:
-            self._folds = True
-            self.complete()
+            self._form.result.overlay.value = "folds"
 
     def _end_settling(self, status: str) -> None:
         self.settling = False

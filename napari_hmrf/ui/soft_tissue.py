@@ -10,7 +10,6 @@ from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import steps_of
-from napari_hmrf.layers.result_layers import Kind
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.model_names import ModelName
@@ -49,7 +48,7 @@ class SoftTissue(Dock):
     Everything the user can do a script can do too: choose layers (`image`, `tissue`, `boundary`,
     ...), fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While
     `live`, the tissue follows every edit; `deform` solves from nothing, and `finished` is emitted
-    with what came out. `result`, `percent`, `colours` and the like say what of it is seen.
+    with what came out. `result`, `percent`, `overlay` and the like say what of it is seen.
 
     Parameters
     ----------
@@ -97,14 +96,13 @@ class SoftTissue(Dock):
         How much of the deformation is seen, from 0 to 100.
     before : bool
         Whether the image is seen as it was, and nothing of the result.
-    arrows, grid : bool
-        Whether arrows are drawn, and a grid that moves with the tissue.
-    colours : str
-        What colours show: "nothing", "magnitude", "jacobian", "equivalent", ... (`Quantity`).
-    outputs : tuple of Kind
-        The layers that a result makes: "image", "arrows" and those that are ticked. "labels" are
-        the tissue's, moved with it; "stiffness", "observed" and "confidence" what was given, before
-        it moved; "folds" where tissue is pushed through itself.
+    arrows : bool
+        Whether arrows are drawn.
+    overlay : str
+        What lies over the image: "nothing"; moving with the tissue "magnitude", "jacobian",
+        "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid" and
+        "labels", the tissue's; and where tissue was before it moved "folds" and what was given,
+        "stiffness", "observed" and "confidence".
     live : bool
         Whether the tissue follows every edit; by default unless the image is large.
     status, invitation, warning : str
@@ -145,12 +143,10 @@ class SoftTissue(Dock):
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
-    grid = Part[bool]("_form.result.grid.value")
+    overlay = Part[str]("_form.result.overlay.value")
     point = Part[str]("_form.result.point.value")
     saved = Part[Any]("_view.saved")
     live = Part[bool]("_live_study.live.on")
-    outputs = Part[tuple[Kind, ...]]("_live_study.kinds")
-    colours = Part[str]("_form.result.coloured_by")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")

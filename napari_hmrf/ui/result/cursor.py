@@ -12,11 +12,11 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import FoundResult, frame_in, place_at
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.strain_layers import FloatArray, Quantity
 from napari_hmrf.layers.tissue_point import Points, Probe
 from napari_hmrf.study.layer_names import full_resolution
 from napari_hmrf.tissue.boundary_rules import Material
-from napari_hmrf.ui.result.result_messages import NO_TISSUE, at_point, stiffness_of, strain_of
+from napari_hmrf.ui.result.looked_at import LookedAt
+from napari_hmrf.ui.result.result_messages import FULL, NO_TISSUE, at_point, stiffness_of, strain_of
 
 
 class UnderCursor:
@@ -28,54 +28,39 @@ class UnderCursor:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
+    shown : LookedAt
     say : callable
         Given each new line; "" when the cursor has left the image.
     percent : callable
         How much of the deformation was chosen to be seen.
     """
 
-    def __init__(self, viewer: Any, say: Callable[[str], None], percent: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        viewer: Any,
+        shown: LookedAt,
+        say: Callable[[str], None],
+        percent: Callable[[], int],
+    ) -> None:
         self._viewer = viewer
+        self._shown = shown
         self._say = say
         self._percent = percent
-        self._result: FoundResult | None = None
-        self._arrows: Any = None
         self._points: Points | None = None
         self._tissue: Any = None
         self._place: Frame | None = None
         self._ways = Directions()
         self._materials: dict[int, Material] = {}
-        self._fraction: Callable[[], float] = lambda: 0.0
         self._line = ""
-        #: What colours show, and its values, (H, W); None: there are none.
-        self.coloured: tuple[Quantity, FloatArray] | None = None
         viewer.events.status.connect(self._on_status)
 
     def release(self) -> None:
         """Listen no more."""
         self._viewer.events.status.disconnect(self._on_status)
 
-    def watch(
-        self,
-        arrows: Any,
-        result: FoundResult | None,
-        points: Points | None,
-        fraction: Callable[[], float],
-    ) -> None:
-        """Read this result from now on.
-
-        Parameters
-        ----------
-        arrows : napari.layers.Vectors
-            The layer that holds it.
-        result : FoundResult, optional
-        points : Points, optional
-            Of it.
-        fraction : callable
-            How much of the deformation is seen, 0 to 1.
-        """
-        self._arrows, self._result, self._points = arrows, result, points
-        self._fraction = fraction
+    def watch(self, points: Points | None) -> None:
+        """Read the result that is looked at from now on, of which these are the points."""
+        self._points, result = points, self._shown.result
         if result is not None:
             self._ways = Directions.of(result.frame, self._viewer)
 
@@ -100,23 +85,24 @@ class UnderCursor:
         line : str
             "" beside the image.
         """
-        result, points = self._result, self._points
-        if result is None or points is None or self._arrows not in self._viewer.layers:
+        result, layers, points = self._shown.result, self._shown.layers, self._points
+        arrows = self._shown.layer("arrows")
+        if result is None or layers is None or points is None or arrows is None:
             return None, ""
-        place = place_at(self._arrows, result, position, View.of(self._viewer.dims))
+        place = place_at(arrows, result, position, View.of(self._viewer.dims))
         if place is None:
             return None, ""
-        found = points.at(place, self._fraction())
+        found = points.at(place, layers.percent / FULL)
         if found is None:
             return None, NO_TISSUE
         more = self._strain(found), self._stiffness(found)
         return found, at_point(result.unit, found, self._ways, more, self._percent())
 
     def _strain(self, found: Probe) -> str:
-        if self.coloured is None:
+        overlay = self._shown.overlay
+        if overlay is None or overlay.picture is None:
             return ""
-        quantity, values = self.coloured
-        return strain_of(quantity, float(values[found.row, found.col]))
+        return strain_of(overlay.name, float(overlay.picture[found.row, found.col]))
 
     def _stiffness(self, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

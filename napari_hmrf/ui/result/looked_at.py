@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from napari_hmrf.layers.image_result import Part, Result
+from napari_hmrf.layers.overlay import Overlay
 from napari_hmrf.layers.result_lookup import FoundResult
 
 
@@ -16,6 +17,8 @@ class LookedAt:
     result : FoundResult, optional
     layers : Result, optional
         Which the viewer shows of it.
+    overlay : Overlay, optional
+        What lies over its image.
     source : napari.layers.Image, optional
         What is moved.
     """
@@ -23,6 +26,7 @@ class LookedAt:
     def __init__(self) -> None:
         self.result: FoundResult | None = None
         self.layers: Result | None = None
+        self.overlay: Overlay | None = None
         self.source: Any = None
 
     def layer(self, part: Part) -> Any:

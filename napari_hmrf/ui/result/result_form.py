@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import Any
 
-from magicgui.widgets import CheckBox, ComboBox, Container, Label, PushButton, Slider
+from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
 
-from napari_hmrf.layers.result_layers import Kind
-from napari_hmrf.layers.strain_layers import Quantity
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice
-from napari_hmrf.ui.result.result_messages import COLOURS_TIP, NOTHING, POINT, colour_choices
+from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, POINT, overlay_choices
 
 Layers = Callable[[], list[Any]]
 Accept = Callable[[Any], bool]
 
-#: What can be drawn of a result beside its image, its arrows and its grid.
-_KINDS: dict[Kind, tuple[str, str]] = {
-    "labels": ("labels", "The tissue labels, moved with the tissue"),
-    "stiffness": ("m", "How stiff tissue was taken to be, before it moved"),
-    "observed": ("y", "How tissue was to move where that is known; what is held has a dot"),
-    "confidence": ("c", "How sure that is, from 0 to 1"),
-}
 #: What is held to see the image as it was.
 BEFORE_KEY = "Shift-B"
 PLAY, PAUSE = "Play", "Pause"
@@ -59,20 +50,16 @@ class ResultForm(Container):
             tooltip=f"The image as it was, as long as this is held (or {BEFORE_KEY} on the canvas)",
         )
         self.how_far = Prose()
-        self.colours = ComboBox(
-            choices=colour_choices("px"), value=NOTHING, label="colours", tooltip=COLOURS_TIP
+        self.overlay = ComboBox(
+            choices=overlay_choices("px"), value=NOTHING, label="show", tooltip=OVERLAY_TIP
         )
-        narrow(self.colours)
+        narrow(self.overlay)
         self.arrows = CheckBox(
             value=True,
             text="arrows",
             tooltip="From where tissue was to where it is; napari has their length, width and "
             "colour among the controls of their layer",
         )
-        self.grid = CheckBox(text="grid", tooltip="A square grid, moving with the tissue")
-        self.kinds: dict[Kind, CheckBox] = {
-            kind: CheckBox(text=words, tooltip=about) for kind, (words, about) in _KINDS.items()
-        }
         self.point = Prose()
         self.point.native.setToolTip(
             "The tissue that is seen under the cursor, also in the status bar: its displacement in "
@@ -91,9 +78,8 @@ class ResultForm(Container):
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
-                Container(widgets=[self.colours]),
-                row(self.arrows, self.grid, self.kinds["labels"]),
-                row(Label(value="given:"), *list(self.kinds.values())[1:]),
+                Container(widgets=[self.overlay]),
+                self.arrows,
                 self.point,
                 self.save,
             ],
@@ -104,21 +90,8 @@ class ResultForm(Container):
                 part.margins = (0, 0, 0, 0)
 
     @property
-    def coloured_by(self) -> str:
-        """What colours show; "nothing", or a `Quantity`."""
-        return str(self.colours.value)
-
-    @coloured_by.setter
-    def coloured_by(self, quantity: str) -> None:
-        known = (NOTHING, *get_args(Quantity))
-        if quantity not in known:
-            raise ValueError(f"there are no colours {quantity!r}; take one of {list(known)}")
-        self.colours.value = quantity
-
-    @property
     def of_result(self) -> tuple[Any, ...]:
         """What is of no use without a result."""
         return (
-            *self.kinds.values(), self.slider, self.play, self.before, self.colours, self.arrows,
-            self.grid, self.save,
+            self.slider, self.play, self.before, self.overlay, self.arrows, self.save,
         )  # fmt: skip

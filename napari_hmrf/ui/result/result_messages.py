@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from napari_hmrf.layers.overlay import Name
 from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.strain_layers import QUANTITIES, Quantity
+from napari_hmrf.layers.strain_layers import QUANTITIES
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 
@@ -18,7 +19,7 @@ LOST = (
 )
 NO_IMAGE = (
     "There is no image on the pixels of this result, so none can be moved. Open the image it was "
-    "made from; colours, grid and arrows are here all the same."
+    "made from; arrows, and what 'show' offers, are here all the same."
 )
 POINT = "Point at the tissue to read its displacement, area change and stiffness."
 NO_TISSUE = "No tissue here."
@@ -27,7 +28,7 @@ SAVING = "Saving pictures ..."
 FULL = 100
 _UPRIGHT = Directions()
 
-_ABOUT: dict[Quantity, str] = {
+_ABOUT: dict[Name, str] = {
     "magnitude": "how far ({unit})",
     "jacobian": "Jacobian",
     "equivalent": "strain: equivalent",
@@ -36,19 +37,37 @@ _ABOUT: dict[Quantity, str] = {
     "rows": "strain: {rows}",
     "columns": "strain: {columns}",
     "shear": "strain: shear",
+    "grid": "grid",
+    "labels": "tissue labels",
+    "folds": "folds",
+    "stiffness": "given: stiffness m",
+    "observed": "given: motion y",
+    "confidence": "given: confidence c",
 }
-COLOURS_TIP = (
-    "Colours of the tissue, moving with it:\n"
+_FROM_A_FILE = "What was given is not in the file of a result. Press Deform to make it anew."
+#: Why there may be nothing to see of what was asked for.
+LACKING: dict[Name, str] = {
+    "labels": "No labels of tissue have moved with this result.",
+    "folds": "The tissue folds nowhere.",
+    **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
+}
+OVERLAY_TIP = (
+    "What lies over the image, moving with the tissue:\n"
     "how far: length of the displacement, in the unit of the image;\n"
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
     "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
     "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
-    "across the slice assumed."
+    "across the slice assumed;\n"
+    "grid: one that was square; tissue labels: those of the tissue layer.\n"
+    "Where tissue was before it moved:\n"
+    "folds: where it is pushed through itself;\n"
+    "given: how stiff tissue was taken to be; how it was to move where that is known, with a dot\n"
+    "where it is held; and how sure that is, from 0 to 1."
 )
 
 
-def colour_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, str]]:
-    """What colours can show, in words, and the name of it."""
+def overlay_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, str]]:
+    """What can lie over the image, in words, and the name of it."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
@@ -88,9 +107,11 @@ def at_point(
     return line if percent == FULL else f"at {FULL} %: {line}"
 
 
-def strain_of(quantity: Quantity, value: float) -> str:
+def strain_of(name: Name, value: float) -> str:
     """The strain that colours show; of what is in each line anyway, nothing."""
-    title, unit = QUANTITIES[quantity]
+    if name not in QUANTITIES:
+        return ""
+    title, unit = QUANTITIES[name]
     return f"{title} {_rounded(value):g} {unit}" if unit == "%" else ""
 
 

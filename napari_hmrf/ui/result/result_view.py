@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,15 @@ from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.layers.image_result import Result
+from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
 from napari_hmrf.layers.result_lookup import (
     FoundResult,
     can_be_source,
     result_of,
     slices_apart,
     source_of,
+    tissue_of,
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
@@ -27,25 +31,24 @@ from napari_hmrf.ui.event_wait import Listening
 from napari_hmrf.ui.result.arrow_choices import ArrowChoices
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.errands import Errands
-from napari_hmrf.ui.result.layer_choices import LayerChoices
 from napari_hmrf.ui.result.looked_at import LookedAt
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_messages import (
     FULL,
+    LACKING,
     LOST,
     NO_IMAGE,
     NO_RESULT,
     NOTHING,
     POINT,
     SAVING,
-    colour_choices,
     how_far,
+    overlay_choices,
     saved,
 )
 from napari_hmrf.ui.result.result_work import figures_of
-from napari_hmrf.ui.timers import single_shot
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
 
@@ -80,22 +83,20 @@ class ResultView:
         self._results = results
         self.shown = LookedAt()
         self.cursor = UnderCursor(
-            viewer, lambda line: form.point.say(line or POINT), lambda: int(form.slider.value)
+            viewer,
+            self.shown,
+            lambda line: form.point.say(line or POINT),
+            lambda: int(form.slider.value),
         )
         self._arrows = ArrowChoices(form, self.shown)
-        self._moving = MovingLayers(
-            native, viewer, self.shown, self.cursor, self._arrows, self._refuse
-        )
+        self._moving = MovingLayers(native, self.shown, self._arrows, self._refuse)
         self.player = Player(native, self._errands, self._moving.draw)
-        self._layers = LayerChoices(form, self.shown, self._errands, self.cursor, self._moves_anew)
         self._longest = 0.0
         self._followed: Any = None
-        self._grid: Any = None
         self._heard = Listening()
-        # A layer is known to be the grid of a result only after it has come.
-        self._eyes = single_shot(native, 0, self._on_eye)
         form.result.changed.connect(lambda _: self._take(chosen=True))
         form.slider.changed.connect(self._on_slider)
+        form.overlay.changed.connect(lambda _: self._lay_over(chosen=True))
         form.play.changed.connect(self._on_play)
         form.save.changed.connect(self._on_save)
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
@@ -106,7 +107,7 @@ class ResultView:
         )
         self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
-            (viewer.layers.events.removed, self._on_layers),
+            (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.events.renamed, self._on_layers),
             (viewer.dims.events.current_step, self._say_where),
             (viewer.dims.events.order, self._say_where),
@@ -122,7 +123,7 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not seen yet."""
-        return self._errands.busy() or self._moving.busy or self._eyes.isActive()
+        return self._errands.busy() or self._moving.busy
 
     @property
     def before(self) -> bool:
@@ -176,7 +177,7 @@ class ResultView:
 
     def release(self) -> None:
         """Listen no more."""
-        self._follow(None, None)
+        self._follow(None)
         self._events.release()
         self._errands.forget()
         self.cursor.release()
@@ -203,59 +204,54 @@ class ResultView:
             self.said.emit(LOST.format(layer=gone.name))
         layers = None if arrows is None else self._results.of(arrows)
         other = layers is not shown.layers
-        drawn = (other or self._errands.busy("grid")) and bool(form.grid.value)
         self._put_back()
         if other and shown.layers is not None:
             shown.layers.leave()
-        self.cursor.coloured = None
+        self.cursor.watch(None)
         result = None if arrows is None else result_of(arrows)
         shown.layers, shown.result = (None if result is None else layers), result
+        shown.overlay = None
         form.result.visible = len(form.result.offered) > 1
         for part in form.of_result:
             part.enabled = result is not None
-        self.cursor.watch(None, None, None, self._fraction)
         if result is None or layers is None:
             self.player.motion = None
             form.how_far.say("")
             form.point.say(POINT)
         else:
-            self._show_result(result, layers, drawn, chosen)
-            work = partial(Points, result.solution)
-            self._errands.send("points", work, partial(self._on_points, arrows, result))
-        self._follow(arrows, shown.layer("grid"))
+            self._show_result(result, layers, other, chosen)
+            self._errands.send("points", partial(Points, result.solution), self.cursor.watch)
+        self._follow(arrows)
 
-    def _show_result(self, result: FoundResult, layers: Result, drawn: bool, chosen: bool) -> None:
+    def _show_result(self, result: FoundResult, layers: Result, other: bool, chosen: bool) -> None:
         """Let the form say what the layers are, and the layers what it says."""
         form = self._form
         self.shown.source = source_of(self._viewer.layers, result)
-        with form.colours.changed.blocked():
-            quantity = form.colours.value
+        there = layers.layer("overlay")
+        with form.overlay.changed.blocked():
+            name = form.overlay.value
+            if name == NOTHING and there is not None and there.visible:
+                name = known_of(there)["kind"]  # of a dock that was closed
             ways = Directions.of(result.frame, self._viewer)
-            form.colours.choices = colour_choices(result.unit, ways)
-            form.colours.value = quantity
+            form.overlay.choices = overlay_choices(result.unit, ways)
+            form.overlay.value = name
         self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
         if chosen:
             layers.release()
-        self._look_at_eyes()
-        if drawn:  # as that of the result before
-            with form.grid.changed.blocked():
-                form.grid.value = True
+        self._on_eye()
         self._say_where()
-        self._prepare()
-        if form.colours.value != NOTHING:
-            self._layers.make_colours(result, form.colours.value)
-        grid = self.shown.layer("grid")
-        if form.grid.value and (grid is None or not grid.visible):
-            self._layers.make_grid(result)
+        self.player.motion = self._moving.motion()
+        self.cursor.stiffness_from(tissue_of(self._viewer.layers, result), result)
+        if form.overlay.value != NOTHING:
+            self._lay_over(chosen=other)
 
-    def _follow(self, arrows: Any, grid: Any) -> None:
-        """Hear of the arrows that are looked at and of their grid, and of no others."""
-        if arrows is self._followed and grid is self._grid:
-            return
-        self._heard.release()
-        self._followed, self._grid = arrows, grid
-        there = [each for each in (arrows, grid) if each is not None]
-        self._heard = Listening(*((each.events.visible, self._on_eye) for each in there))
+    def _follow(self, arrows: Any) -> None:
+        """Hear of the eye of the arrows that are looked at, and of no others."""
+        if arrows is not self._followed:
+            self._heard.release()
+            self._followed = arrows
+            eyes = [] if arrows is None else [(arrows.events.visible, self._on_eye)]
+            self._heard = Listening(*eyes)
 
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
@@ -270,8 +266,11 @@ class ResultView:
             self._interrupt()
 
     def _on_eye(self, *_: Any) -> None:
-        self._follow(self._followed, self.shown.layer("grid"))
-        self._look_at_eyes()
+        """Let the box say whether arrows are seen, whoever has hidden or shown them."""
+        layers = self.shown.layers
+        if layers is not None and not self.before:
+            with self._form.arrows.changed.blocked():
+                self._form.arrows.value = layers.wants("arrows")
 
     def _on_inserted(self, event: Any) -> None:
         result, source = self.shown.result, self.shown.source
@@ -282,34 +281,59 @@ class ResultView:
             self._take()
         self._on_layers()
 
+    def _on_removed(self, event: Any) -> None:
+        layers = self.shown.layers
+        if layers is not None and not layers.leaving and layers.part_of(event.value) == "overlay":
+            self._form.overlay.value = NOTHING
+        self._on_layers()
+
     def _on_layers(self, *_: Any) -> None:
         self._form.result.reset_choices()
         self._form.result.visible = len(self._form.result.offered) > 1
-        self._eyes.start()
+
+    # What lies over the image
+
+    def _lay_over(self, chosen: bool) -> None:
+        """Have what is chosen lie over the image; `chosen`: just now, so that it is to be seen."""
+        result, layers, name = self.shown.result, self.shown.layers, self._form.overlay.value
+        if result is None or layers is None:
+            return
+        if name == NOTHING:
+            self._errands.forget("overlay")
+            layers.drop("overlay")
+            self._move_with(None)
+        else:
+            answer = partial(self._show_overlay, result, name, chosen)
+            self._errands.send("overlay", partial(overlay_of, result, name), answer)
+
+    def _show_overlay(
+        self, result: FoundResult, name: Name, chosen: bool, made: Overlay | None
+    ) -> None:
+        layers, percent = self.shown.layers, self._form.slider.value
+        if result is not self.shown.result or layers is None:
+            return
+        if made is None:
+            layers.drop("overlay")
+            if chosen:
+                self.said.emit(LACKING[name])
+        else:
+            layers.put("overlay", made.layer, self.shown.source, chosen)
+        self._move_with(made)
+        if percent != FULL:
+            self.player.show(percent)
+
+    def _move_with(self, overlay: Overlay | None) -> None:
+        """Have an overlay move with the tissue from now on."""
+        self.shown.overlay, motion = overlay, self.player.motion
+        if motion is not None:
+            picture, grid = (overlay.picture, overlay.name == "grid") if overlay else (None, False)
+            self.player.motion = replace(motion, overlay=picture, grid=grid)
 
     # How much is seen
 
-    def _look_at_eyes(self) -> None:
-        """Let the boxes say which layers are seen, whoever has hidden or shown them."""
-        form, shown = self._form, self.shown
-        if shown.layers is None or self.before:
-            return
-        with form.grid.changed.blocked(), form.arrows.changed.blocked():
-            if not self._errands.busy("grid"):  # else there is one soon
-                form.grid.value = shown.layers.wants("grid")
-            form.arrows.value = shown.layers.wants("arrows")
-
-    def _prepare(self) -> None:
-        """Collect what moves: copies of what is there now."""
-        self.player.motion = self._moving.motion(bool(self._form.grid.value))
-
     def _ready_to_move(self) -> bool:
         """Have a layer that can be moved; whether there is one."""
-        if self.player.motion is None:
-            return False
-        if self.player.motion.grid != self._form.grid.value:  # its eye was opened or closed since
-            self._prepare()
-        return self._moving.ready(self.player.motion)
+        return self.player.motion is not None and self._moving.ready(self.player.motion)
 
     def _go(self, percent: int) -> None:
         """Show so much of the deformation."""
@@ -333,22 +357,10 @@ class ResultView:
             self._errands.forget("moment")
             self._draw_whole()
 
-    def _moves_anew(self, now: bool) -> None:
-        """Other layers move from now on."""
-        self._prepare()
-        if now:
-            self.player.show(self._form.slider.value)
-
-    def _on_points(self, arrows: Any, result: FoundResult, points: Points) -> None:
-        self.cursor.watch(arrows, result, points, self._fraction)
-
     def _draw_whole(self) -> None:
         """Arrows of the whole deformation, and no lines of what was seen before."""
         self._moving.draw_whole()
         self._set_slider(FULL)
-
-    def _fraction(self) -> float:
-        return 0.0 if self.shown.layers is None else self.shown.layers.percent / FULL
 
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():

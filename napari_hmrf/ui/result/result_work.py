@@ -7,40 +7,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.layers.read import look_of
-from napari_hmrf.layers.result_layers import LayerData, picture_layer, result_layers
 from napari_hmrf.layers.result_lookup import FoundResult
-from napari_hmrf.layers.strain_layers import FloatArray, Quantity, quantity_layer, quantity_of
-from napari_hmrf.study.study import Pictures
-
-
-def coloured(result: FoundResult, quantity: Quantity) -> tuple[LayerData, FloatArray]:
-    """A layer of a quantity, before the tissue moves, and its values, (H, W)."""
-    values = quantity_of(result, quantity)
-    return quantity_layer(result, quantity, values), values
-
-
-def grid_of(result: FoundResult) -> LayerData:
-    """The deformation grid."""
-    made = result_layers(result.solution, result.frame, Pictures(name=result.source), {"grid"})
-    return made.layers["grid"]
-
-
-def unmoved(result: FoundResult, source: Any, image: npt.NDArray[Any]) -> LayerData:
-    """A layer for the moving image, as the image is before it moves.
-
-    Parameters
-    ----------
-    result : FoundResult
-    source : napari.layers.Image
-        Of the image; to be asked in the window's thread.
-    image : ndarray, shape (H, W) or (H, W, 3 or 4)
-    """
-    pictures = Pictures(name=source.name, look=look_of(source))
-    facts = {**result.facts, "percent": 0}
-    return picture_layer(
-        result.frame, pictures, image, result.solution.provenance.parameters, facts
-    )
 
 
 def figures_of(
