@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from qtpy.compat import isalive
+
 from napari_hmrf.ui.timers import single_shot
 
 
@@ -25,7 +27,7 @@ def figure_canvas(layout: Any = "constrained") -> Any:
     canvas.setStyleSheet("background: transparent")
     canvas.setMinimumWidth(50)
     # Matplotlib's own timer would ring though the canvas is gone.
-    canvas.draw_idle = single_shot(canvas, 0, canvas.draw).start
+    canvas.draw_idle = single_shot(canvas, 0, lambda: isalive(canvas) and canvas.draw()).start
     return canvas
 
 
