@@ -6,10 +6,10 @@ Places are (row, col) in pixels. The outer edge of the tissue is held.
 
 import numpy as np
 
-from napari_hmrf import Grid, Landmark, Landmarks, Motion, Study, Tissue, solve_study, statement_of
+from napari_hmrf import Drawing, Grid, Landmark, Motion, Study, Tissue, solve_study, statement_of
 
 grid = Grid(shape=(60, 120), spacing=(1.5, 0.75), unit="mm")
-landmarks = Landmarks(
+landmarks = Drawing(
     (
         Landmark(source=(20, 40), target=(22, 40), radius=2),
         Landmark(source=(30, 70), target=(30, 74), radius=2),
@@ -19,7 +19,7 @@ landmarks = Landmarks(
 study = Study(
     grid,
     Tissue(stiffness=np.ones(grid.shape)),
-    Motion(hold_edge=True, landmarks=landmarks),
+    Motion(hold_edge=True, drawing=landmarks),
 )
 
 problem = statement_of(study).problem  # what is solved: three images on one grid

@@ -52,7 +52,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.ground import solve_study, statement_of
-from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
     RIGID,
     BoundaryRule,
@@ -82,7 +82,6 @@ __all__ = [
     "Grid",
     "HmrfError",
     "Landmark",
-    "Landmarks",
     "LiveSolver",
     "Material",
     "Monitor",

@@ -216,8 +216,9 @@ def landmarks(_: dict[str, Path]) -> None:
     choice = dock._form.motion.boundary.landmarks
     person.show(choice.where.native)
     person.choose(choice.where, layers[0].name)
+    person.click(choice.take)
     wait_until(lambda: not dock.busy)
-    print(dock.status, dock.landmark_layers)
+    print(dock.status, len(dock.drawing.marks))
     keep(person, "landmarks-points")
     person.viewer.close()
 

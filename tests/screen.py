@@ -53,11 +53,9 @@ class Screen:
         QTest.mouseRelease(self.button(words), Qt.MouseButton.LeftButton)
 
     def choose(self, entry):
-        """Choose an entry of the menu that offers it."""
-        (menu,) = (
-            each for each in self._native.findChildren(QComboBox) if each.findText(entry) > -1
-        )
-        menu.setCurrentText(entry)
+        """Choose an entry of the first menu that offers it."""
+        menus = self._native.findChildren(QComboBox)
+        next(each for each in menus if each.findText(entry) > -1).setCurrentText(entry)
 
     def entry(self, words, *path):
         """An entry of the menu below a button."""

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 from studies import Study
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
-from napari_hmrf.layers.landmarks import LandmarkLayers
+from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.ground import Ground, statement_of
@@ -32,19 +33,24 @@ def read(study: Study) -> Read:
     prior, optimizer = _model(**study.model)
     view = View.of(study.viewer.dims)
     curve = None if study.curve is None else StiffnessCurve.from_dict(study.curve)
-    landmarks = drawing = None
-    if study.where is not None:
-        landmarks = LandmarkLayers(study.where, study.should, **study.landmarks)
+    drawing = None
     if study.drawing is not None:
         drawing = Drawing.from_dict({"version": 1, "marks": study.drawing})
+    hold_edge = study.hold_edge and drawing is not None
+    if study.where is not None:
+        reference = study.image if study.image is not None else study.tissue
+        frame = Frame.of(reference, view)
+        shape = tuple(reference.data.shape[axis] for axis in frame.plane)
+        how = study.landmarks
+        marks, _ = read_landmarks(study.where, study.should, frame, shape, view, **how)
+        drawing = Drawing((*marks, *(drawing.marks if drawing else ())))
     request = Request(
         tissue=study.tissue,
         boundary=study.boundary,
         image=study.image,
         confidence=study.confidence,
         view=view,
-        landmarks=landmarks,
-        hold_edge=study.hold_edge and drawing is not None,
+        hold_edge=hold_edge,
         drawing=drawing,
         curve=curve,
     )

@@ -5,12 +5,11 @@ A test that finds a public way fails: then the function of `compat` takes that w
 
 import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from napari.layers import Labels, Shapes, Vectors
+from napari.layers import Labels, Vectors
 from napari.utils._proxies import PublicOnlyProxy
 
 from napari_hmrf.layers import compat
@@ -76,25 +75,6 @@ def test_napari_does_not_say_what_paint_can_be_taken_back():
     assert compat.paint_steps(Vectors(ndim=2), "undo") is None
     known = {"undo", "redo", "block_history"}
     assert set(public(layer, "undo", "redo", "history")) <= known, "is there a public way?"
-
-
-def test_napari_does_not_say_whether_a_line_is_being_drawn():
-    layer = Shapes(ndim=2)
-    assert not compat.is_drawn(layer)
-    layer.mode = "add_line"
-    event = SimpleNamespace(type="mouse_press", position=(2.0, 2.0), pos=(2.0, 2.0))
-    (draw,) = layer.mouse_drag_callbacks
-    drag = draw(layer, event)
-    next(drag)
-    assert compat.is_drawn(layer)
-    event.type, event.position = "mouse_move", (6.0, 6.0)
-    next(drag)
-    assert compat.is_drawn(layer)
-    event.type = "mouse_release"
-    with pytest.raises(StopIteration):
-        next(drag)
-    assert not compat.is_drawn(layer)
-    assert not public(layer, "creating", "drawing"), "is there a public way?"
 
 
 def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):

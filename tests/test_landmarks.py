@@ -5,7 +5,7 @@ import pytest
 from napari.layers import Image, Points
 
 from napari_hmrf import ProblemError
-from napari_hmrf.layers.landmarks import LandmarkLayers, read_landmarks
+from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.drawing import Landmark
@@ -15,8 +15,8 @@ def landmarks(where, should, image=None, view=None, **place):
     image = image or Image(np.zeros((40, 50)), name="MR")
     where, should = Points(where, name="is", **place), Points(should, name="ought", **place)
     frame = Frame.of(image, view)
-    layers = LandmarkLayers(where, should, 3.0, 0.5)
-    return read_landmarks(layers, frame, image.data.shape[-2:])[0].marks
+    shape = image.data.shape[-2:]
+    return read_landmarks(where, should, frame, shape, radius=3.0, confidence=0.5)[0]
 
 
 def test_points_are_paired_by_their_order():
@@ -75,6 +75,5 @@ def test_points_with_an_axis_more_than_the_image_count_on_the_slice_that_is_show
         Points([[3, 2, 2], [4, 6, 6]], name="ought"),
     )
     view = View((1, 2), (4.0, 0.0, 0.0))
-    found, _ = read_landmarks(LandmarkLayers(*pair, 3.0), Frame.of(image, view), (40, 50), view)
-    assert found.marks == (Landmark((5, 6), (6, 6), 3.0),)
-    assert found.numbers == (1,)
+    found, _ = read_landmarks(*pair, Frame.of(image, view), (40, 50), view, radius=3.0)
+    assert found == (Landmark((5, 6), (6, 6), 3.0),)

@@ -11,11 +11,12 @@ from napari.layers import Image, Labels, Points, Vectors
 from study_reader import read_ground
 
 from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
-from napari_hmrf.layers.landmarks import LandmarkLayers
+from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.study.ground import Ground, statement_of
-from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -123,13 +124,14 @@ def test_a_drawing_is_one_problem_however_one_came_to_it(seed, table, rules, dra
 def test_landmarks_of_layers_and_of_a_study_are_one_problem(pairs):
     where, should = (np.array(each) for each in zip(*pairs, strict=True))
     image, stiffness = Image(np.zeros(SHAPE), **PLACE), np.ones(SHAPE)
-    layers = LandmarkLayers(Points(where, **PLACE), Points(should, **PLACE), radius=0.1)
-    asked = Request(tissue=Image(stiffness, **PLACE), image=image, landmarks=layers)
-    own = Landmarks(tuple(Landmark(at, to, 0.1) for at, to in pairs))
+    points = Points(where, **PLACE), Points(should, **PLACE)
+    marks, _ = read_landmarks(*points, Frame.of(image), SHAPE, radius=0.1)
+    asked = Request(tissue=Image(stiffness, **PLACE), image=image, drawing=Drawing(marks))
+    own = Drawing(tuple(Landmark(at, to, 0.1) for at, to in pairs))
     study = Study(
         Grid(SHAPE, SPACING),
         Tissue(stiffness=stiffness),
-        Motion(landmarks=own),
+        Motion(drawing=own),
         pictures=Pictures(np.zeros(SHAPE)),
     )
     same_problem(statement_of(read_study(asked)), statement_of(study))

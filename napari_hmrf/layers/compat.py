@@ -44,12 +44,6 @@ def paint_steps(layer: Any, name: str) -> Collection[Any] | None:
     return steps
 
 
-def is_drawn(layer: Any) -> bool:
-    """Whether a shape is there that is not drawn to its end."""
-    # Private: until the last vertex a line is one step, and no event says that it has begun.
-    return bool(getattr(layer, "_is_creating", False))
-
-
 def thin_thumbnail(layer: Any, most: int) -> None:
     """Draw so many lines in a Vectors layer's thumbnail at most."""
     # Private: a thumbnail of all lines takes longer to draw than they do, and none can be had.

@@ -23,8 +23,6 @@ from napari_hmrf.study.study_model import Step, StudyModel
 DRAWING = "drawing"
 #: And that with the curve by which an image's intensity says how stiff tissue is.
 CURVE = "curve"
-#: And that with the points of a Points layer, or the lines of a Shapes layer.
-POINTS = "points"
 
 
 @dataclass(frozen=True)

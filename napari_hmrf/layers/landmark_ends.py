@@ -104,6 +104,12 @@ def ends_of(where: Any, should: Any) -> tuple[Ends, Ends]:
     """
     if isinstance(where, Shapes):
         return _of_lines(where)
+    if should is None:
+        raise LayerError(
+            where,
+            "says where things are: choose another Points layer as 'should be at', or a Shapes "
+            "layer of lines.",
+        )
     if where is should:
         raise LayerError(
             where, "cannot be both where things are and where they should be. Choose two layers."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,46 +12,32 @@ from napari_hmrf.layers.landmark_ends import Ends, ends_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.layer_names import LayerError, naming
-from napari_hmrf.study.study import Landmarks
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class LandmarkLayers:
-    """Two layers whose points are pairs, by their order, or one of lines; and what goes with each.
-
-    Attributes
-    ----------
-    where : napari.layers.Points or napari.layers.Shapes
-        Where things are; or lines and paths that begin there, and end where they should be.
-    should : napari.layers.Points, optional
-        Where they should be; none beside lines.
-    radius : float, optional
-        Of the patch of tissue that goes with each landmark, in the unit of the image; by default
-        `usual_radius`. Patches that would overlap are made smaller.
-    confidence : float
-        How sure that is, from above 0 to 1 (certain).
-    """
-
-    where: Any
-    should: Any = None
-    radius: float | None = None
-    confidence: float = 1.0
-
-
 def read_landmarks(
-    layers: LandmarkLayers, frame: Frame, shape: tuple[int, int], view: View | None = None
-) -> tuple[Landmarks, tuple[str, ...]]:
+    where: Any,
+    should: Any,
+    frame: Frame,
+    shape: tuple[int, int],
+    view: View | None = None,
+    *,
+    radius: float | None = None,
+    confidence: float = 1.0,
+) -> tuple[tuple[Landmark, ...], tuple[str, ...]]:
     """Pair the points of two layers by their order, or the ends of lines, as they lie in the world.
 
     Parameters
     ----------
-    layers : LandmarkLayers
-        Of a stack, the pairs of other slices do not count; those without an axis lie on each of
-        its slices.
+    where : napari.layers.Points or napari.layers.Shapes
+        Where things are; or lines and paths that begin there, and end where they should be. Of a
+        stack, the pairs of other slices do not count; those without an axis lie on each of its
+        slices.
+    should : napari.layers.Points or None
+        Where they should be; none beside lines.
     frame : Frame
         The slice of the image.
     shape : (int, int)
@@ -60,11 +45,16 @@ def read_landmarks(
     view : View, optional
         What is shown, for points with more axes than the image: those of other slices do not
         count then.
+    radius : float, optional
+        Of the patch of tissue that goes with each landmark, in the unit of the image; by default
+        `usual_radius`. Patches that would overlap are made smaller.
+    confidence : float
+        How sure that is, from above 0 to 1 (certain).
 
     Returns
     -------
-    Landmarks
-        In pixels of the image, by the numbers of their points.
+    tuple of Landmark
+        In pixels of the image.
     tuple of str
         What people should know about them, as clauses.
 
@@ -74,7 +64,7 @@ def read_landmarks(
         Naming the layer: if the layers do not hold as many points, or none, or a shape is no line,
         or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
-    where, should = ends = ends_of(layers.where, layers.should)
+    where, should = ends = ends_of(where, should)
     what = where.what
     sources, targets = (each.in_pixels(frame) for each in ends)
     here, there = (
@@ -109,13 +99,13 @@ def read_landmarks(
         "the image"
         for number in numbers[_outside(to, shape)]
     ]
-    radii = _radii(at, layers.radius, frame, shape)
+    radii = _radii(at, radius, frame, shape)
     with naming(observed=where.layer, confidence=where.layer):
         marks = tuple(
-            Landmark((a[0], a[1]), (b[0], b[1]), size, layers.confidence)
+            Landmark((a[0], a[1]), (b[0], b[1]), size, confidence)
             for a, b, size in zip(at.tolist(), to.tolist(), radii, strict=True)
         )
-    return Landmarks(marks, tuple(numbers.tolist()), what), tuple(beyond[:1])
+    return marks, tuple(beyond[:1])
 
 
 def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Labels, Points, Shapes, Vectors
+from napari.layers import Labels, Vectors
 
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
-from napari_hmrf.layers.landmarks import LandmarkLayers, read_landmarks
 from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
 from napari_hmrf.layers.observed_arrows import arrow_observations
@@ -20,7 +19,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import LayerError, Named, naming
-from napari_hmrf.study.study import Grid, Landmarks, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
@@ -51,8 +50,6 @@ class Request:
         With arrows: how sure each is, 0 to 1; by default 1.
     view : View, optional
         Which slice; by default the first, of the last two axes.
-    landmarks : LandmarkLayers, optional
-        Two Points layers, or lines, which count on top of the boundary.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
     drawing : Drawing, optional
@@ -72,7 +69,6 @@ class Request:
     rules: tuple[BoundaryRule, ...] | None = None
     confidence: Any = None
     view: View | None = None
-    landmarks: LandmarkLayers | None = None
     hold_edge: bool = False
     drawing: Drawing | None = None
     preset: Preset | None = None
@@ -82,9 +78,7 @@ class Request:
     @property
     def layers(self) -> tuple[Any, ...]:
         """The layers that are there, the reference first."""
-        pairs = self.landmarks
-        points = () if pairs is None else (pairs.where, pairs.should)
-        chosen = (self.image, self.tissue, self.boundary, self.confidence, *points)
+        chosen = (self.image, self.tissue, self.boundary, self.confidence)
         return tuple(layer for layer in chosen if layer is not None)
 
 
@@ -123,26 +117,19 @@ class _Reader:
         self._reference = reference = request.layers[0]
         self._frame = Frame.of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
-        placed = [layer for layer in request.layers if not isinstance(layer, Points | Shapes)]
         self._frames = {
             id(layer): self._frame if layer is reference else Frame.of(layer, request.view)
-            for layer in placed
+            for layer in request.layers
         }
 
     def study(self, prior: Prior, optimizer: Optimizer) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
-        tissue, landmarks = self._tissue(), Landmarks()
-        notes = self._notes()
+        tissue, notes = self._tissue(), self._notes()
         names = {"image": Named.of(reference)}
         if request.tissue is not None:
             names["tissue"] = Named.of(request.tissue)
-        if request.landmarks is not None:
-            pairs = request.landmarks
-            landmarks, more = read_landmarks(pairs, frame, self._shape, request.view)
-            names["landmarks"] = names["boundary"] = Named.of(pairs.where)
-            notes += more
-        motion, more = self._motion(landmarks)
+        motion, more = self._motion()
         if request.boundary is not None:
             names["boundary"] = Named.of(request.boundary)
         if request.confidence is not None:
@@ -151,7 +138,9 @@ class _Reader:
         if drawing is not None and (drawing.marks or "boundary" not in names):
             names["drawing"] = Named(ARROWS, "Vectors layer")
         if not {"boundary", "drawing"} & set(names):
-            raise LayerError(reference, "has no boundary. Choose a boundary layer, or landmarks.")
+            raise LayerError(
+                reference, "has no boundary. Choose a layer of it, or draw how it moves."
+            )
         return Study(
             grid=Grid(self._shape, frame.spacing, frame.unit, frame),
             tissue=tissue,
@@ -209,26 +198,22 @@ class _Reader:
             record=tissue_record(layer, ()),
         )
 
-    def _motion(self, landmarks: Landmarks) -> tuple[Motion, tuple[str, ...]]:
+    def _motion(self) -> tuple[Motion, tuple[str, ...]]:
         request, layer = self._request, self._request.boundary
         drawing = request.drawing or Drawing()
         if isinstance(layer, Vectors):
             observed, counts, notes = self._arrows(layer)
             return Motion(
-                request.hold_edge,
-                observed=observed,
-                counts=counts,
-                landmarks=landmarks,
-                drawing=drawing,
+                request.hold_edge, observed=observed, counts=counts, drawing=drawing
             ), notes
         if layer is None:
-            return Motion(request.hold_edge, landmarks=landmarks, drawing=drawing), ()
+            return Motion(request.hold_edge, drawing=drawing), ()
         labels = self._slice(layer)
-        if not landmarks.marks and request.drawing is None and not labels.any():
+        if request.drawing is None and not labels.any():
             _refuse_unpainted(layer, self._frames[id(layer)])
         rules = request.rules
         rules = rows_of(layer, BOUNDARY) or () if rules is None else tuple(rules)
-        return Motion(request.hold_edge, labels, rules, landmarks=landmarks, drawing=drawing), ()
+        return Motion(request.hold_edge, labels, rules, drawing=drawing), ()
 
     def _arrows(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any], tuple[str, ...]]:
         """What arrows observe, how sure each is, and what there is to say of them."""
@@ -268,7 +253,7 @@ class _Reader:
         notes += [
             f"of '{layer.name}' {self._frames[id(layer)].slice_said} was taken"
             for layer in request.layers[1:]
-            if id(layer) in self._frames and self._frames[id(layer)].ndim > frame.ndim
+            if self._frames[id(layer)].ndim > frame.ndim
         ]
         return tuple(notes)
 

@@ -25,7 +25,6 @@ from napari_hmrf.study.refusals import (
     no_tissue,
     refuse_nothing,
     refuse_rigid,
-    refuse_void,
     tissue_name,
 )
 from napari_hmrf.study.study import Study
@@ -36,7 +35,6 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Canvas, Drawing
-from napari_hmrf.tissue.drawing.canvas import paint
 from napari_hmrf.tissue.label_defaults import default_material, default_rule
 from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.normals import outer_rim
@@ -142,9 +140,6 @@ class Ground:
             for part in (there, tissue.body):
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
-        for mark in study.motion.landmarks.marks:
-            paint(mark, base, base.whole)
-        refuse_void(study, there)
         return cls(
             study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, tuple(notes), ignored
         )
@@ -193,7 +188,7 @@ class Ground:
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         motion = study.motion
-        if motion.labels is not None and not (motion.landmarks.marks or motion.drawing.marks):
+        if motion.labels is not None and not motion.drawing.marks:
             notes += lacks(problem, self.base.observed, self.stiffness > 0)
         notes += self._air_that_is_tissue
         return (*notes, *caveats(problem, statement.prior, statement.optimizer))

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.layer_names import LayerError, Named
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.drawing.canvas import common, distance_to
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -45,40 +44,6 @@ def refuse_rigid(study: Study) -> None:
         there, which = given is not None and bool((given == np.inf).any()), "an infinite stiffness"
     if there:
         raise LayerError(tissue_name(study), f"has rigid tissue ({which}), {why}")
-
-
-def refuse_void(study: Study, there: npt.NDArray[np.bool_]) -> None:
-    """Refuse a landmark with no tissue to go with it.
-
-    Parameters
-    ----------
-    study : Study
-    there : ndarray of bool, shape (H, W)
-        Where there is tissue.
-
-    Raises
-    ------
-    ProblemError
-        Naming the landmarks, and the number of one.
-    """
-    landmarks, (rows, cols), spacing = study.motion.landmarks, there.shape, study.grid.spacing
-    size = (float(spacing[0]), float(spacing[1]))
-    for mark, number in zip(landmarks.marks, landmarks.numbers, strict=True):
-        down, along = (max(1, math.ceil(mark.radius / step)) for step in size)
-        row, col = (round(at) for at in mark.source)
-        around = (row - down, row + down + 1, col - along, col + along + 1)
-        box = common(around, (0, rows, 0, cols))
-        near = distance_to(((mark.source,),), mark.radius, size, box)
-        # However small the patch, the nearest pixel counts.
-        patch = near <= max(mark.radius, float(near.min()))
-        if not (patch & there[box[0] : box[1], box[2] : box[3]]).any():
-            is_line = landmarks.what == "line"
-            begins, partner = (", which begins", "") if is_line else ("", " and its partner")
-            raise LayerError(
-                study.names.get("landmarks", Named("landmarks", "a list")),
-                f"has {landmarks.what} {number}{begins} where there is no tissue (stiffness 0 in "
-                f"'{tissue_name(study).name}'). Move it onto tissue, or remove it{partner}.",
-            )
 
 
 def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:

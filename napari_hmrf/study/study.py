@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy.typing as npt
 
@@ -20,7 +20,7 @@ from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import Named, naming
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
@@ -99,28 +99,6 @@ class Tissue:
         return _same_parts(self, other)
 
 
-@dataclass(frozen=True)
-class Landmarks:
-    """Places that were found again elsewhere.
-
-    Attributes
-    ----------
-    marks : tuple of Landmark
-    numbers : tuple of int
-        By which people know them; by default they are counted from 0.
-    what : {"point", "line"}
-        What they were made from.
-    """
-
-    marks: tuple[Landmark, ...] = ()
-    numbers: tuple[int, ...] = ()
-    what: Literal["point", "line"] = "point"
-
-    def __post_init__(self) -> None:
-        if not self.numbers:
-            object.__setattr__(self, "numbers", tuple(range(len(self.marks))))
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """How tissue moves where that is known. Of what overlaps, the later part counts.
@@ -137,9 +115,8 @@ class Motion:
         A displacement, in (row, col) order and the grid's unit, such as a registration's.
     counts : ndarray, shape (H, W) or (H, W, 2), optional
         How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
-    landmarks : Landmarks
     drawing : Drawing
-        What was drawn with a pointer: pulls, holds, and strokes of a brush.
+        What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
     """
 
     hold_edge: bool = False
@@ -147,7 +124,6 @@ class Motion:
     rules: tuple[BoundaryRule, ...] = ()
     observed: Array | None = None
     counts: Array | None = None
-    landmarks: Landmarks = field(default_factory=Landmarks)
     drawing: Drawing = field(default_factory=Drawing)
 
     def __post_init__(self) -> None:

@@ -40,8 +40,6 @@ class Choices:
             "border": form.tissue.border,
             "boundary": motion.boundary.choice,
             "confidence": motion.boundary.confidence,
-            "where": motion.boundary.landmarks.where,
-            "should": motion.boundary.landmarks.should,
             "edge": motion.edge,
         }
         self._beginning = {name: field.value for name, field in self._fields.items()}
@@ -55,7 +53,7 @@ class Choices:
         motion.boundary.choice.changed.connect(self._on_boundary)
         # Whether there is no image as the one that was worked on is gone.
         self._lost = False
-        for name in ("tissue", "boundary", "confidence", "where", "should"):
+        for name in ("tissue", "boundary", "confidence"):
             self._fields[name].changed.connect(self._on_chosen)
         form.image.changed.connect(self._on_image)
 
@@ -87,7 +85,6 @@ class Choices:
             rules=boundary.table.rows if isinstance(boundary.choice.value, Labels) else None,
             confidence=boundary.confidence.value if arrows else None,
             view=self.view,
-            landmarks=boundary.landmarks.chosen,
             hold_edge=form.motion.edge.value,
             drawing=Drawing(),
             preset=form.motion.fields.preset.value,

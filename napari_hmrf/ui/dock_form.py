@@ -93,16 +93,13 @@ class DockForm:
 
     def show_place(self, grid: Grid, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way rows and columns run on the screen."""
-        rows, cols = grid.shape
         self.motion.fields.show_place(unit, ways)
         self.motion.boundary.table.show_place(unit, ways)
-        self.motion.boundary.landmarks.show_place(grid.place, (rows, cols))
 
     def release(self) -> None:
         """Stop listening to layers."""
         self.tissue.painted.release()
         self.motion.boundary.painted.release()
-        self.motion.boundary.landmarks.release()
 
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image])

@@ -82,7 +82,7 @@ class Guide:
             return messages.CHOOSE if self._viewer.layers else messages.WELCOME
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or motion_messages.FLAT
-        begun = boundary.choice.value is not None or bool(boundary.landmarks.layers)
+        begun = boundary.choice.value is not None
         how = motion_messages.START if self._live.live.on or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how

@@ -200,7 +200,7 @@ class LiveStudy:
             assert request.drawing is not None
             self._copies.forget()  # a script may have changed an array in place
             # Without a drawing a boundary that is not painted is refused, in words of its own.
-            alone = request.boundary is None and request.landmarks is None
+            alone = request.boundary is None
             marks = request.drawing.marks
             study = self.read(request if marks or alone else replace(request, drawing=None))
             refuse_rigid(study)

@@ -139,13 +139,9 @@ def _less(study: Study) -> str:
     """What keeps tissue from folding, of what there is to change."""
     motion = study.motion
     painted = motion.observed is not None or (motion.labels is not None and motion.labels.any())
-    if motion.drawing.marks and not (painted or motion.landmarks.marks):
+    if motion.drawing.marks and not painted:
         return "Move it less; far from all that is held take a larger patch, near it a smaller one"
-    if not motion.landmarks.marks:
-        return "Let it move less or over a wider boundary"
-    if painted:
-        return "Let it move less, over a wider boundary, or by landmarks of a larger radius"
-    return "Let the landmarks move it less, or give them a larger radius"
+    return "Let it move less or over a wider boundary"
 
 
 def in_short(error: Exception) -> str:

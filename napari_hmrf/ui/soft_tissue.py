@@ -10,6 +10,7 @@ from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import steps_of
+from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.model_names import ModelName
@@ -19,7 +20,7 @@ from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -65,11 +66,6 @@ class SoftTissue(Dock):
         Labels of what holds and moves, or observed displacements.
     confidence : napari.layers.Image or None
         Of Vectors as boundary; without, 1 everywhere.
-    landmarks : LandmarkLayers or None
-        Two Points layers, or a Shapes layer of lines, which count on top of the boundary. To be set
-        to a pair of layers, or one, too.
-    landmark_layers : tuple of napari.layers.Layer
-        Those that are chosen, be they complete or not yet.
     materials, rules : tuple of Material, tuple of BoundaryRule
         How stiff each tissue label is, and what each boundary label does.
     curve : StiffnessCurve or None
@@ -124,8 +120,6 @@ class SoftTissue(Dock):
     tissue = Part[Any]("_form.tissue.choice.value")
     boundary = Part[Any]("_form.motion.boundary.choice.value")
     confidence = Part[Any]("_form.motion.boundary.confidence.value")
-    landmarks = Part[Any]("_form.motion.boundary.landmarks.chosen")
-    landmark_layers = Part[tuple[Any, ...]]("_form.motion.boundary.landmarks.layers")
     materials = Part[tuple[Material, ...]]("_form.tissue.table.rows")
     rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
     curve = Part[StiffnessCurve | None]("_steps.curve")
@@ -158,6 +152,7 @@ class SoftTissue(Dock):
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
         self._was_active = False
+        self._taken: tuple[Landmark, ...] = ()
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
@@ -321,12 +316,8 @@ class SoftTissue(Dock):
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
         """Have the image's intensity say how stiff tissue is; returns the curve by which it does.
 
-        The `curve` is by default the one that there is for this image, or else a first guess.
-
-        Raises
-        ------
-        HmrfError
-            If no image is chosen, or no curve can be made for it.
+        The `curve` is by default the one that there is for this image, or else a first guess; a
+        `HmrfError` is raised if no image is chosen, or no curve can be made for it.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -338,15 +329,29 @@ class SoftTissue(Dock):
         self.say(messages.CURVE)
         return curve
 
+    def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
+        """Have points of two layers, or lines of a Shapes layer, be landmarks of the drawing.
+
+        Those that were taken before are replaced. Arguments (`radius` and `confidence` among them)
+        and errors are those of `read_landmarks`.
+        """
+        if self.image is None or not self._live_study.look():
+            raise HmrfError(messages.WELCOME if self.image is None else self.status)
+        study = self._live_study.study
+        assert study is not None
+        rows, cols = study.grid.shape
+        view = View.of(self._viewer.dims)
+        marks, notes = read_landmarks(where, should, study.grid.place, (rows, cols), view, **how)
+        others = [mark for mark in self.drawing.marks if mark not in self._taken]
+        self._taken = marks
+        self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
+        for note in notes:
+            self.say(messages.sentence_of(note))
+
     def take_materials(self, materials: Preset | Any) -> None:
         """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
 
-        Raises
-        ------
-        HmrfError
-            If there is no table to be had, or none to put it into.
-        OSError
-            If a file cannot be read.
+        Errors are those of `load_materials`, and a `HmrfError` if there is no table to fill.
         """
         if not isinstance(self.tissue, Labels):
             raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
@@ -410,6 +415,7 @@ class SoftTissue(Dock):
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.clicked.connect(lambda: self._try(self._begin_curve))
+        form.motion.boundary.landmarks.take.changed.connect(lambda _: self._try(self._take_points))
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
@@ -437,6 +443,10 @@ class SoftTissue(Dock):
 
     def _begin_curve(self) -> None:
         self.tissue_from_intensity(self._live_study.first_curve())
+
+    def _take_points(self) -> None:
+        points = self._form.motion.boundary.landmarks
+        self.take_landmarks(points.where.value, points.should.value)
 
     def _try(self, action: Any) -> None:
         try:
@@ -470,8 +480,6 @@ class SoftTissue(Dock):
         if self.image is None:
             self._pointer.leave()
             self.active_changed()
-
-    # What the window tells
 
     def _on_over(self, closed: bool) -> None:
         if closed:

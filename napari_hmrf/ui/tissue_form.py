@@ -173,7 +173,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         self.landmarks = LandmarkChoice(layers)
         self.landmarks.margins = (0, 0, 0, 0)
         self.native.layout().addWidget(self.landmarks.native)
-        self.landmarks.edited.connect(self.edited)
         self.confidence.changed.connect(lambda _: self.edited.emit())
 
     def _on_choice(self, layer: Any) -> None:

@@ -102,8 +102,7 @@ class ViewerWatch:
 
     def _on_first(self) -> None:
         """Nothing has to be pressed to pull the first image, unless somebody is at work with it."""
-        landmarks = self._form.motion.boundary.landmarks.layers
-        at_work = landmarks or any(layer is not None for layer in self._painted)
+        at_work = any(layer is not None for layer in self._painted)
         looked_at = self._viewer.layers.selection.active in (None, self._form.image.value)
         if looked_at and not at_work:
             self.first_came.emit()
@@ -126,7 +125,7 @@ class ViewerWatch:
         form = self._form
         boundary = form.motion.boundary
         chosen = (form.image.value, form.tissue.layer, boundary.choice.value)
-        layers = (*chosen, boundary.confidence.value, *boundary.landmarks.layers)
+        layers = (*chosen, boundary.confidence.value)
         self._pixels.listen_to([layer for layer in layers if layer is not None])
         missing = form.image.value is not None and None in self._painted
         form.make.enabled = missing
