@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
+from napari_hmrf.field.colormaps import OPACITY
 from napari_hmrf.layers.arrow_layer import Lines
-from napari_hmrf.layers.label_colours import SELECTED
+from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
@@ -58,8 +59,14 @@ def number_of(action: Action, confidence: float = 1.0, label: int = 0) -> int:
     return 1 + (KINDS[action] - 1) * _LEVELS + level
 
 
-def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray[np.uint8]) -> None:
-    """Bring the picture of what was painted up to date in a window, in place.
+def show_painted(
+    canvas: Canvas,
+    base: Canvas,
+    window: Box,
+    picture: npt.NDArray[np.uint8],
+    confidence: FloatArray | None = None,
+) -> None:
+    """Bring the pictures of what was painted up to date in a window, in place.
 
     Parameters
     ----------
@@ -70,13 +77,18 @@ def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray
     window : Box
         Which pixels.
     picture : ndarray of uint8, shape (H, W)
-        0 where nothing was painted, else as `number_of`.
+        0 where nothing was painted, or confidence alone; else as `number_of`.
+    confidence : ndarray of float32, shape (H, W), optional
+        How sure is what is held or moved; the larger of its components.
     """
     assert canvas.kinds is not None
     top, bottom, left, right = window
     at = (slice(top, bottom), slice(left, right))
-    kinds = canvas.kinds[at]
-    level = np.rint(canvas.confidence[at].max(axis=-1) * (_LEVELS - 1)).astype(np.uint8)
+    kinds = np.where(canvas.kinds[at] == KINDS["confidence"], np.uint8(0), canvas.kinds[at])
+    sure = canvas.confidence[at].max(axis=-1)
+    if confidence is not None:
+        confidence[at] = sure
+    level = np.rint(sure * (_LEVELS - 1)).astype(np.uint8)
     level[kinds == KINDS["free"]] = _LEVELS - 1
     shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
     width = max(1, min(canvas.shape) // 90)
@@ -139,6 +151,23 @@ def painted_layer(
             "metadata": {METADATA: {"kind": "painted", "slice": frame.slice_name}},
         },
         "labels",
+    )
+
+
+def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
+    """An Image layer of how sure is what is held or moved."""
+    return LayerData(
+        frame.put_image(confidence),
+        {
+            **frame.placement(image=True),
+            "name": "Confidence",
+            "colormap": quantity_colours(signed=False),
+            "contrast_limits": (0.0, 1.0),
+            "blending": "translucent",
+            "opacity": OPACITY,
+            "metadata": {METADATA: {"kind": "painted confidence", "slice": frame.slice_name}},
+        },
+        "image",
     )
 
 
