@@ -185,6 +185,35 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     assert kinds["observed"].data[:, 1, 0].min() == pytest.approx(-4, abs=0.6)
 
 
+def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(pulling, settle):
+    person, widget = pulling
+    text, fields = person.viewer.canvas.overlays.text, widget.fields
+    fields.components.value = "row"
+    assert text.text == "Pull, up and down only"
+    person.key(MOVE)
+    fields.by_row.value, fields.by_col.value = 2.0, 3.0
+    assert text.text == "Push 2 down, up and down only"
+    fields.components.value = "col"
+    person.key(PIN)
+    assert text.text == "Hold, left and right only"
+    fields.radius.value = 5.0
+
+    person.paint((20, 20), (20, 40))
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    steps = by_name(person.viewer, "Arrows").data[:, 1]
+    longest = steps[np.abs(steps).sum(axis=1) > 1]
+    assert len(longest), "double arrows"
+    assert not longest[:, 0].any(), "to the sides alone"
+    fields.components.value = "both"
+    assert text.text == "Hold"
+    widget.clear()
+    person.paint((20, 20), (20, 40))
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    assert by_name(person.viewer, "Arrows").data[:, 1].all(), "crosses"
+
+
 def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle):
     person, widget = brushing
     layers = person.viewer.layers
@@ -210,7 +239,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle
 def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing, settle):
     person, widget = brushing
     person.key(CONFIDENCE)
-    widget.fields.sure.value = 0.6
+    widget.fields.sure.value, widget.fields.softness.value = 0.6, 0.0
     person.paint((44, 45), (44, 46))
     settle(widget)
     layer = by_name(person.viewer, "Confidence")
@@ -219,7 +248,8 @@ def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing, settle):
     widget.drawing = Drawing((replace(arrow, by=(-4, 2)), stroke))
     settle(widget)
     assert by_name(person.viewer, "Confidence") is layer
-    assert layer.data[40, 42] == pytest.approx(0.6, abs=0.05)
+    assert layer.data[40, 42] == pytest.approx(0.6)
+    assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, "nothing in between is made up"
 
 
 def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_window, settle):

@@ -2,7 +2,8 @@
 
 Hues are those of Okabe and Ito, which no colour blindness confuses; how opaque they are says how
 sure it is. What is freed is striped, and so is tissue that was painted where something else was.
-Crosses lie where nothing moves, arrows where tissue is moved.
+Crosses lie where nothing moves, arrows where tissue is moved, double arrows where only one
+direction is spoken of.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from napari.layers import Labels
 
 from napari_hmrf.field.colormaps import OPACITY
-from napari_hmrf.layers.arrow_layer import Lines
+from napari_hmrf.layers.arrow_layer import Lines, double_arrows
 from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
@@ -172,7 +173,9 @@ def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
 
 
 def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
-    """Crosses where tissue is pinned, and arrows where it is moved; thin strokes have some, too.
+    """Crosses where tissue is pinned, arrows where it is moved; thin strokes have some, too.
+
+    Where one direction alone is spoken of there is a double arrow along that instead of a cross.
 
     Parameters
     ----------
@@ -199,7 +202,10 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
-        drawn = [_arrows(at * size, by), _crosses(at * size, by, 0.2 * apart)]
+        sure = canvas.confidence[tuple(at.T)] > 0
+        both, at = sure.all(axis=-1), at * size
+        drawn = [_arrows(at, by), _crosses(at[both], by[both], 0.2 * apart)]
+        drawn += [double_arrows(at[sure[:, way] & ~both], way, 0.35 * apart) for way in (0, 1)]
         for part in drawn:
             lines.append(part / size)
             colours.append(np.tile([*(0.6 + 0.4 * np.array(COLOURS[action])), 1.0], (len(part), 1)))

@@ -212,7 +212,9 @@ class Follower:
         if "confidence" not in actions:
             over = over if len(over) < 2 else over[:1]
         elif len(over) < 2:
-            over, window = (*over, Picture(np.zeros(canvas.shape, np.float32))), canvas.whole
+            # Between what is certain and what nobody says nothing is half sure: never interpolated.
+            confidence = Picture(np.zeros(canvas.shape, np.float32), order=0)
+            over, window = (*over, confidence), canvas.whole
         if over and window is not None:
             show_painted(canvas, ground.base, window, *(np.asarray(each.image) for each in over))
         return over
