@@ -57,8 +57,8 @@ MUTATIONS = (
     Mutation("study/ground.py", "doubted = c < 1", "doubted = c <= 1", "test_pull.py"),
     Mutation(
         "study/engine.py",
-        "shown.append(Picture(over, order=0))",
-        "shown.insert(0, Picture(over, order=0))",
+        "shown += over",
+        "shown = [*over, *shown]",
         "test_grab_tools.py",
     ),
     Mutation(

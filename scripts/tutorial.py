@@ -16,7 +16,8 @@ from typing import Any
 import own_images
 from PIL import Image
 from qtpy.QtCore import QPoint, Qt
-from qtpy.QtWidgets import QApplication
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QAbstractSpinBox, QApplication
 from window import LEFT, NO_BUTTON, ROOT, Person, save, save_animation, wait, wait_until
 
 FOLDER = ROOT / "docs" / "tutorial" / "images"
@@ -236,6 +237,40 @@ def ring(person: Person, centre: tuple[float, float], radii: tuple[float, float]
     person.drag(*((row + down * math.sin(t), col + along * math.cos(t)) for t in turns))
 
 
+def typed(person: Person, field: Any, number: str) -> None:
+    """Type a number into a field, or beside a slider."""
+    person.show(field)
+    box = field.native
+    box = box if isinstance(box, QAbstractSpinBox) else box.findChild(QAbstractSpinBox)
+    person.click(box)
+    QTest.keyClick(box, Qt.Key.Key_A, CTRL)
+    QTest.keyClicks(box, number)
+    QTest.keyClick(box, Qt.Key.Key_Return)
+    wait(0.2)
+
+
+def brushes(_: dict[str, Path]) -> None:
+    """What is doubted: confidence that is painted with a soft edge, and its layer."""
+    person = Person(SIZE)
+    open_sample(person, "Brain with a growing tumour")
+    dock = open_dock(person)
+    take(person, dock, "pull")
+    person.choose(dock.fields.components, "left and right only (columns)")
+    pulled(person, dock, (140, 92), (140, 104))
+    person.release(140, 104)
+    wait_until(lambda: not dock.busy)
+    take(person, dock, "confidence")
+    typed(person, dock.fields.radius, "16")
+    typed(person, dock.fields.sure, "0.2")
+    typed(person, dock.fields.softness, "1")
+    pulled(person, dock, (52, 92), (60, 66), (84, 48), steps=6)
+    person.release(84, 48)
+    wait_until(lambda: not dock.busy)
+    keep(person, "brushes-confidence")
+    print(dock.status, dock.drawing.marks[-1].confidence, dock.drawing.marks[-1].softness)
+    person.viewer.close()
+
+
 def own(images: dict[str, Path]) -> None:
     """An image of one's own: a PNG."""
     person = Person(SIZE)
@@ -309,6 +344,7 @@ PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "animation": animation,
     "tumour": tumour,
     "landmarks": landmarks,
+    "brushes": brushes,
     "own": own,
     "photograph": photograph,
     "stack": stack,

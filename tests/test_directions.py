@@ -25,6 +25,11 @@ TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, col
         ({"affine": [[1, 0, 5], [0, -1, 0], [0, 0, 1]]}, ("down", "left")),
         (TURNED, ("left", "down")),
         ({"rotate": 10}, ("down", "right")),
+        ({"rotate": 30}, ("down", "right")),
+        ({"rotate": -30}, ("down", "right")),
+        ({"rotate": 60}, ("right", "up")),
+        ({"rotate": 30, "scale": (-1, 1)}, ("up", "right")),
+        ({"rotate": 30, "scale": (1, -1)}, ("down", "left")),
         ({"rotate": 45}, ("", "")),
     ],
 )
@@ -46,13 +51,13 @@ def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
 
 def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
     flipped = Directions("up", "left")
-    assert (flipped.header(0), flipped.header(1)) == ("row ↑", "col ←")
-    assert flipped.label(1) == "to the left"
+    assert (flipped.label(0), flipped.label(1)) == ("up", "left")
     assert flipped.about(1).endswith("below 0: to the right")
     assert flipped.step((5, -10)) == "5 up, 10 right"
     assert (flipped.both(0), flipped.both(1)) == ("up and down", "left and right")
     aslant = Directions("", "")
-    words = " ".join([aslant.header(1), aslant.label(1), aslant.about(1)])
+    assert aslant.label(1) == "along columns"
+    words = " ".join([aslant.label(1), aslant.about(1)])
     words += aslant.only(1) + aslant.both(1)
     assert not {"up", "down", "left", "right"} & set(words.split())
 
@@ -70,7 +75,7 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     )
     widget.boundary = layer
     run(widget)
-    assert head(table, 4).startswith("col ←")
+    assert head(table, 4).startswith("left\n")
     arrows = viewer.layers["t1 arrows"]
     start, step = arrows.data[np.abs(arrows.data[:, 1]).max(axis=1).argmax()]
     seen = np.subtract(arrows.data_to_world(start + step), arrows.data_to_world(start))
@@ -82,11 +87,35 @@ def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_window, se
     _, widget = open_window(scale=(-1, -1))
     widget.tool = "move"
     widget.start()
-    assert widget.fields.by_col.label.startswith("to the left")
+    assert widget.fields.by_col.label.startswith("left")
     assert widget.fields.by_row.label.startswith("up")
     box = widget.fields.components.native
     words = [box.itemText(at) for at in range(box.count())]
     assert words[1:] == ["up and down only (rows)", "left and right only (columns)"]
+
+
+@pytest.mark.parametrize(
+    ("place", "ways"),
+    [({"rotate": 30}, ("down", "right")), ({"rotate": 30, "scale": (-1, -1)}, ("up", "left"))],
+)
+def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(
+    open_window, settle, place, ways
+):
+    _, widget = open_window(**place)
+    widget.tool = "move"
+    widget.start()
+    settle(widget)
+    table, fields = widget._form.motion.boundary.table, widget.fields
+    for axis, (way, field) in enumerate(zip(ways, (fields.by_row, fields.by_col), strict=True)):
+        assert head(widget._form.motion.boundary.seen, 3 + axis).startswith(way)
+        assert field.label.startswith(way)
+        assert "below 0" in table.columns[3 + axis].about
+        assert "below 0" in field.tooltip
+        step = np.eye(2)[axis]
+        layer = widget.image
+        goes = np.subtract(layer.data_to_world(step), layer.data_to_world((0, 0)))
+        towards = {"down": (1, 0), "up": (-1, 0), "right": (0, 1), "left": (0, -1)}[way]
+        assert goes @ towards > 0.8
 
 
 def test_slices_are_called_as_the_slider_does():

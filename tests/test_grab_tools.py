@@ -1,7 +1,10 @@
 """Brushes and landmarks in a real window, with real mouse and key events."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from napari.layers import Image
 from patience import LONG_MS
 from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
@@ -139,7 +142,162 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     sure = widget.drawing.render(widget._pointer.display.moved.ground.base).confidence[44, 40:46, 0]
     assert sure[0] == pytest.approx(0, abs=0.15)
     assert (np.diff(sure) > 0).all(), "it fades out"
-    assert len(np.unique(seen_paint(person))) > 3, "and so does its paint"
+    shown = by_name(person.viewer, "Confidence").data
+    assert shown[44, 45] == pytest.approx(0, abs=0.2)
+    assert len(np.unique(shown[shown < 1].round(3))) > 12, "and is seen to, evenly"
+    assert not seen_paint(person).any()
+
+
+def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pulling, settle):
+    person, widget = pulling
+    viewer, fields = person.viewer, widget.fields
+    fields.radius.value = 4.0
+    person.key(MATERIAL)
+    fields.material.value = 0
+    person.paint((50, 10), (50, 20))
+    settle(widget)
+    assert seen_paint(person)[50, 15] == number_of("tissue", label=0)
+    person.key(MOVE)
+    person.paint((30, 28), (30, 34))
+    person.paint((30, 31), (26, 31))
+    settle(widget)
+    assert seen_paint(person)[26, 31] == number_of("move"), "where it has gone"
+    assert "Confidence" not in viewer.layers
+    person.key(CONFIDENCE)
+    fields.sure.value = 0.5
+    person.paint((26, 31), (26, 31))
+    settle(widget)
+    confidence = by_name(viewer, "Confidence")
+    assert isinstance(confidence, Image)
+    assert tuple(confidence.contrast_limits) == (0, 1)
+    assert confidence.colorbar.visible
+    moved = displacement(widget)[30, 31, 0]
+    assert confidence.data[round(30 + moved), 31] == pytest.approx(0.5, abs=0.01)
+    assert confidence.data[0, 30] == 1, "the edge is held"
+    assert confidence.data[40, 50] == 0, "nobody says anything of this"
+    assert not confidence.colormap.map([0.0])[0, 3], "which the image shows through"
+    names = [layer.name for layer in viewer.layers]
+    assert names.index("Confidence") == names.index("Painted") - 1
+    kinds = widget._form.result.kinds
+    kinds["stiffness"].value = kinds["observed"].value = True
+    settle(widget)
+    kinds = {known_of(layer).get("kind"): layer for layer in viewer.layers}
+    assert kinds["stiffness"].data[50, 15] == 0 < kinds["stiffness"].data[30, 50]
+    assert kinds["observed"].data[:, 1, 0].min() == pytest.approx(-4, abs=0.6)
+
+
+def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(pulling, settle):
+    person, widget = pulling
+    text, fields = person.viewer.canvas.overlays.text, widget.fields
+    fields.components.value = "row"
+    assert text.text == "Pull, up and down only"
+    person.key(MOVE)
+    fields.by_row.value, fields.by_col.value = 2.0, 3.0
+    assert text.text == "Push 2 down, up and down only"
+    fields.components.value = "col"
+    person.key(PIN)
+    assert text.text == "Hold, left and right only"
+    fields.radius.value = 5.0
+
+    person.paint((20, 20), (20, 40))
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    steps = by_name(person.viewer, "Arrows").data[:, 1]
+    longest = steps[np.abs(steps).sum(axis=1) > 1]
+    assert len(longest), "double arrows"
+    assert not longest[:, 0].any(), "to the sides alone"
+    fields.components.value = "both"
+    assert text.text == "Hold"
+    widget.clear()
+    person.paint((20, 20), (20, 40))
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    assert by_name(person.viewer, "Arrows").data[:, 1].all(), "crosses"
+
+
+def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle):
+    person, widget = brushing
+    layers = person.viewer.layers
+    person.key(CONFIDENCE)
+    widget.fields.sure.value = 0.4
+    person.paint((40, 42), (40, 46))
+    settle(widget)
+    seen = by_name(person.viewer, "Confidence").data.copy()
+    assert widget.history.undo_word == "painted confidence"
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert "Confidence" not in layers
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    settle(widget)
+    assert by_name(person.viewer, "Confidence").data == pytest.approx(seen, abs=0.02)
+    person.pick(40, 46)
+    assert widget.fields.sure.value == 0.4
+    person.key(Qt.Key.Key_Delete)
+    settle(widget)
+    assert "Confidence" not in layers
+
+
+def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing, settle):
+    person, widget = brushing
+    person.key(CONFIDENCE)
+    widget.fields.sure.value, widget.fields.softness.value = 0.6, 0.0
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    layer = by_name(person.viewer, "Confidence")
+    assert layer.data[40, 42] == 1
+    arrow, stroke = widget.drawing.marks
+    widget.drawing = Drawing((replace(arrow, by=(-4, 2)), stroke))
+    settle(widget)
+    assert by_name(person.viewer, "Confidence") is layer
+    assert layer.data[40, 42] == pytest.approx(0.6)
+    assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, "nothing in between is made up"
+
+
+def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_window, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_window(stack)
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    settle(widget)
+    marks = Arrow((24, 32), (0, 5), 6.0), Stroke("confidence", (((24, 30),),), 9.0, confidence=0.3)
+    widget.drawing = Drawing(marks)
+    settle(widget)
+    layer = by_name(viewer, "Confidence")
+    assert layer.data.shape == (1, 48, 64)
+    assert layer.data.max() == 1
+    assert layer.data_to_world((0, 0, 0))[0] == 1
+    viewer.dims.set_current_step(0, 2)
+    settle(widget)
+    assert "Confidence" not in viewer.layers, "here none is painted"
+    viewer.dims.set_current_step(0, 1)
+    settle(widget)
+    assert "Confidence" in viewer.layers
+    viewer.layers.remove("MR")
+    settle(widget)
+    assert "Confidence" not in viewer.layers
+
+
+def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(brushing, settle):
+    person, widget = brushing
+    person.key(CONFIDENCE)
+    widget.fields.sure.value = 0.4
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    layer = by_name(person.viewer, "Confidence")
+    boundary, form = widget._form.motion.boundary, widget._form
+    for choice in (form.image, form.tissue.choice, boundary.choice, boundary.confidence):
+        assert layer not in choice.choices
+    widget.before = True
+    assert not layer.visible
+    widget.before = False
+    assert layer.visible
+    widget.make_layers()
+    widget.hand_brush(widget.boundary)
+    assert not layer.visible
+    person.viewer.layers.selection.active = widget.image
+    settle(widget)
+    assert by_name(person.viewer, "Confidence").visible
 
 
 def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing, settle):

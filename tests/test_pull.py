@@ -1,6 +1,7 @@
 """Drawing with a pointer, without a window: what is taken hold of, how it looks, what it moves."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,6 +146,23 @@ def test_an_arrow_is_drawn_from_where_tissue_was_to_where_it_goes():
     assert np.unique(colours, axis=0).shape == (2, 4)
     assert colours[-1, 3] < colours[0, 3], "what is less certain is paler"
     assert len(arrow_lines(Drawing(), SPACING)[0]) == 0
+
+
+@pytest.mark.parametrize(("components", "axis"), [("row", 0), ("col", 1)])
+@pytest.mark.parametrize("by", [(0, 0), (3, 4)])
+def test_an_arrow_of_one_component_has_a_double_arrow_along_that_at_its_head(components, axis, by):
+    arrow = Arrow((10, 20), by, 2.0, components=components)
+    plain = arrow_lines(Drawing((replace(arrow, components="both"),)), SPACING)[0]
+    lines = arrow_lines(Drawing((arrow,)), SPACING)[0]
+    added = [line for line in lines.tolist() if line not in plain.tolist()]
+    shaft, *barbs = np.array(added) * SPACING
+    head = np.array(arrow.head(SPACING)) * SPACING
+    assert shaft[1, 1 - axis] == 0, "along one direction only"
+    assert shaft[1, axis] > 2 * arrow.radius, "seen beyond the patch"
+    assert shaft[0] + shaft[1] / 2 == pytest.approx(head)
+    assert len(barbs) == 4, "it points both ways"
+    held = not any(by)
+    assert len(lines) == len(plain) + 5 - (2 if held else 0), "in place of a cross"
 
 
 def test_arrows_lie_on_their_slice():

@@ -1,8 +1,9 @@
 """How drawn arrows look: as lines, of which a Vectors layer can hold any number.
 
 An arrow is a line from where tissue was to where it goes, with two barbs; around its head lies the
-outline of the patch that it holds. A landmark has a cross at its base, too. What is not certain is
-paler, what is selected has another colour.
+outline of the patch that it holds. A landmark has a cross at its base, too. What speaks of one
+direction only has a double arrow along that through its patch. What is not certain is paler, what
+is selected has another colour.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ NAME = "Arrows"
 _SIDES = 20
 #: Length of the barbs and of a pin's cross, in radii of the patch.
 _BARB = 0.5
+#: How far a double arrow goes, in radii of the patch, and the length of its barbs in parts of that.
+_BEYOND, _TIP = 1.4, 0.25
 #: How opaque what hardly counts is.
 _PALEST = 0.35
 
@@ -75,7 +78,11 @@ def arrow_lines(
             base = _cross(np.array(mark.at), 0.5 * _BARB * mark.radius / np.array(spacing))
         if not isinstance(mark, Arrow):
             continue
-        drawn = np.concatenate([_lines_of(mark, spacing), base])
+        one_way = np.zeros((0, 2, 2))
+        if mark.components != "both":
+            head, axis = np.array([mark.head(spacing)]), ("row", "col").index(mark.components)
+            one_way = double_arrows(head * spacing, axis, _BEYOND * mark.radius) / spacing
+        drawn = np.concatenate([_lines_of(mark, spacing), one_way, base])
         colour = np.array(SELECTED if number == selected else DRAWN)
         colour[3] = _PALEST + (1 - _PALEST) * mark.confidence
         lines.append(drawn)
@@ -104,6 +111,33 @@ def arrow_layer(frame: Frame, shape: tuple[int, int]) -> LayerData:
     return LayerData(none, {**attributes, "ndim": frame.ndim}, "vectors")
 
 
+def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:
+    """Lines along one axis with two barbs at either end: what says nothing of the other axis.
+
+    Parameters
+    ----------
+    at : ndarray, shape (N, 2)
+        Their middles, in the unit of the spacing.
+    axis : int
+        0 along the rows, 1 along the columns.
+    reach : float
+        Half their length, in the unit of the spacing.
+
+    Returns
+    -------
+    ndarray, shape (5 N, 2, 2), float64
+        (start, step) of each line, in the unit of the spacing.
+    """
+    along, across = reach * np.eye(2)[axis], reach * np.eye(2)[1 - axis]
+    barbs = [
+        (end * along, _TIP * (side * across - end * along)) for end in (-1, 1) for side in (-1, 1)
+    ]
+    lines = [(-along, 2 * along), *barbs]
+    return np.concatenate(
+        [np.stack([at + start, np.broadcast_to(step, at.shape)], axis=1) for start, step in lines]
+    )
+
+
 def _cross(at: npt.NDArray[np.float64], arms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """(start, step) of two lines in pixels; a landmark's base has one, as it is a place."""
     ends = np.diag(arms)
@@ -125,7 +159,7 @@ def _lines_of(arrow: Arrow, spacing: tuple[float, float]) -> npt.NDArray[np.floa
         back = min(barb, 0.5 * length)
         starts += [base, head, head]
         ends += [head, *(head - back * (along + side * 0.5 * across) for side in (-1, 1))]
-    else:  # held in place: a cross
+    elif arrow.components == "both":  # held in place: a cross
         arms = np.diag([barb, barb])
         starts += [*(head - arms)]
         ends += [*(head + arms)]

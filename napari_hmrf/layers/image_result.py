@@ -15,8 +15,9 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: A layer of a result: what was made with it, or what it is looked at with, one thing at a time.
-Part = Kind | Literal["overlay"]
+#: A layer of a result: what was made with it, what it is looked at with, one thing at a time, or how
+#: sure it was painted to be.
+Part = Kind | Literal["overlay", "painted confidence"]
 #: Of an overlay's looks, those that belong to the numbers it shows.
 _LOOKS = ("colormap", "contrast_limits")
 _WHOLE = 100
@@ -35,6 +36,8 @@ class _Held:
     stale: bool = False
     #: Whether it was put there to be looked at, and not made with the result.
     added: bool = False
+    #: Whether somebody else made it, and says what it shows.
+    taken: bool = False
     #: Its data, if nobody else holds them: they can be written to.
     own: Any = None
     #: Its data while it shows a part of the deformation, and those of all of it.
@@ -109,7 +112,8 @@ class Result:
 
     def take(self, part: Part, layer: Any) -> None:
         """Have a layer that somebody else made."""
-        self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name)
+        self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name, taken=True)
+        self._keep_before()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> Any:
         """Have one more layer of the result there is; returns it.
@@ -137,7 +141,7 @@ class Result:
         quick = moving and frame == self._frame
         self._frame, self.moving = frame, moving
         for kind, held in self._held.items():
-            if kind not in layers:
+            if kind not in layers and not held.taken:
                 self._hide(held)
         shown: dict[Kind, Any] = {}
         for kind, made in layers.items():

@@ -2,7 +2,8 @@
 
 Hues are those of Okabe and Ito, which no colour blindness confuses; how opaque they are says how
 sure it is. What is freed is striped, and so is tissue that was painted where something else was.
-Crosses lie where nothing moves, arrows where tissue is moved.
+Crosses lie where nothing moves, arrows where tissue is moved, double arrows where only one
+direction is spoken of.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
-from napari_hmrf.layers.arrow_layer import Lines
-from napari_hmrf.layers.label_colours import SELECTED
+from napari_hmrf.field.colormaps import OPACITY
+from napari_hmrf.layers.arrow_layer import Lines, double_arrows
+from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
@@ -58,8 +60,14 @@ def number_of(action: Action, confidence: float = 1.0, label: int = 0) -> int:
     return 1 + (KINDS[action] - 1) * _LEVELS + level
 
 
-def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray[np.uint8]) -> None:
-    """Bring the picture of what was painted up to date in a window, in place.
+def show_painted(
+    canvas: Canvas,
+    base: Canvas,
+    window: Box,
+    picture: npt.NDArray[np.uint8],
+    confidence: FloatArray | None = None,
+) -> None:
+    """Bring the pictures of what was painted up to date in a window, in place.
 
     Parameters
     ----------
@@ -70,13 +78,18 @@ def show_painted(canvas: Canvas, base: Canvas, window: Box, picture: npt.NDArray
     window : Box
         Which pixels.
     picture : ndarray of uint8, shape (H, W)
-        0 where nothing was painted, else as `number_of`.
+        0 where nothing was painted, or confidence alone; else as `number_of`.
+    confidence : ndarray of float32, shape (H, W), optional
+        How sure is what is held or moved; the larger of its components.
     """
     assert canvas.kinds is not None
     top, bottom, left, right = window
     at = (slice(top, bottom), slice(left, right))
-    kinds = canvas.kinds[at]
-    level = np.rint(canvas.confidence[at].max(axis=-1) * (_LEVELS - 1)).astype(np.uint8)
+    kinds = np.where(canvas.kinds[at] == KINDS["confidence"], np.uint8(0), canvas.kinds[at])
+    sure = canvas.confidence[at].max(axis=-1)
+    if confidence is not None:
+        confidence[at] = sure
+    level = np.rint(sure * (_LEVELS - 1)).astype(np.uint8)
     level[kinds == KINDS["free"]] = _LEVELS - 1
     shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
     width = max(1, min(canvas.shape) // 90)
@@ -142,8 +155,27 @@ def painted_layer(
     )
 
 
+def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
+    """An Image layer of how sure is what is held or moved."""
+    return LayerData(
+        frame.put_image(confidence),
+        {
+            **frame.placement(image=True),
+            "name": "Confidence",
+            "colormap": quantity_colours(signed=False),
+            "contrast_limits": (0.0, 1.0),
+            "blending": "translucent",
+            "opacity": OPACITY,
+            "metadata": {METADATA: {"kind": "painted confidence", "slice": frame.slice_name}},
+        },
+        "image",
+    )
+
+
 def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
-    """Crosses where tissue is pinned, and arrows where it is moved; thin strokes have some, too.
+    """Crosses where tissue is pinned, arrows where it is moved; thin strokes have some, too.
+
+    Where one direction alone is spoken of there is a double arrow along that instead of a cross.
 
     Parameters
     ----------
@@ -170,7 +202,10 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
-        drawn = [_arrows(at * size, by), _crosses(at * size, by, 0.2 * apart)]
+        sure = canvas.confidence[tuple(at.T)] > 0
+        both, at = sure.all(axis=-1), at * size
+        drawn = [_arrows(at, by), _crosses(at[both], by[both], 0.2 * apart)]
+        drawn += [double_arrows(at[sure[:, way] & ~both], way, 0.35 * apart) for way in (0, 1)]
         for part in drawn:
             lines.append(part / size)
             colours.append(np.tile([*(0.6 + 0.4 * np.array(COLOURS[action])), 1.0], (len(part), 1)))

@@ -9,14 +9,13 @@ import numpy as np
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.place import Frame
 
-#: Beyond this tilt, in degrees, an axis runs neither up or down nor to a side.
-_TILT = 25.0
+#: Beyond this tilt, in degrees, nobody can tell which way of the screen is the nearest to an axis.
+_TILT = 44.0
 _OPPOSITE = {"down": "up", "up": "down", "right": "left", "left": "right", "": ""}
-_ARROWS = {"down": "↓", "up": "↑", "right": "→", "left": "←", "": ""}
 
 
 class Directions(NamedTuple):
-    """Where a step of one pixel goes, as it is seen; "" where a slice is shown at an angle.
+    """Where a step of one pixel goes, as it is seen: the nearest way of the screen; "" halfway.
 
     Components of a displacement keep the order and the sign of the pixels: a medical image that is
     stored mirrored is seen mirrored back, and its columns then run to the left.
@@ -53,10 +52,6 @@ class Directions(NamedTuple):
             return cls("", "")
         return cls(rows, cols)
 
-    def header(self, axis: int) -> str:
-        """Of a column of numbers along the rows (0) or the columns (1): "row ↓"."""
-        return f"{('row', 'col')[axis]} {_ARROWS[self[axis]]}".rstrip()
-
     def about(self, axis: int) -> str:
         """What a number along an axis says: "How far down, along the rows; below 0: up"."""
         along = ("the rows", "the columns")[axis]
@@ -65,8 +60,8 @@ class Directions(NamedTuple):
         return f"How far {_to(self[axis])}, along {along}; below 0: {_to(_OPPOSITE[self[axis]])}"
 
     def label(self, axis: int) -> str:
-        """Of a field for a number along an axis: "down", "to the right"."""
-        return _to(self[axis]) or ("along rows", "along columns")[axis]
+        """Of numbers along the rows (0) or the columns (1): "down", "right"."""
+        return self[axis] or ("along rows", "along columns")[axis]
 
     def only(self, axis: int) -> str:
         """Speaking of one axis alone: "up and down only (rows)"."""
@@ -74,7 +69,7 @@ class Directions(NamedTuple):
         return f"{both} only ({name})" if both else f"{name} only"
 
     def both(self, axis: int) -> str:
-        """An axis without a sense: "up and down"; "" at an angle."""
+        """An axis without a sense: "up and down"; "" halfway."""
         if not self[axis]:
             return ""
         return "up and down" if self[axis] in ("up", "down") else "left and right"

@@ -14,6 +14,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled, HmrfError
@@ -34,10 +35,12 @@ from napari_hmrf.tissue.drawing.canvas import Box
 
 _log = logging.getLogger("napari_hmrf")
 Array = npt.NDArray[Any]
-#: Keeps a picture that moves with the tissue, and that a drawing changes: called with the ground,
-#: the images with the drawing on top, the pixels that may have changed (None if none did), and the
-#: picture as it was, which may be None; returns it.
-Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Array | None], Array | None]
+#: Pictures that move with the tissue.
+Pictures = tuple[Picture, ...]
+#: Keeps pictures that a drawing changes: called with the ground, the images with the drawing on
+#: top, the pixels that may have changed (None if none did), and the pictures as they were; writes
+#: to them, and returns them, or others.
+Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], Pictures]
 
 
 class Engine:
@@ -76,8 +79,8 @@ class Engine:
         self._asked: Deformation | None = None
         self._latest: Deformation | None = None
         self._rendering: Rendering | None = None
-        self._over: Array | None = None
-        self._warper: tuple[Array | None, Array | None, Warper] | None = None
+        self._over: Pictures = ()
+        self._warper: tuple[Array | None, Pictures, Warper] | None = None
 
     # From any thread
 
@@ -206,7 +209,7 @@ class Engine:
         ground = known if known is not None and same else Ground.of(study, checkpoint)
         self._asked = replace(self._asked, ground=ground)
         if ground is not known or self._rendering is None:
-            self._rendering, self._over = Rendering(ground.base), None
+            self._rendering, self._over = Rendering(ground.base), ()
         drawing, canvas = study.motion.drawing, self._rendering.canvas
         window = self._rendering.show(drawing)
         if self._overlay is not None:
@@ -230,29 +233,27 @@ class Engine:
             except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
                 _log.exception("the image could not be moved")
                 error = failure
-        over = None if self._over is None else self._over.copy()
-        if latest is not None and latest.ground is asked.ground and asked.ground is not None:
-            over = self._moved(asked, latest.solution)[1]
+        known = latest is not None and latest.ground is asked.ground and asked.ground is not None
+        over = self._moved(asked, latest.solution if known and latest else None)[1]
         error = asked.study.in_words(error or RuntimeError("there is no solution"))
         self._tell(replace(asked, error=error, overlay=over))
 
     def _moved(
         self, asked: Deformation, solution: Solution | None
-    ) -> tuple[Array | None, Array | None]:
+    ) -> tuple[Array | None, tuple[Array, ...]]:
         """The image, and what lies over it, where a solution takes them."""
         image, over = asked.study.pictures.image, self._over
         if solution is None:
-            return image, None if over is None else over.copy()
+            return image, tuple(np.array(picture.image) for picture in over)
         shown = [] if image is None else [Picture(image, fill=emptiness(image))]
-        if over is not None:
-            shown.append(Picture(over, order=0))
+        shown += over
         if not shown:
-            return None, None
+            return None, ()
         known = self._warper
-        if known is None or known[0] is not image or known[1] is not over:
+        if known is None or known[0] is not image or known[1] != over:
             known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
         moved = known[2](solution.displacement, solution.tissue)
-        return moved[0] if image is not None else None, moved[-1] if over is not None else None
+        return moved.pop(0) if image is not None else None, tuple(moved)
 
 
 class _StillError(HmrfError):

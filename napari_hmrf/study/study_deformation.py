@@ -34,7 +34,7 @@ class Deformation:
         None if nothing is held or moved, or if there is an error.
     image : ndarray, optional
         The study's image, moved with the tissue.
-    overlay : ndarray, optional
+    overlay : tuple of ndarray
         What was drawn over it, moved likewise.
     error : Exception, optional
         Why there is no solution, in words of the study.
@@ -47,7 +47,7 @@ class Deformation:
     stated: Statement | None = None
     solution: Solution | None = None
     image: Array | None = None
-    overlay: Array | None = None
+    overlay: tuple[Array, ...] = ()
     error: Exception | None = None
     settled: bool = False
 

@@ -60,11 +60,12 @@ class BoundaryTable(LabelTable):
         """Say in which unit amounts are, and which way rows and columns run on the screen."""
         self._unit = unit
         for column, title, about in (
-            (_ROWS, ways.header(0), ways.about(0)),
-            (_COLS, ways.header(1), ways.about(1)),
+            (_ROWS, ways.label(0), ways.about(0)),
+            (_COLS, ways.label(1), ways.about(1)),
             (_OUTWARD, "out", "How far outward; negative: inward"),
         ):
-            self.set_head(column, f"{title}\n{unit}", f"{about}, in {unit}")
+            words = title.replace(" ", "\n")  # the dock is narrow
+            self.set_head(column, f"{words}\n{unit}", f"{about}, in {unit}")
 
     def _default(self, label: int) -> BoundaryRule:
         return default_rule(label)

@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled
+from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.engine import Engine
+from napari_hmrf.study.engine import Engine, Pictures
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_deformation import Deformation
@@ -50,6 +51,16 @@ class Seen(NamedTuple):
 
     moved: Deformation
     marks: Marks | None = None
+
+    @property
+    def painted(self) -> npt.NDArray[np.uint8] | None:
+        """What brushes have painted, as of `show_painted`; None if nothing is."""
+        return None if self.marks is None else self.moved.overlay[0]
+
+    @property
+    def confidence(self) -> npt.NDArray[np.float32] | None:
+        """How sure is what is held or moved, 0 to 1; None if that was not painted."""
+        return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
 
 
 class Done(NamedTuple):
@@ -191,18 +202,25 @@ class Follower:
         drawing: Drawing,
         canvas: Canvas,
         window: Box | None,
-        paint: npt.NDArray[Any] | None,
-    ) -> npt.NDArray[Any] | None:
+        over: Pictures,
+    ) -> Pictures:
         """Keep what was painted where, at rest; it moves with the picture once there is any."""
         self._canvas = canvas
-        if paint is None and any(isinstance(mark, Stroke) for mark in drawing.marks):
-            paint, window = np.zeros(canvas.shape, np.uint8), canvas.whole
-        if paint is not None and window is not None:
-            show_painted(canvas, ground.base, window, paint)
-        return paint
+        actions = {mark.action for mark in drawing.marks if isinstance(mark, Stroke)}
+        if not over and actions:
+            over, window = (Picture(np.zeros(canvas.shape, np.uint8), order=0),), canvas.whole
+        if "confidence" not in actions:
+            over = over if len(over) < 2 else over[:1]
+        elif len(over) < 2:
+            # Between what is certain and what nobody says nothing is half sure: never interpolated.
+            confidence = Picture(np.zeros(canvas.shape, np.float32), order=0)
+            over, window = (*over, confidence), canvas.whole
+        if over and window is not None:
+            show_painted(canvas, ground.base, window, *(np.asarray(each.image) for each in over))
+        return over
 
     def _deliver(self, moved: Deformation) -> None:
-        painted = moved.overlay is not None and bool(moved.overlay.any())
+        painted = bool(moved.overlay) and bool(moved.overlay[0].any())
         canvas = self._canvas if painted else None
         self._newest.put(Seen(moved, None if canvas is None else painted_marks(canvas)))
 

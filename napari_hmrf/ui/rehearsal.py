@@ -39,13 +39,14 @@ def rehearse(study: Study, report: Progress | None, left: CancelFlag) -> None:
 
 
 def rehearse_the_rest(study: Study, left: CancelFlag) -> None:
-    """The same with what not every drawing needs: holds that may slip, and paint."""
+    """The same with what not every drawing needs: holds that may slip, paint, and confidence."""
     if left.is_set():
         return
     prior = study.prior
     if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
         _solve(study, replace(prior, penalty=1.0), None, left)
-    _move(Picture(np.zeros((_SIZE, _SIZE), np.uint8), order=0))
+    for kind in (np.uint8, np.float32):
+        _move(Picture(np.zeros((_SIZE, _SIZE), kind), order=0))
 
 
 def _solve(study: Study, prior: Prior, report: Progress | None, left: CancelFlag) -> None:

@@ -164,7 +164,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         )
         self.confidence = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Image) and not layer.rgb,
+            _may_be_confidence,
             "confidence",
             "How sure each arrow is, from 0 to 1; without an image, 1",
         )
@@ -178,3 +178,9 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     def _on_choice(self, layer: Any) -> None:
         self.confidence.visible = isinstance(layer, Vectors)
         super()._on_choice(layer)
+
+
+def _may_be_confidence(layer: Any) -> bool:
+    """Whether a layer is grey, and not the picture of what brushes have made of confidence."""
+    grey = isinstance(layer, Image) and not layer.rgb
+    return grey and known_of(layer).get("kind") != "painted confidence"

@@ -23,7 +23,7 @@ from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
-from napari_hmrf.ui.motion.strokes import PaintedLayer
+from napari_hmrf.ui.motion.strokes import ConfidenceLayer, PaintedLayer
 from napari_hmrf.ui.timers import single_shot
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
@@ -55,6 +55,7 @@ class Display:
     def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
         self.arrows = ArrowsLayer(viewer, told)
         self.painted = PaintedLayer(viewer)
+        self._confidence = ConfidenceLayer(viewer)
         self.seen: Seen | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
@@ -96,6 +97,7 @@ class Display:
             if still is not None:
                 still.remove()
             self.painted.forget()
+            self._confidence.remove()
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
                 rows, cols = study.grid.shape
@@ -150,11 +152,13 @@ class Display:
         """Show what is painted; what is being painted stays where it is, until it is known."""
         self._touches_wait.stop()
         stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
-        study = seen.moved.study
-        picture = None if seen.marks is None else seen.moved.overlay
+        study, result = seen.moved.study, self.result
         with self.own_doing():
             drawing = study.motion.drawing
-            self.painted.show(study.grid, picture, drawing, stroke, self.tissues)
+            self.painted.show(study.grid, seen.painted, drawing, stroke, self.tissues)
+            if result is not None:
+                place, below = study.grid.place, self.painted.layer
+                self._confidence.show(place, seen.confidence, below, result)
 
     def touch(self, hand: Hand, point: Point, first: bool) -> None:
         """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
@@ -199,6 +203,7 @@ class Display:
         with self.own_doing():
             self.arrows.remove()
             self.painted.remove()
+            self._confidence.remove()
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:

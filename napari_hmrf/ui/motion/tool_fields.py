@@ -109,10 +109,21 @@ class ToolFields(Container):
     @property
     def words(self) -> str:
         """What the tool that is shown does, in a few words."""
+        words, which = self._action_words, self.components.value
+        if "components" not in self._tool.fields or which == "both":
+            return words
+        axis = ("row", "col").index(which)
+        return f"{words}, {self._ways.both(axis) or ('rows', 'columns')[axis]} only"
+
+    @property
+    def _action_words(self) -> str:
         title = self._tool.title
         match self._tool.name:
             case "move":
-                return f"{title} {self._ways.step((self.by_row.value, self.by_col.value))}"
+                down, along = self.by_row.value, self.by_col.value
+                which = self.components.value
+                step = (0.0 if which == "col" else down, 0.0 if which == "row" else along)
+                return f"{title} {self._ways.step(step)}"
             case "expand":
                 amount = self.amount.value
                 return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
