@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from conftest import dock_in
 from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
-from qtpy.QtCore import QPoint, QPointF, QStandardPaths, Qt
+from qtpy.QtCore import QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
-from qtpy.QtWidgets import QApplication, QFileDialog, QInputDialog
+from qtpy.QtWidgets import QApplication, QFileDialog
 from screen import Cell
 
 from napari_hmrf.errors import HmrfError
@@ -21,7 +21,6 @@ from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.material_menu import own_library
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
 
@@ -568,19 +567,12 @@ def test_what_shows_a_curve_is_nothing_to_choose(widget):
 # Materials
 
 
-@pytest.fixture
-def own(monkeypatch, tmp_path):
-    """A user without settings."""
-    monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(tmp_path / "settings"))
-    return own_library()
-
-
 def entries(menu):
     menu.fill()
     return {action.text(): action for action in menu.menu().actions() if action.text()}
 
 
-def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sample, own):
+def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sample):
     small_sample(widget._viewer)
     found = entries(widget._form.tissue.menu)
     for preset in PRESETS:
@@ -590,11 +582,11 @@ def test_every_preset_is_offered_with_its_source_and_numbers(widget, small_sampl
     found["Liver 5.4, carcinoma 70 kPa"].trigger()
     assert widget.materials[1] == Material(1, "liver", 5.4, 0.49)
     assert widget._form.tissue.table.unit == "kPa"
-    said = "Materials: Liver 5.4, carcinoma 70. By its number 'gel' is liver now."
+    said = "Materials: Liver 5.4, carcinoma 70. 'gel' is liver now."
     assert widget.status == said
 
 
-def test_bone_is_one_entry_of_the_menu_away(widget, small_sample, own):
+def test_bone_is_one_entry_of_the_menu_away(widget, small_sample):
     small_sample(widget._viewer)
     before = widget.materials
     entries(widget._form.tissue.menu)["Bone or implant (rigid)"].trigger()
@@ -602,14 +594,16 @@ def test_bone_is_one_entry_of_the_menu_away(widget, small_sample, own):
     bone = widget.materials[-1]
     assert bone.is_rigid
     assert widget.tissue.selected_label == bone.label, "to be painted with next"
-    kept = Preset("mine", "kPa", "", widget.materials)
-    own.remember(kept)
-    about = entries(widget._form.tissue.menu)["mine"].toolTip()
-    assert "bone or implant: rigid</p>" in about
+    viewer = widget._viewer
+    viewer.add_labels(np.ones((20, 24), int), name="new")
+    viewer.layers["new"].metadata.update(widget.tissue.metadata)
+    taken = entries(widget._form.tissue.menu)["Take from layer"].menu()
+    about = taken.actions()[0].toolTip()
+    assert "bone or implant: rigid\n" in about
     assert "inf" not in about
 
 
-def test_materials_are_taken_from_another_layer(widget, small_sample, own):
+def test_materials_are_taken_from_another_layer(widget, small_sample):
     viewer = widget._viewer
     small_sample(viewer)
     rows = (Material(1, "jelly", 7.0), Material(2, "bone", 900.0))
@@ -627,7 +621,7 @@ def test_materials_are_taken_from_another_layer(widget, small_sample, own):
         widget.take_materials(viewer.layers["nothing"])
 
 
-def test_materials_go_through_a_file(widget, small_sample, own, monkeypatch, tmp_path):
+def test_materials_go_through_a_file(widget, small_sample, monkeypatch, tmp_path):
     small_sample(widget._viewer)
     path = str(tmp_path / "table.json")
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
@@ -646,21 +640,6 @@ def test_materials_go_through_a_file(widget, small_sample, own, monkeypatch, tmp
     entries(widget._form.tissue.menu)["Load from file ..."].trigger()
     assert widget.status.startswith("table.json is no file of materials")
     assert widget.materials == before
-
-
-def test_materials_of_one_s_own_are_in_the_menu_of_every_session(
-    widget, small_sample, own, monkeypatch
-):
-    small_sample(widget._viewer)
-    monkeypatch.setattr(QInputDialog, "getText", lambda *_: ("My gel", True))
-    entries(widget._form.tissue.menu)["Remember as your own ..."].trigger()
-    assert widget.status == "Remembered 'My gel'."
-    found = entries(widget._form.tissue.menu)
-    widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
-    found["My gel"].trigger()
-    assert widget.materials[1] == Material(1, "gel", 20.0)
-    entries(widget._form.tissue.menu)["Forget"].menu().actions()[0].trigger()
-    assert "My gel" not in entries(widget._form.tissue.menu)
 
 
 def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample):

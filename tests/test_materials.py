@@ -1,4 +1,4 @@
-"""Claims about materials in files, and about a library of one's own."""
+"""Claims about materials in files, and about presets in place of a table."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ from napari_hmrf.solver.solution import Provenance
 from napari_hmrf.tissue.boundary_rules import RIGID, Material
 from napari_hmrf.tissue.label_defaults import default_material
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
-from napari_hmrf.tissue.material_tables import MaterialLibrary, load_materials, save_materials
+from napari_hmrf.tissue.material_tables import load_materials, save_materials
 
 LIVER = Preset(
     "Liver",
@@ -142,36 +142,6 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_materials_of_one_s_own_are_there_in_the_next_session(tmp_path):
-    library = MaterialLibrary(tmp_path / "not yet" / "there")
-    assert library.presets == ()
-    library.remember(LIVER)
-    library.remember(replace(LIVER, name="A/B: c?"))
-    library.remember(replace(LIVER, name="A_B_ c_"))
-    again = MaterialLibrary(library.folder)
-    assert [preset.name for preset in again.presets] == ["A/B: c?", "A_B_ c_", "Liver"]
-    softer = replace(LIVER, materials=LIVER.materials[1:])
-    again.remember(softer)
-    assert softer in library.presets
-    assert len(library.presets) == 3
-    assert library.forget("Liver")
-    assert not library.forget("Liver")
-    assert [preset.name for preset in again.presets] == ["A/B: c?", "A_B_ c_"]
-
-
-def test_a_broken_file_in_the_library_hides_none_of_the_others(tmp_path):
-    library = MaterialLibrary(tmp_path)
-    library.remember(LIVER)
-    (tmp_path / "broken.json").write_text("{")
-    assert library.presets == (LIVER,)
-    assert library.refused[0].startswith("broken.json is no JSON")
-
-
-def test_materials_are_remembered_by_a_name(tmp_path):
-    with pytest.raises(FileFormatError, match="name"):
-        MaterialLibrary(tmp_path).remember(replace(LIVER, name=" "))
-
-
 def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have():
     brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "Tumour ", 8.0)))
     table = (
@@ -182,16 +152,15 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
     )
     found, words = take_over(brain, table)
     assert [(row.label, row.stiffness) for row in found] == [(0, 0), (1, 0.1), (2, 0.1), (3, 8)]
-    assert words == (
-        "By its number 'normal tissue' is fluid now. "
-        "'soft tissue' is not among them: as stiff as fluid now."
-    )
+    assert words == "'normal tissue' is fluid now, 'soft tissue' is as stiff as fluid now."
     found, words = take_over(PRESETS[0], table)
     assert (found[1:], words) == (PRESETS[0].materials, ""), "they are called the same"
     liver = next(preset for preset in PRESETS if preset.name.startswith("Liver"))
     words = take_over(liver, (Material(0, "unpainted", 20.0), *table[1:]))[1]
-    assert words.startswith("By their numbers 'normal tissue' is liver now and 'soft tissue' is h")
-    assert words.endswith("'unpainted' and 'tumour' are not among them: as stiff as liver now.")
+    assert words == (
+        "'unpainted' is as stiff as liver now, 'normal tissue' is liver now, "
+        "'soft tissue' is hepatocellular carcinoma now, 'tumour' is as stiff as liver now."
+    )
 
 
 def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
@@ -202,7 +171,7 @@ def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
     bone_first = Preset("", "kPa", "", (Material(1, "bone", RIGID), Material(2, "brain", 3.0)))
     found, words = take_over(bone_first, (*table, Material(4, "fat", 2.0)))
     assert [row.stiffness for row in found] == [0, RIGID, 3, 3, RIGID]
-    assert words.endswith("'fat' is not among them: as stiff as brain now.")
+    assert words.endswith("'fat' is as stiff as brain now.")
     only_bone = replace(bone_first, materials=bone_first.materials[:1])
     assert take_over(only_bone, (*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from napari_hmrf.resources import resource_folder
@@ -41,9 +40,9 @@ PRESETS: tuple[Preset, ...] = tuple(_published())
 def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
     """Put the materials of a preset in place of those of a table.
 
-    Those of one name are one material, whatever its number in the preset; the others go by their
-    number. What the preset does not have stays void, or becomes its first tissue, since an old
-    stiffness may be in another unit. What is rigid is so in any unit, and stays.
+    A row becomes the material of its name, else the one of its number that goes to no name; what
+    no row becomes is added. A row that becomes none stays void or rigid, or is as the preset's
+    first tissue, since an old stiffness may be in another unit.
 
     Parameters
     ----------
@@ -56,50 +55,29 @@ def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material,
     materials : tuple of Material
         By label.
     words : str
-        What became of what the preset calls otherwise, or does not have; empty if all is as named.
+        What became of the rows that are called otherwise; empty if there are none.
     """
-    ours, theirs = _by_name(rows), _by_name(preset.materials)
-    given = {ours[name].label: theirs[name] for name in ours.keys() & theirs.keys()}
-    named, mine = set(given), {row.label: row for row in rows}
+    named = {_key(each): each for each in preset.materials if each.label > 0 and each.name.strip()}
+    now = {row.label: named[_key(row)] for row in rows if row.label > 0 and _key(row) in named}
     for material in preset.materials:
-        if material in given.values():
-            continue
-        label = material.label
-        if label in given:
-            label = max([*mine, *given, *(each.label for each in preset.materials)]) + 1
-        given[label] = material
+        if material not in now.values():
+            known = (*now, *(each.label for each in (*rows, *preset.materials)))
+            now[max(known) + 1 if material.label in now else material.label] = material
     first = next((each for each in preset.materials if each.is_deformable), None)
-    left = [row for row in rows if row.label not in given]
-    others = left if first is None else [_as(first, row) for row in left]
-    renamed = [
-        f"'{mine[label].name}' is {material.name} now"
-        for label, material in sorted(given.items())
-        if label in mine and label not in named and mine[label].name != material.name
-    ]
-    sentences = []
-    if renamed:
-        number = "its number" if len(renamed) == 1 else "their numbers"
-        sentences.append(f"By {number} {_and(renamed)}.")
-    stiff = [f"'{row.name}'" for row in left if row.is_deformable]
-    if stiff and first is not None:
-        isare = "is" if len(stiff) == 1 else "are"
-        sentences.append(f"{_and(stiff)} {isare} not among them: as stiff as {first.name} now.")
-    materials = (*others, *(replace(each, label=label) for label, each in given.items()))
-    return tuple(sorted(materials, key=lambda each: each.label)), " ".join(sentences)
+    words = []
+    for row in rows:
+        if row.label in now:
+            if _key(row) != _key(now[row.label]):
+                words.append(f"'{row.name}' is {now[row.label].name} now")
+        elif first is None or not row.is_deformable:
+            now[row.label] = row
+        else:
+            now[row.label] = replace(row, stiffness=first.stiffness, poisson=first.poisson)
+            words.append(f"'{row.name}' is as stiff as {first.name} now")
+    materials = (replace(each, label=label) for label, each in sorted(now.items()))
+    return tuple(materials), f"{', '.join(words)}." if words else ""
 
 
-def _as(first: Material, row: Material) -> Material:
-    """What a preset does not have, as its first tissue; void and rigid stay so."""
-    stiffness = first.stiffness if row.is_deformable else row.stiffness
-    return replace(row, stiffness=stiffness, poisson=first.poisson)
-
-
-def _by_name(rows: Iterable[Material]) -> dict[str, Material]:
-    """Those whose name is theirs alone; what is unpainted is nothing that has one."""
-    named = [(row.name.strip().casefold(), row) for row in rows if row.label > 0]
-    often = Counter(name for name, _ in named)
-    return {name: row for name, row in named if name and often[name] == 1}
-
-
-def _and(parts: Sequence[str]) -> str:
-    return " and ".join(part for part in (", ".join(parts[:-1]), parts[-1]) if part)
+def _key(row: Material) -> str:
+    """Its name, however it is spelt."""
+    return row.name.strip().casefold()

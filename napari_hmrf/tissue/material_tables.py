@@ -1,4 +1,4 @@
-"""Tables of materials in small files that people can read, and a folder of one's own.
+"""Tables of materials in small files that people can read.
 
 A file is JSON::
 
@@ -22,10 +22,9 @@ Nothing here needs napari.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import quote
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -70,9 +69,7 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
     values = {
         "format": FORMAT,
         "version": VERSION if any(row.is_rigid for row in preset.materials) else _FIRST,
-        "name": preset.name,
-        "unit": preset.unit,
-        "source": preset.source,
+        **asdict(preset),
         "materials": [material.as_row() for material in preset.materials],
     }
     _preset(values, target)
@@ -110,71 +107,6 @@ def load_materials(path: str | Path) -> Preset:
     except RecursionError as error:
         raise _bad(source, "is nested too deeply to be a file of materials") from error
     return _preset(values, source)
-
-
-class MaterialLibrary:
-    """Presets of one's own: a folder with one file each, which can be passed on as they are.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Made when something is put into it.
-    """
-
-    def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder)
-
-    @property
-    def presets(self) -> tuple[Preset, ...]:
-        """All that can be read, by name."""
-        return tuple(sorted(self._read()[0].values(), key=lambda preset: preset.name.lower()))
-
-    @property
-    def refused(self) -> tuple[str, ...]:
-        """What is wrong with files that cannot be read, in a sentence each."""
-        return self._read()[1]
-
-    def remember(self, preset: Preset) -> Path:
-        """Put a preset into the folder, in place of one of the same name.
-
-        Returns
-        -------
-        Path
-            Its file.
-
-        Raises
-        ------
-        FileFormatError
-            If it has no name, or could not be read again.
-        OSError
-            If it cannot be written.
-        """
-        name = preset.name.strip()
-        if not name:
-            raise FileFormatError("Materials are remembered by a name. Give them one.")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        # No file's name can hold all that a name can.
-        new = self.folder / f"{quote(name, safe=' ')[:200]}{ENDING}"
-        return save_materials(self._file_of(name) or new, replace(preset, name=name))
-
-    def forget(self, name: str) -> bool:
-        """Take a preset out of the folder; whether it was there."""
-        path = self._file_of(name)
-        if path is not None:
-            path.unlink()
-        return path is not None
-
-    def _read(self) -> tuple[dict[Path, Preset], tuple[str, ...]]:
-        presets, refused = {}, []
-        for path in sorted(self.folder.glob(f"*{ENDING}")):
-            try:
-                presets[path] = load_materials(path)
-            except (FileFormatError, OSError) as error:
-                refused.append(str(error))
-        return presets, tuple(refused)
-
-    def _file_of(self, name: str) -> Path | None:
-        return next((path for path, each in self._read()[0].items() if each.name == name), None)
 
 
 class _Row(BaseModel):

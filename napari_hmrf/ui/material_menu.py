@@ -1,35 +1,25 @@
-"""The menu of materials: published ones, one's own, those of other layers and of files."""
+"""The menu of materials: published ones, those of other layers and of files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from psygnal import Signal
-from qtpy.QtCore import QStandardPaths
-from qtpy.QtWidgets import QFileDialog, QInputDialog, QMenu, QPushButton
+from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
-from napari_hmrf.tissue.material_tables import (
-    ENDING,
-    MaterialLibrary,
-    load_materials,
-    save_materials,
-)
+from napari_hmrf.tissue.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.ui.material_table import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"
-
-
-def own_library() -> MaterialLibrary:
-    """The user's presets, kept where programs keep their settings."""
-    place = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.GenericConfigLocation)
-    return MaterialLibrary(Path(place) / "napari-hmrf" / "materials")
 
 
 def materials_of(layer: Any) -> Preset | None:
@@ -86,8 +76,8 @@ class MaterialMenu(QPushButton):
         super().__init__("Materials")
         self._table, self._layers, self._layer = table, layers, layer
         self.setToolTip(
-            "Published stiffnesses with their sources, your own, and those of other layers and of "
-            "files, in place of the table; or keep the table for other images"
+            "Published stiffnesses with their sources, and those of other layers and of files, in "
+            "place of the table; or keep the table in a file, for other images"
         )
         menu = QMenu(self)
         menu.setToolTipsVisible(True)
@@ -96,7 +86,7 @@ class MaterialMenu(QPushButton):
 
     def fill(self) -> None:
         """Fill the menu with what there is now."""
-        menu, library = self.menu(), own_library()
+        menu = self.menu()
         menu.clear()
         _head(menu, "Published, each with its source")
         for preset in PRESETS:
@@ -107,30 +97,17 @@ class MaterialMenu(QPushButton):
             "model has that, the paper's has not"
         )
         _act(menu, "Bone or implant (rigid)", about, lambda: self._table.add_rigid())
-        own = library.presets
-        if own:
-            _head(menu, "Your own")
-        for preset in own:
-            self._offer(menu, preset)
         _head(menu, "Share and keep")
-        here = self._layer()
-        others = [layer for layer in self._layers() if layer is not here and materials_of(layer)]
-        taken = self._submenu(menu, "Take from layer", others)
-        for layer in others:
-            found = materials_of(layer)
-            assert found is not None
-            self._offer(taken, found)
+        here, taken = self._layer(), menu.addMenu("Take from layer")
+        taken.setToolTipsVisible(True)
+        for layer in self._layers():
+            if layer is not here and (found := materials_of(layer)):
+                self._offer(taken, found)
+        taken.setEnabled(bool(taken.actions()))
         _act(
             menu, "Load from file ...", "A file that was saved here, or written by hand", self._load
         )
         _act(menu, "Save to file ...", "For other images, and for other people", self._save)
-        about = "Here in this menu, in every session; replaces those of the same name"
-        _act(menu, "Remember as your own ...", about, self._remember)
-        forgotten = self._submenu(menu, "Forget", own)
-        for preset in own:
-            _act(forgotten, preset.name, "", lambda _=False, name=preset.name: self._forget(name))
-        for sentence in library.refused:
-            _act(menu, sentence, str(library.folder), lambda: None).setEnabled(False)
 
     def take(self, preset: Preset) -> None:
         """Put a preset into the table."""
@@ -144,45 +121,30 @@ class MaterialMenu(QPushButton):
             for row in preset.materials
         )
         source = f"\nSource: {preset.source}" if preset.source else ""
-        about = f"<p style='white-space:pre-wrap'>{_plain(rows + source)}</p>"
+        about = f"<p style='white-space:pre-wrap'>{escape(rows + source, quote=False)}</p>"
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
         _act(menu, title, about, lambda _=False: self.take(preset))
-
-    def _submenu(self, menu: QMenu, title: str, content: Any) -> QMenu:
-        submenu: QMenu = menu.addMenu(title)
-        submenu.setToolTipsVisible(True)
-        submenu.setEnabled(bool(content))
-        return submenu
 
     def _load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)
         if path:
-            self._try(lambda: self.take(load_materials(path)))
+            with self._refusals():
+                self.take(load_materials(path))
 
     def _save(self) -> None:
-        contents = self._table.contents
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
         if path:
-            self._try(lambda: save_materials(path, contents), f"Saved {Path(path).name}.")
+            with self._refusals():
+                save_materials(path, self._table.contents)
+                self.said.emit(f"Saved {Path(path).name}.")
 
-    def _remember(self) -> None:
-        name, taken = QInputDialog.getText(self, "Remember materials", "Name:")
-        if taken and name.strip():
-            contents = self._table.contents
-            kept = Preset(name.strip(), contents.unit, contents.source, contents.materials)
-            self._try(lambda: own_library().remember(kept), f"Remembered '{kept.name}'.")
-
-    def _forget(self, name: str) -> None:
-        self._try(lambda: own_library().forget(name), f"Forgot '{name}'.")
-
-    def _try(self, action: Callable[[], Any], success: str = "") -> None:
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """Say what could not be done."""
         try:
-            action()
+            yield
         except (HmrfError, OSError) as error:
             self.said.emit(str(error))
-        else:
-            if success:
-                self.said.emit(success)
 
 
 def _act(menu: QMenu, title: str, about: str, answer: Callable[..., Any]) -> Any:
@@ -196,7 +158,3 @@ def _head(menu: QMenu, title: str) -> None:
     """A line of words between entries; styles with colours of their own draw no section's."""
     menu.addSeparator()
     menu.addAction(title).setEnabled(False)
-
-
-def _plain(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
