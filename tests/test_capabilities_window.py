@@ -275,19 +275,6 @@ def test_pairs_of_points_are_taken_as_landmarks_and_a_missing_partner_is_said(
 # The result
 
 
-def test_the_energy_of_a_solve_is_drawn(deform, viewer, small_sample, run):
-    from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
-
-    dock, screen = deform
-    small_sample(viewer)
-    screen.press("Energy")
-    energy = run(dock).solution.energy
-    (canvas,) = dock.native.findChildren(FigureCanvasQTAgg)
-    drawn = max((line.get_ydata() for line in canvas.figure.axes[0].lines), key=len)
-    assert np.isin(drawn, energy).all()
-    assert drawn[-1] == energy[-1]
-
-
 def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
     dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)

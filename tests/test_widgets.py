@@ -676,7 +676,6 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
     assert places() == before
     docked.say("word " * 300)
     assert places() == before
-    assert not docked._form.energy.isExpanded()
 
 
 def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
@@ -719,20 +718,6 @@ def test_one_sweep_is_told_as_one():
     solution = replace(solution, levels=(coarse,), energy=solution.energy[:1])
     done = SimpleNamespace(outputs=SimpleNamespace(solution=solution, folds=0))
     assert ": 1 sweep in " in details(done)
-
-
-def test_the_energy_is_drawn_in_the_colours_of_the_theme(widget, small_sample, run):
-    viewer = viewer_of(widget)
-    small_sample(viewer)
-    plot = widget._form.energy
-    plot.expand(animate=False)
-    run(widget)
-    colours = []
-    for theme in ("light", "dark"):
-        viewer.theme = theme
-        colours.append(plot._canvas.figure.axes[0].xaxis.label.get_color())
-    assert colours[0] != colours[1]
-    assert plot._canvas.figure.axes[0].lines
 
 
 def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(

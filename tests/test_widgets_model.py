@@ -405,30 +405,6 @@ def test_another_model_means_that_the_result_is_old(widget, small_sample, run, w
     wait_for(lambda: widget.status.startswith("Tissue moved"))
 
 
-def test_the_plot_copes_with_cycles(widget, small_sample, run):
-    small_sample(viewer_of(widget))
-    plot = widget._form.energy
-    plot.expand(animate=False)
-    run(widget)
-    axes = plot._canvas.figure.axes[0]
-    assert len(axes.lines) > 3
-    elastic(widget)
-    solution = run(widget).solution
-    (curve,) = axes.lines
-    np.testing.assert_array_equal(curve.get_ydata(), solution.energy)
-    assert axes.get_xlabel() == "cycle over all levels"
-    assert axes.get_title().endswith("px of the converged field")
-    widget.model = "paper, converged"
-    solution = run(widget).solution
-    (curve,) = axes.lines
-    assert list(curve.get_xdata()) == [solution.iterations]
-    widget.model = "paper"
-    run(widget)
-    assert len(axes.lines) > 3
-    assert axes.get_title() == ""
-    assert axes.get_xlabel().startswith("sweep")
-
-
 # What can go wrong
 
 

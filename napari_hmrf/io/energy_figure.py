@@ -12,7 +12,7 @@ from napari_hmrf.study.models import is_multigrid
 _LINE = "#4ea6dc"
 
 
-def draw_energy(axes: Any, solution: Solution, ink: str = "black", size: float = 10) -> None:
+def draw_energy(axes: Any, solution: Solution) -> None:
     """Draw a solution's energies, with a line where each level begins.
 
     Parameters
@@ -20,22 +20,17 @@ def draw_energy(axes: Any, solution: Solution, ink: str = "black", size: float =
     axes : matplotlib.axes.Axes
         Empty.
     solution : Solution
-    ink : str
-        The colour of words and lines.
-    size : float
-        Of words, in points.
     """
-    words = {"fontsize": size, "color": ink}
-    axes.set_ylabel("mean energy (px²)", **words)
+    axes.set_ylabel("mean energy (px²)")
     if is_multigrid(solution.provenance.parameters):
-        axes.set_xlabel("cycle over all levels", **words)
-        _draw_cycles(axes, solution, words)
+        axes.set_xlabel("cycle over all levels")
+        _draw_cycles(axes, solution)
     else:
-        axes.set_xlabel("sweep (levels on top, coarse to fine)", **words)
-        _draw_levels(axes, solution, {**words, "fontsize": size - 1})
+        axes.set_xlabel("sweep (levels on top, coarse to fine)")
+        _draw_levels(axes, solution)
 
 
-def _draw_cycles(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
+def _draw_cycles(axes: Any, solution: Solution) -> None:
     """Cycles go over all levels, and there are few: a point for each, and how near they led."""
     # No energy leads to where the centred update ends: of that, the last is all that is known.
     energy = solution.energy
@@ -45,12 +40,11 @@ def _draw_cycles(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
     axes.set_xlim(0.5, len(cycles) + 0.5)
     axes.xaxis.get_major_locator().set_params(integer=True)
     if solution.convergence is not None:
-        axes.set_title(
-            f"within {solution.convergence.error:.1g} px of the converged field", **words
-        )
+        near = f"within {solution.convergence.error:.1g} px of the converged field"
+        axes.set_title(near, fontsize=10)
 
 
-def _draw_levels(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
+def _draw_levels(axes: Any, solution: Solution) -> None:
     count = len(solution.energy)
     sweeps, positive = np.arange(1, count + 1), solution.energy > 0
     if positive.any():
@@ -58,11 +52,11 @@ def _draw_levels(axes: Any, solution: Solution, words: dict[str, Any]) -> None:
         axes.plot(sweeps[positive], solution.energy[positive], color=_LINE, linewidth=1.2)
     begin, above = 0, axes.get_xaxis_transform()
     for level in solution.levels:
-        axes.axvline(begin + 0.5, color=words["color"], alpha=0.25, linewidth=0.6)
+        axes.axvline(begin + 0.5, color="black", alpha=0.25, linewidth=0.6)
         # Narrow levels get a line but no words.
         if level.iterations >= 0.07 * count:
             middle = begin + level.iterations / 2
             place = {"transform": above, "ha": "center", "va": "bottom"}
-            axes.text(middle, 1.0, str(level.number), **place, **words)
+            axes.text(middle, 1.0, str(level.number), fontsize=9, **place)
         begin += level.iterations
     axes.set_xlim(0.5, max(1.5, count + 0.5))

@@ -10,7 +10,6 @@ from superqt import QCollapsible
 from napari_hmrf.layers.result_lookup import result_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.study.study import Grid
-from napari_hmrf.ui.energy_plot import EnergyPlot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
@@ -44,7 +43,6 @@ class DockForm:
     motion : MotionForm
     result : ResultForm
     model : ModelForm
-    energy : EnergyPlot
     footer : Footer
     """
 
@@ -67,7 +65,6 @@ class DockForm:
         self.motion = MotionForm(layers, view)
         self.result = ResultForm(layers, lambda layer: result_of(layer) is not None)
         self.model = ModelForm()
-        self.energy = EnergyPlot()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
@@ -106,19 +103,18 @@ class DockForm:
         ways = row(self.make, self.intensity)
         body = Container(widgets=[first, ways], labels=False)
         layout = body.native.layout()
-        for title, parts, open_ in (
-            ("1  Tissue", (self.tissue,), True),
-            ("2  Motion", (self.motion,), True),
-            ("3  Result", (self.result,), True),
-            ("Model", (self.model,), False),
-            ("Advanced", (self.model.in_detail, self.energy), False),
+        for title, part, open_ in (
+            ("1  Tissue", self.tissue, True),
+            ("2  Motion", self.motion, True),
+            ("3  Result", self.result, True),
+            ("Model", self.model, False),
+            ("Advanced", self.model.in_detail, False),
         ):
             step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
             for inner in (step.layout(), step.content().layout()):
                 inner.setSpacing(2)
                 inner.setContentsMargins(0, 0, 0, 0)
-            for part in parts:
-                step.addWidget(getattr(part, "native", part))
+            step.addWidget(part.native)
             if open_:
                 step.expand(animate=False)
             layout.addWidget(step)

@@ -272,7 +272,6 @@ class LiveStudy:
         self._poll.stop()
         self.study = self.source = self.latest = self._asked = None
         self._pointer.stand_on(None)
-        self._form.energy.show_solution(None)
         self._form.footer.warn("")
 
     def release(self) -> None:
@@ -373,7 +372,6 @@ class LiveStudy:
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
-        self._form.energy.show_solution(done.outputs.solution)
         footer = self._form.footer
         footer.warn(messages.warnings_of(done), messages.warned_of(done))
         footer.tell(messages.brief(done), messages.details(done))
@@ -426,7 +424,6 @@ class LiveStudy:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
         before, self.latest = self.latest, None
         self._succeed()
-        self._form.energy.show_solution(None)
         self._form.footer.warn("")
         self._form.footer.tell("")
         if before is not None and not self._pointer.active:

@@ -73,13 +73,11 @@ class ViewerWatch:
             (viewer.dims.events.current_step, self._on_slice),
             (viewer.dims.events.order, self._on_slice),
             (viewer.dims.events.ndisplay, self._on_slice),
-            (viewer.events.theme, self._on_theme),
             (steps_of(viewer).edits.changed, self._on_table),
         )
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
         self._look_at_eyes()
-        self._on_theme()
 
     def release(self) -> None:
         """Listen no more."""
@@ -176,11 +174,6 @@ class ViewerWatch:
         self.layer_gone.emit(event.value)
         self._on_choice()
         self._on_cover()
-
-    def _on_theme(self, *_: Any) -> None:
-        theme = getattr(self._viewer, "theme", None)
-        if theme is not None:
-            self._form.energy.show_theme(str(theme))
 
     # Who feels the mouse
 
