@@ -15,8 +15,8 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: A layer of a result: what was made with it, what it is looked at with, one thing at a time, or the
-#: confidence that was painted.
+#: A layer of a result: what was made with it, what it is looked at with, one thing at a time, or
+#: the confidence that was painted.
 Part = Kind | Literal["overlay", "painted confidence"]
 #: Of an overlay's looks, those that belong to the numbers it shows.
 _LOOKS = ("colormap", "contrast_limits")
