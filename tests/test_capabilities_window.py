@@ -114,7 +114,7 @@ def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(make_napari_vie
 def test_layers_to_paint_on_are_made_and_painted_by_a_click_on_a_row(deform, viewer):
     dock, screen = deform
     image = viewer.add_image(np.zeros((30, 40)), name="T1", scale=(0.5, 2.0))
-    screen.press("Make layers to paint on")
+    screen.press("Layers to paint on")
     tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
     for made in (tissue, boundary):
         assert made.data.shape == image.data.shape
@@ -155,7 +155,7 @@ def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform
     viewer.add_image(picture, name="CT")
     dock.drawing = Drawing((Arrow((15, 20), (0, 2), 3.0),))
     np.testing.assert_array_equal(run(dock).solution.tissue, picture > 0)
-    screen.press("Make layers to paint on")
+    screen.press("Layers to paint on")
     viewer.layers["Tissue"].data[2:4, 2:4] = dock.materials[1].label
     counted = run(dock).solution.tissue
     assert counted[2:4, 2:4].all(), "what is painted is tissue, dark as it may be"

@@ -21,7 +21,7 @@ from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
-_WIDTH = 390
+_WIDTH = 346
 
 
 class DockForm:
@@ -54,7 +54,7 @@ class DockForm:
             layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
         self.make = PushButton(
-            text="Make layers to paint on",
+            text="Layers to paint on",
             tooltip="Adds a tissue and a boundary layer on the image's pixels",
         )
         self.intensity = PushButton(

@@ -40,8 +40,8 @@ MODELS: dict[ModelName, str] = {
     "paper, converged": "paper's, computed to the end",
 }
 PLANES: dict[Plane, str] = {
-    "stress": "thin slice, free to bulge",
-    "strain": "slice held between its neighbours",
+    "stress": "free to bulge",
+    "strain": "held by its neighbours",
 }
 # The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
 _WHEN: dict[ModelName, str] = {

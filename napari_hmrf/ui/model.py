@@ -102,7 +102,7 @@ class ModelForm(Container):
         )
         self.plane = _PlaneChoice(
             name="plane",
-            label="taken as",
+            label="slice is",
             choices=[(words, plane) for plane, words in PLANES.items()],
             value="stress",
             tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
