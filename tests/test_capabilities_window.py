@@ -9,14 +9,17 @@ from patience import LONG_MS
 from person import Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QFileDialog
-from screen import Screen
+from qtpy.QtWidgets import QFileDialog, QTableView
+from screen import Screen, head
 
 from napari_hmrf.field.warp import warp
-from napari_hmrf.layers.contributions import open_solution, save_solution
+from napari_hmrf.layers.contributions import open_solution, phantom_layers, save_solution
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -146,6 +149,21 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
     assert "is rigid, which the paper's model cannot have" in screen.words
     screen.press("Take the elastic model")
     assert dock.model == "elastic"
+
+
+def test_stiffness_has_a_unit_only_where_one_is_known(deform, viewer):
+    dock, screen = deform
+    viewer.add_image(np.full((30, 40), 200, np.uint8), name="MR")
+    screen.press("Make layers to paint on")
+    table = dock.native.findChildren(QTableView)[0]
+    assert head(table, 2) == "Relative\nstiffness", "the paper's 20, 10 and 40 are ratios"
+    dock.take_materials(next(each for each in PRESETS if each.unit == "kPa"))
+    assert head(table, 2) == "Stiffness (kPa)"
+    dock.undo()
+    assert head(table, 2) == "Relative\nstiffness"
+    for name in PHANTOM_NAMES:
+        _, (_, tissue, _), _ = phantom_layers(sample(name))
+        assert "unit" not in tissue["metadata"][METADATA]
 
 
 def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform, viewer, run):

@@ -50,7 +50,7 @@ def phantom_layers(found: Phantom) -> list[LayerData]:
             {
                 "name": "Tissue",
                 "opacity": 0.3,
-                "metadata": described(TISSUE, found.materials, "MPa"),
+                "metadata": described(TISSUE, found.materials),
             },
             "labels",
         ),

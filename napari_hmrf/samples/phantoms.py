@@ -63,7 +63,8 @@ class Phantom:
     tissue_labels : ndarray, shape (H, W), uint8
         0 outside (void), 1 normal tissue, 2 soft tissue, 3 tumour.
     materials : tuple of Material
-        The stiffness of each tissue label: 20, 10 and 40 MPa as in the paper, 0 outside.
+        The stiffness of each tissue label: 20, 10 and 40 as in the paper, which are
+        ratios; 0 outside.
     boundary_labels : ndarray, shape (H, W), uint8
         0 where nothing is observed, else the label of a rule.
     boundary : tuple of BoundaryRule

@@ -43,7 +43,7 @@ class MaterialTable(LabelTable):
 
     @property
     def unit(self) -> str:
-        """The unit of stiffness, shown only: ratios are what matters."""
+        """The unit of stiffness, shown only, for ratios are what matters; "" if none is known."""
         return self._unit
 
     @unit.setter
@@ -51,7 +51,7 @@ class MaterialTable(LabelTable):
         self._unit = unit
         self.set_head(
             _STIFFNESS,
-            f"Stiffness ({unit})" if unit else "Stiffness",
+            f"Stiffness ({unit})" if unit else "Relative\nstiffness",
             "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
             "matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone or an "
             "implant; the elastic model has that, the paper's has not.",
@@ -69,7 +69,7 @@ class MaterialTable(LabelTable):
 
     def show(self, table: Any) -> None:
         """Show a table as a layer carries it, with its unit."""
-        self.unit = table.unit or self.unit
+        self.unit = table.unit
         super().show(table)
 
     def apply_preset(self, preset: Preset) -> str:

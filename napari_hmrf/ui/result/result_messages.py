@@ -123,7 +123,8 @@ def _rounded(length: float) -> float:
 def stiffness_of(name: str, stiffness: float, unit: str) -> str:
     """The tissue and how stiff it is."""
     amount = stiffness_in_words(stiffness, unit)
-    amount = amount if stiffness == RIGID else f"stiffness {amount}"
+    if stiffness != RIGID:
+        amount = f"stiffness {amount}" if unit else f"relative stiffness {amount}"
     return f"{amount} ({name})" if name else amount
 
 
