@@ -17,6 +17,7 @@ from screen import Cell, Screen, head
 
 from napari_hmrf import ICM, ElasticPrior, HmrfError, Multigrid, SeilerPrior
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -450,6 +451,14 @@ def test_settings_become_prior_and_optimizer(widget):
     assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
     assert widget.settings.device == "cpu"
     assert "Stiff-soft borders lock" in chosen.in_detail["reading"].tooltip
+    for words in ("candidate steps", "never early", "OpenGL, fragment"):
+        Screen(widget).choose(words)
+    assert chosen.optimizer == ICM(12)
+    assert widget.settings.device == "opengl:fragment"
+
+
+def test_every_device_is_offered(widget):
+    assert set(widget._form.model.in_detail["device"].choices) == set(BACKEND_NAMES)
 
 
 def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_click_away(qtbot):

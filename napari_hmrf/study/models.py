@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, get_args
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.solver.backends import BackendName
 from napari_hmrf.solver.model_names import ModelName, converged, model_name, parts
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
@@ -40,6 +39,7 @@ class SolverDetails:
     accuracy : float
         In pixels.
     device : str
+        As `solve` takes it for its backend.
     """
 
     reading: Annotated[
@@ -53,8 +53,9 @@ class SolverDetails:
             "lock, the more so the finer the pixels.",
         ),
     ] = "centred"
+    # Of a `Literal` with choices magicgui would show the values, not their words.
     method: Annotated[
-        Literal["steps", "closed form"],
+        str,
         _words(
             "site update",
             "Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 pixels.\n"
@@ -110,7 +111,7 @@ class SolverDetails:
         ),
     ] = Multigrid.tolerance
     device: Annotated[
-        BackendName,
+        str,
         _words(
             "device",
             "Automatic: the graphics card if there is one, else compiled loops on the CPU",
