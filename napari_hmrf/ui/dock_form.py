@@ -21,7 +21,7 @@ from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
-_WIDTH = 346
+_WIDTH = 336
 
 
 class DockForm:

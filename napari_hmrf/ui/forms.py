@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtCore import QEvent, QObject, QSize, Qt
 from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
 
 T = TypeVar("T")
@@ -68,7 +68,9 @@ def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> 
 
 def row(*widgets: Any) -> Container:
     """Widgets beside each other."""
-    return Container(widgets=widgets, layout="horizontal", labels=False)
+    made = Container(widgets=widgets, layout="horizontal", labels=False)
+    made.native.layout().setSpacing(2)
+    return made
 
 
 class Prose(Label):
@@ -107,6 +109,13 @@ def align_labels(form: Container) -> None:
     first.label = first.label
 
 
+class _Narrow(QScrollArea):
+    """Asks for no more width than it needs: the rest is the canvas'."""
+
+    def sizeHint(self) -> QSize:
+        return QSize(self.minimumWidth(), super().sizeHint().height())
+
+
 def put_scrolled(outer: Container, body: Container, width: int) -> None:
     """Put a form into a dock widget that may be lower than the form is, but no narrower.
 
@@ -119,7 +128,7 @@ def put_scrolled(outer: Container, body: Container, width: int) -> None:
     width : int
         The least width, in pixels.
     """
-    scroll = QScrollArea()
+    scroll = _Narrow()
     scroll.setWidgetResizable(True)
     scroll.setFrameShape(QFrame.Shape.NoFrame)
     scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)

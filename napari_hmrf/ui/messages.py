@@ -41,7 +41,7 @@ MODELS: dict[ModelName, str] = {
 }
 PLANES: dict[Plane, str] = {
     "stress": "free to bulge",
-    "strain": "held by its neighbours",
+    "strain": "held at its faces",
 }
 # The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
 _WHEN: dict[ModelName, str] = {

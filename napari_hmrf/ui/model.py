@@ -24,7 +24,7 @@ from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
-from napari_hmrf.ui.forms import Prose, align_labels, menu
+from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
 from napari_hmrf.ui.messages import (
     ABOUT_POISSON,
     ELASTIC,
@@ -100,6 +100,7 @@ class ModelForm(Container):
             "What tissue is taken to be. The paper's brings its own numbers back under Advanced",
             name="model",
         )
+        narrow(self.model)
         self.plane = _PlaneChoice(
             name="plane",
             label="slice is",
