@@ -604,7 +604,7 @@ def test_the_slice_that_is_shown_is_read():
     viewer.dims.set_current_step(0, 2)
     inputs = read_layers(seen(viewer, wanted))
     assert inputs.frame.index == (2, 0, 0)
-    assert inputs.frame.slice_name == "axis 0 = 2"
+    assert inputs.frame.slice_name == "slice 2"
     np.testing.assert_array_equal(inputs.pictures.image, picture((4, *SHAPE))[2])
 
 
@@ -671,7 +671,7 @@ def test_of_labels_with_more_axes_than_the_image_the_slice_taken_is_said():
     viewer.dims.set_current_step(0, 2)
     inputs = read_layers(seen(viewer, wanted))
     assert inputs.frame.slice_name == ""
-    assert inputs.notes == ("of 'Tissue' slice z = 2 was taken",)
+    assert inputs.notes == ("of 'Tissue' z = 2 was taken",)
     np.testing.assert_array_equal(inputs.pictures.labels, tissue_labels())
 
 

@@ -502,7 +502,7 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     small_sample(viewer, (5, 20, 24), scale=(4.0, 1.0, 1.0), axis_labels=("z", "y", "x"))
     viewer.dims.set_current_step(0, 3)
     run(widget)
-    assert widget.status.startswith("Slice z = 3: tissue moved up to")
+    assert widget.status.startswith("z = 3: tissue moved up to")
     arrows = viewer.layers["MR arrows (z = 3)"]
     assert (arrows.data[:, 0, 0] == 3).all()
     deformed = viewer.layers["MR deformed (z = 3)"]

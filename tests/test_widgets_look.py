@@ -552,10 +552,10 @@ def test_a_result_of_another_slice_than_the_one_that_is_seen_says_so(make_stack,
     line = look._form.result.how_far
     assert line.value.endswith("mm")
     viewer.dims.set_current_step(0, 1)
-    assert line.value.endswith("mm. Of slice z = 2; you look at z = 1.")
+    assert line.value.endswith("mm. Of z = 2; you look at z = 1.")
     look.percent = 50
     assert line.value.startswith("50 %")
-    assert line.value.endswith("Of slice z = 2; you look at z = 1.")
+    assert line.value.endswith("Of z = 2; you look at z = 1.")
     viewer.dims.set_current_step(0, 2)
     assert line.value.endswith("mm")
 

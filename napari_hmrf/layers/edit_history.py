@@ -13,7 +13,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, unit_factor
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.table_state import Table
 from napari_hmrf.layers.undo_keys import UndoKeys
 from napari_hmrf.layers.viewer_shared import shared
@@ -27,27 +27,16 @@ CURVE = "curve"
 
 @dataclass(frozen=True)
 class Place:
-    """A slice: the axes of a layer it shows, and where it lies on each; as of a `Frame`.
-
-    `numbers` are what the viewer's sliders show there, if not the index.
-    """
+    """A slice: the axes of a layer it shows, where it lies on each, and its name to be read."""
 
     plane: tuple[int, int]
     index: tuple[int, ...]
-    numbers: tuple[int, ...] = field(default=(), compare=False)
+    name: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, frame: Frame) -> Place:
         """Where a slice lies."""
-        return cls(frame.plane, frame.index, frame.numbers)
-
-    @property
-    def name(self) -> str:
-        """The slice in words; empty for a two-dimensional layer."""
-        others = [
-            str(at) for axis, at in enumerate(self.numbers or self.index) if axis not in self.plane
-        ]
-        return f"slice {', '.join(others)}" if others else ""
+        return cls(frame.plane, frame.index, frame.slice_seen)
 
 
 class Slot(NamedTuple):
@@ -195,12 +184,10 @@ class ViewerSteps:
         if shown == index:
             return
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
+        there = there / view.factors(layer)
         for axis in range(layer.ndim):
             if axis not in plane:
-                unit = 1.0
-                if view.units is not None:
-                    unit = unit_factor(str(layer.units[axis]), view.units[axis + missing])
-                dims.set_point(axis + missing, float(there[axis]) * unit)
+                dims.set_point(axis + missing, float(there[axis]))
 
     def _on_changed(self, slot: Any, value: Any) -> None:
         """Have the layer carry its table; whoever shows it listens for itself."""

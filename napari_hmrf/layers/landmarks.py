@@ -73,7 +73,7 @@ def read_landmarks(
     )
     numbers = np.flatnonzero(here)
     if not len(numbers):
-        here_said = frame.slice_said or "this slice"
+        here_said = frame.slice_seen or "this slice"
         raise LayerError(where.layer, f"has no {what}s on {here_said}. Go to one that has.")
     if not there[here].all():
         leaves = numbers[~there[here]][0]

@@ -99,14 +99,10 @@ def nearest_paint(layer: Any, frame: Frame) -> str:
     data = full_resolution(layer)
     if not isinstance(data, np.ndarray):
         return ""
-    others = [axis for axis in range(frame.ndim) if axis not in frame.plane]
-    for axis in others:
-        here, size = frame.index[axis], data.shape[axis]
-        for at in sorted(range(size), key=lambda at: abs(at - here)):
-            index = tuple(at if each == axis else where for each, where in enumerate(frame.index))
-            chosen = tuple(
-                slice(None) if each in frame.plane else index[each] for each in range(frame.ndim)
-            )
-            if data[chosen].any():
-                return replace(frame, index=index).slice_said
+    for axis in frame.others:
+        index = frame.index
+        for at in sorted(range(data.shape[axis]), key=lambda at: abs(at - index[axis])):
+            there = replace(frame, index=(*index[:axis], at, *index[axis + 1 :]))
+            if data[there.pixels].any():
+                return there.slice_seen
     return ""

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from napari_hmrf.layers.slice_view import View, slice_shown, sliders_of, unit_factor
-from napari_hmrf.layers.stored_place import stored_place
-from napari_hmrf.layers.transform import Matrix, flat, floats, floats_or_rows, rows
+from napari_hmrf.layers.slice_view import View, is_unit, slice_shown, unit_factor
 from napari_hmrf.study.layer_names import LayerError
 
+Matrix = tuple[tuple[float, ...], ...]
+
+#: The attributes of a layer, and keyword arguments of a new one, that say where it lies.
+PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+#: What a file holds of a `Frame`.
+_STORED = ("plane", "index", *PLACE, "matrix")
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
 _TOLERANCE = 1e-3
+#: Slices beyond this are nobody's.
+_FARTHEST = 2**31
+
+
+def place_of(layer: Any) -> dict[str, Any]:
+    """Keyword arguments that make a layer of the same axes lie where this one does."""
+    return {name: getattr(layer, name) for name in PLACE}
 
 
 @dataclass(frozen=True)
@@ -49,6 +61,9 @@ class Frame:
     matrix: Matrix
     sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
+    # Of what a file holds.
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False)
+
     @classmethod
     def of(cls, layer: Any, view: View | None = None) -> Frame:
         """The slice of a layer that a viewer shows.
@@ -78,7 +93,7 @@ class Frame:
                 layer,
                 "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
             )
-        if flat(matrix[:-1, :-1]):
+        if _flat(matrix[:-1, :-1]):
             raise LayerError(
                 layer,
                 "has a scale, rotation or affine that flattens it to less than its axes. Set one "
@@ -95,21 +110,26 @@ class Frame:
         return cls(
             plane=plane,
             index=index,
-            scale=floats(layer.scale),
-            translate=floats(layer.translate),
-            rotate=rows(layer.rotate),
-            shear=floats_or_rows(layer.shear),
-            affine=rows(layer.affine.affine_matrix),
+            scale=_as_tuples(layer.scale),
+            translate=_as_tuples(layer.translate),
+            rotate=_as_tuples(layer.rotate),
+            shear=_as_tuples(layer.shear),
+            affine=_as_tuples(layer.affine.affine_matrix),
             units=tuple(str(unit) for unit in layer.units),
             axis_labels=tuple(str(label) for label in layer.axis_labels),
-            matrix=rows(matrix),
-            sliders=sliders_of(layer, view),
+            matrix=_as_tuples(matrix),
+            sliders=() if view is None else view.sliders_of(layer),
         )
 
     @property
     def ndim(self) -> int:
         """Axes of the layer."""
         return len(self.index)
+
+    @property
+    def others(self) -> tuple[int, ...]:
+        """The layer's axes that the slice lies across."""
+        return tuple(axis for axis in range(self.ndim) if axis not in self.plane)
 
     @property
     def unit(self) -> str:
@@ -135,66 +155,52 @@ class Frame:
         linear = np.array(self.matrix)[:-1, list(self.plane)]
         factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
         # The axes of the slices play no part, and may have a unit of their own (time).
-        linear[[axis for axis in range(self.ndim) if axis not in self.plane]] = 0
+        linear[list(self.others)] = 0
         steps: npt.NDArray[np.float64] = linear * np.nan_to_num(factors)[:, None]
         return steps
 
     @property
     def slice_name(self) -> str:
-        """Which slice, by its pixels, such as "z = 12"; empty for a two-dimensional layer."""
+        """Which slice, by its pixels; empty for a two-dimensional layer.
+
+        Such as "z = 12", or "slice 12" of the one axis that nobody has named.
+        """
         return self._named(self.index)
 
     @property
     def slice_seen(self) -> str:
-        """Which slice, by the number that the viewer's slider shows: for people to read.
-
-        Of one slider whose axis nobody has named, "slice 7".
-        """
-        others = [axis for axis in range(self.ndim) if axis not in self.plane]
-        if len(others) == 1 and not self._is_named(others[0]):
-            return f"slice {self.numbers[others[0]]}"
-        return self._named(self.numbers)
-
-    @property
-    def slice_said(self) -> str:
-        """The same within a sentence: "slice 7", or "slice z = 7"."""
-        seen = self.slice_seen
-        return seen if seen.startswith("slice ") or not seen else f"slice {seen}"
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """What the viewer's sliders show; without a viewer, the index.
+        """The same by the number that the viewer's slider shows: for people to read.
 
         A slider counts from the end of the world where the coordinates are lowest, which is the
         last slice of an axis that runs backwards.
         """
-        world = (np.array(self.matrix) @ np.array([*self.index, 1.0]))[:-1]
-        return tuple(
-            round((float(at) - start) / step) if step else index
-            for at, (start, step), index in zip(
-                world, self.sliders or ((0.0, 0.0),) * self.ndim, self.index, strict=True
-            )
-        )
+        if not self.sliders:
+            return self.slice_name
+        world = np.array(self.matrix) @ np.array([*self.index, 1.0])
+        seen = list(self.index)
+        for axis in self.others:
+            start, step = self.sliders[axis]
+            seen[axis] = round((float(world[axis]) - start) / step) if step else seen[axis]
+        return self._named(seen)
 
-    def _named(self, numbers: tuple[int, ...]) -> str:
-        return ", ".join(
-            f"{self._axis_name(axis)} = {numbers[axis]}"
-            for axis in range(self.ndim)
-            if axis not in self.plane
-        )
+    def _named(self, numbers: Sequence[int]) -> str:
+        names = []
+        for axis in self.others:
+            label = self.axis_labels[axis]
+            named = not label.lstrip("-").isdigit()
+            if not named and len(self.others) == 1:
+                return f"slice {numbers[axis]}"
+            names.append(f"{label if named else f'axis {axis}'} = {numbers[axis]}")
+        return ", ".join(names)
 
-    def _axis_name(self, axis: int) -> str:
-        return self.axis_labels[axis] if self._is_named(axis) else f"axis {axis}"
-
-    def _is_named(self, axis: int) -> bool:
-        return not self.axis_labels[axis].lstrip("-").isdigit()
+    @property
+    def pixels(self) -> tuple[int | slice, ...]:
+        """What picks the slice out of a layer's data."""
+        return tuple(slice(None) if n in self.plane else at for n, at in enumerate(self.index))
 
     def take(self, data: Any) -> npt.NDArray[Any]:
         """Copy the slice out of a layer's data, rows first; colours stay last."""
-        chosen = tuple(
-            slice(None) if axis in self.plane else self.index[axis] for axis in range(self.ndim)
-        )
-        part = data[chosen]
+        part = data[self.pixels]
         if hasattr(part, "compute"):  # of dask, whose own conversion would lose a mask
             part = part.compute()
         # A mask is kept, for whoever can say whose it is.
@@ -206,8 +212,7 @@ class Frame:
         """Give a picture (H, W[, colours]) the layer's axes, of one slice each beyond the plane."""
         if self.plane[0] > self.plane[1]:
             picture = picture.swapaxes(0, 1)
-        others = [axis for axis in range(self.ndim) if axis not in self.plane]
-        return np.ascontiguousarray(np.expand_dims(picture, others) if others else picture)
+        return np.ascontiguousarray(np.expand_dims(picture, self.others))
 
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes.
@@ -273,8 +278,7 @@ class Frame:
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types, for `Solution.frame`."""
         kept = asdict(self)
-        del kept["sliders"]  # of one viewer, at one time
-        return kept
+        return {name: kept[name] for name in _STORED}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
@@ -286,16 +290,53 @@ class Frame:
             If it is not what `as_dict` made, or no layer can lie there.
         """
         try:
-            return cls(**stored_place(values))
+            given = {name: values[name] for name in _STORED}
+            frame = _PLACES.validate_python(given)
+            frame._check()
         except KeyError as error:
             raise ValueError(f"not the place of a slice: it lacks {error}") from error
-        except (ValueError, TypeError, AttributeError, OverflowError) as error:
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise ValueError(f"not the place of a slice: {where}: {first['msg']}") from error
+        except ValueError as error:
             raise ValueError(f"not the place of a slice: {error}") from error
+        return frame
+
+    def _check(self) -> None:
+        """Raise ValueError if no layer can lie there."""
+        ndim, plane = self.ndim, self.plane
+        if plane[0] == plane[1] or not all(0 <= axis < ndim for axis in plane):
+            raise ValueError(f"its plane is {plane} of {ndim} axes")
+        if not all(abs(at) < _FARTHEST for at in self.index):
+            raise ValueError(f"its index is {self.index}")
+        square = np.ndim(self.shear) == 2
+        for name, size in {
+            **dict.fromkeys(("scale", "translate", "units", "axis_labels"), (ndim,)),
+            "shear": (ndim, ndim) if square else (ndim * (ndim - 1) // 2,),
+            "rotate": (ndim, ndim),
+            "affine": (ndim + 1, ndim + 1),
+            "matrix": (ndim + 1, ndim + 1),
+        }.items():
+            found = np.shape(getattr(self, name))
+            if found != size:
+                raise ValueError(f"its {name} is of shape {found} where {size} belongs")
+        if 0 in self.scale:
+            raise ValueError(f"its scale is {self.scale}")
+        for name in ("rotate", "affine", "matrix"):
+            values = np.array(getattr(self, name))
+            if len(values) > ndim and values[-1].tolist() != [0.0] * ndim + [1.0]:
+                raise ValueError(f"the last row of its {name} is {values[-1].tolist()}")
+            if _flat(values[:ndim, :ndim]):
+                raise ValueError(f"its {name} flattens space")
+        rows, cols = (self.units[axis] for axis in plane)
+        if not all(is_unit(unit) for unit in self.units) or np.isnan(unit_factor(cols, rows)):
+            raise ValueError(f"its units are {self.units}")
 
     @classmethod
     def of_pixels(cls, spacing: tuple[float, ...]) -> Frame:
         """A two-dimensional frame at the origin, for a solution that came from no layer."""
-        scale = floats(spacing)
+        scale = _as_tuples(spacing)
         return cls(
             plane=(0, 1),
             index=(0, 0),
@@ -303,8 +344,25 @@ class Frame:
             translate=(0.0, 0.0),
             rotate=((1.0, 0.0), (0.0, 1.0)),
             shear=(0.0,),
-            affine=rows(np.eye(3)),
+            affine=_as_tuples(np.eye(3)),
             units=("pixel", "pixel"),
             axis_labels=("-2", "-1"),
-            matrix=rows(np.diag([*scale, 1.0])),
+            matrix=_as_tuples(np.diag([*scale, 1.0])),
         )
+
+
+#: Checks the types of what a file holds.
+_PLACES = TypeAdapter(Frame)
+
+
+def _as_tuples(values: Any) -> Any:
+    """Numbers, or a matrix: napari keeps some shears as the one, some as the other."""
+    return tuple(map(_as_tuples, values)) if np.ndim(values) else float(values)
+
+
+def _flat(linear: npt.NDArray[np.float64]) -> bool:
+    """Whether a square matrix flattens space, however long its columns are."""
+    lengths = np.linalg.norm(linear, axis=0)
+    if not ((lengths > 0) & np.isfinite(lengths)).all():
+        return True
+    return bool(np.linalg.matrix_rank(linear / lengths) < len(linear))

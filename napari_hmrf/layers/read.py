@@ -251,7 +251,7 @@ class _Reader:
         if any(_multiscale(layer) for layer in request.layers):
             notes.append(f"computed on the finest level, {self._shape[0]} x {self._shape[1]}")
         notes += [
-            f"of '{layer.name}' {self._frames[id(layer)].slice_said} was taken"
+            f"of '{layer.name}' {self._frames[id(layer)].slice_seen} was taken"
             for layer in request.layers[1:]
             if self._frames[id(layer)].ndim > frame.ndim
         ]
@@ -264,7 +264,7 @@ def _refuse_unpainted(boundary: Any, own: Frame) -> None:
     if elsewhere:
         raise LayerError(
             boundary,
-            f"has no paint in {own.slice_said}; paint here or go to {elsewhere}.",
+            f"has no paint in {own.slice_seen}; paint here or go to {elsewhere}.",
         )
     raise LayerError(
         boundary,

@@ -14,7 +14,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, layer_extents, unit_factor, unit_symbol
+from napari_hmrf.layers.slice_view import View, layer_extents, unit_symbol
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures
@@ -159,15 +159,11 @@ def place_at(
     point = np.asarray(position, dtype=float)[-layer.ndim :]
     if len(point) < layer.ndim:
         return None
-    if view.units is not None:
-        units = zip(view.units[-layer.ndim :], layer.units, strict=True)
-        point = point * [unit_factor(unit, str(to)) for unit, to in units]
-    found = np.asarray(layer.world_to_data(np.nan_to_num(point)), dtype=float)
+    seen = layer.world_to_data(np.nan_to_num(point * view.factors(layer)))
+    found = np.asarray(seen, dtype=float)
     index = np.floor(np.nan_to_num(found) + 0.5)
     frame = result.frame
-    if any(
-        index[axis] != frame.index[axis] for axis in range(frame.ndim) if axis not in frame.plane
-    ):
+    if any(index[axis] != frame.index[axis] for axis in frame.others):
         return None
     rows, cols = frame.plane
     inside = 0 <= index[rows] < result.shape[0] and 0 <= index[cols] < result.shape[1]
@@ -175,7 +171,7 @@ def place_at(
 
 
 def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str] | None:
-    """The slice of a result and the one that is shown, if they are two: `slice_said`, `slice_seen`.
+    """The names of the slice of a result and of the one that is shown, if they are two.
 
     Parameters
     ----------
@@ -194,4 +190,4 @@ def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str]
     frame = result.frame
     if shown.plane != frame.plane or shown.index == frame.index:
         return None
-    return replace(frame, sliders=shown.sliders).slice_said, shown.slice_seen
+    return replace(frame, sliders=shown.sliders).slice_seen, shown.slice_seen

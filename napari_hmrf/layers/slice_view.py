@@ -27,14 +27,14 @@ class View:
         World coordinates of the slice on every axis.
     units : tuple of str, optional
         Of `point`, if the viewer has them.
-    sliders : tuple of (float, float), optional
-        Where the slider of each axis begins, and its step; it counts steps.
+    sliders : tuple of (float, float)
+        Where the slider of each axis begins, and its step; it counts steps. None, if nobody looks.
     """
 
     displayed: tuple[int, ...]
     point: tuple[float, ...]
     units: tuple[str, ...] | None = None
-    sliders: tuple[tuple[float, float], ...] | None = field(default=None, compare=False)
+    sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
     @classmethod
     def of(cls, dims: Any) -> View:
@@ -46,6 +46,18 @@ class View:
             None if units is None else tuple(str(unit) for unit in units),
             tuple((float(span.start), float(span.step)) for span in dims.range),
         )
+
+    def factors(self, layer: Any) -> npt.NDArray[np.float64]:
+        """How many of a layer's units make one of the viewer's, along the layer's axes."""
+        if self.units is None:
+            return np.ones(layer.ndim)
+        units = zip(self.units[-layer.ndim :], layer.units, strict=True)
+        return np.array([unit_factor(unit, str(to)) for unit, to in units])
+
+    def sliders_of(self, layer: Any) -> tuple[tuple[float, float], ...]:
+        """Where the slider of each of a layer's axes begins, and its step, in its units."""
+        found = zip(self.sliders[-layer.ndim :], self.factors(layer).tolist(), strict=False)
+        return tuple((start * factor, step * factor) for (start, step), factor in found)
 
 
 def slice_shown(
@@ -73,12 +85,7 @@ def slice_shown(
         )
     index = [0] * ndim
     if others:
-        point = np.array(view.point[missing:])
-        if view.units is not None:
-            point = point * [
-                unit_factor(unit, str(to))
-                for unit, to in zip(view.units[missing:], layer.units, strict=True)
-            ]
+        point = np.array(view.point[missing:]) * view.factors(layer)
         pixel = np.asarray(layer.world_to_data(np.nan_to_num(point)))
         extents = layer_extents(layer)
         for axis in others:
@@ -90,20 +97,6 @@ def slice_shown(
                     f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
                 )
     return (rows, cols), tuple(index)
-
-
-def sliders_of(layer: Any, view: View | None) -> tuple[tuple[float, float], ...]:
-    """Where the slider of each of a layer's axes begins, and its step, in the layer's units."""
-    if view is None or view.sliders is None:
-        return ()
-    missing = len(view.point) - int(layer.ndim)
-    found = []
-    for axis in range(int(layer.ndim)):
-        unit, to = "" if view.units is None else view.units[axis + missing], str(layer.units[axis])
-        factor = unit_factor(unit, to) if unit else 1.0
-        start, step = view.sliders[axis + missing]
-        found.append((start * factor, step * factor))
-    return tuple(found)
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:

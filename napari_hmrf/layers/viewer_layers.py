@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.layers.place import PLACE
 from napari_hmrf.layers.result_layers import LayerData
-from napari_hmrf.layers.transform import PLACE
 
 #: Viewers whose selection will be as it was.
 _kept: list[Any] = []

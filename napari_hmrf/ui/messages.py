@@ -98,7 +98,9 @@ def cannot_be_rigid(names: Sequence[str]) -> str:
 def report(done: Done) -> str:
     """What came out, in a sentence."""
     place = done.moved.study.grid.place
-    where = f"S{place.slice_said[1:]}: tissue" if place.slice_said else "Tissue"
+    where = (
+        f"{place.slice_seen.replace('slice', 'Slice')}: tissue" if place.slice_seen else "Tissue"
+    )
     solution = done.outputs.solution
     if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
         return STILL

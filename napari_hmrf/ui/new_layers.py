@@ -11,9 +11,8 @@ from napari.layers import Labels
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import fits
-from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.place import Frame, place_of
 from napari_hmrf.layers.slice_view import View, layer_extents
-from napari_hmrf.layers.transform import place_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.label_defaults import UNPAINTED
 from napari_hmrf.tissue.material_presets import PRESETS
