@@ -710,7 +710,7 @@ def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run
     run(widget)
     said = f"stiffness {float(widget.curve(grey()[12, 6])):.3g} MPa"
     at = (*viewer.dims.point[:-2], 12.0, 6.0)
-    wait_for(lambda: said in widget._view.cursor.at(at)[1])
+    wait_for(lambda: said in widget._view.cursor.line_at(at))
 
 
 def test_a_first_tick_says_where_air_is_likely_to_end(qtbot):

@@ -324,7 +324,7 @@ def test_a_study_is_the_same_until_something_is_painted():
 
 
 def test_only_the_newest_result_reaches_the_window(qtbot, at_rest):
-    from napari_hmrf.ui.newest_result import Newest
+    from napari_hmrf.ui.handover import Newest
 
     answered = []
     newest = Newest(lambda value: answered.append((value, threading.current_thread())))

@@ -7,7 +7,6 @@ from napari.layers import Labels
 from psygnal import Signal
 from superqt import QCollapsible
 
-from napari_hmrf.layers.result_lookup import result_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.study.study import Grid
 from napari_hmrf.ui.footer import Footer
@@ -63,7 +62,7 @@ class DockForm:
         )
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
-        self.result = ResultForm(layers, lambda layer: result_of(layer) is not None)
+        self.result = ResultForm()
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")

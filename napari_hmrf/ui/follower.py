@@ -23,9 +23,8 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
-from napari_hmrf.ui.newest_result import Newest
+from napari_hmrf.ui.handover import Newest, Repainted
 from napari_hmrf.ui.rehearsal import rehearse, rehearse_the_rest
-from napari_hmrf.ui.repaint import Repainted
 
 _log = logging.getLogger("napari_hmrf")
 # What those who wait for it are told.

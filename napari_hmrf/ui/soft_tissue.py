@@ -87,7 +87,8 @@ class SoftTissue(Dock):
     active, playing : bool
         Whether the mouse draws, and whether the deformation goes back and forth by itself.
     result : napari.layers.Vectors or None
-        The arrows that hold the result that is looked at.
+        The arrows that hold the result that is looked at: the newest, or one whose arrows were
+        selected since; to be set, too.
     percent : int
         How much of the deformation is seen, from 0 to 100.
     before : bool
@@ -104,8 +105,6 @@ class SoftTissue(Dock):
     status, invitation, warning : str
         The sentence at the bottom, what can be done next, and what is to be known of the tissue
         that is seen.
-    point : str
-        What is said of the tissue under the cursor.
     seen : Signal(Deformation)
         Emitted with every new state of the tissue.
     followed : Signal(Outputs)
@@ -132,13 +131,12 @@ class SoftTissue(Dock):
     settings = Part[SolverDetails]("_form.model.in_detail.details")
     history = Part[History]("_pointer.history")
     active = Part[bool]("_pointer.active")
-    result = Part[Any]("_form.result.result.value")
+    result = Part[Any]("_view.arrows")
     percent = Part[int]("_form.result.slider.value")
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
     overlay = Part[str]("_form.result.overlay.value")
-    point = Part[str]("_form.result.point.value")
     saved = Part[Any]("_view.saved")
     live = Part[bool]("_live_study.live.on")
     status = Part[str]("_guide.shown")
@@ -234,7 +232,7 @@ class SoftTissue(Dock):
 
     def at(self, position: Any) -> Probe | None:
         """Say what happens to the tissue that is seen at a point of the world; None beside it."""
-        return self._view.cursor.at(position)[0]
+        return self._view.cursor.at(position)
 
     # What can be done
 

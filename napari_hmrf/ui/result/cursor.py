@@ -1,22 +1,21 @@
-"""What is under the cursor, for the status bar and the dock."""
+"""What is under the cursor, for the status bar."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from napari.layers import Image
 
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_lookup import FoundResult, frame_in, place_at
+from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Points, Probe
 from napari_hmrf.study.layer_names import full_resolution
 from napari_hmrf.tissue.boundary_rules import Material
-from napari_hmrf.ui.result.looked_at import LookedAt
-from napari_hmrf.ui.result.result_messages import FULL, NO_TISSUE, at_point, stiffness_of, strain_of
+from napari_hmrf.ui.result.moving_layers import LookedAt
+from napari_hmrf.ui.result.result_messages import FULL, at_point, stiffness_of, strain_of
 
 
 class UnderCursor:
@@ -29,23 +28,10 @@ class UnderCursor:
     ----------
     viewer : napari.Viewer or ViewerModel
     shown : LookedAt
-    say : callable
-        Given each new line; "" when the cursor has left the image.
-    percent : callable
-        How much of the deformation was chosen to be seen.
     """
 
-    def __init__(
-        self,
-        viewer: Any,
-        shown: LookedAt,
-        say: Callable[[str], None],
-        percent: Callable[[], int],
-    ) -> None:
-        self._viewer = viewer
-        self._shown = shown
-        self._say = say
-        self._percent = percent
+    def __init__(self, viewer: Any, shown: LookedAt) -> None:
+        self._viewer, self._shown = viewer, shown
         self._points: Points | None = None
         self._tissue: Any = None
         self._place: Frame | None = None
@@ -59,44 +45,41 @@ class UnderCursor:
         self._viewer.events.status.disconnect(self._on_status)
 
     def watch(self, points: Points | None) -> None:
-        """Read the result that is looked at from now on, of which these are the points."""
-        self._points, result = points, self._shown.result
-        if result is not None:
-            self._ways = Directions.of(result.frame, self._viewer)
+        """Read the result that is looked at from now on, of which these are the points.
 
-    def stiffness_from(self, tissue: Any, result: FoundResult) -> None:
-        """Take the stiffness from labels and their table, or from an image; None for nowhere."""
-        self._tissue = tissue
-        self._place = None if tissue is None else frame_in(tissue, result)
-        rows = () if tissue is None else rows_of(tissue, TISSUE) or ()
-        self._materials = {material.label: material for material in rows}
+        Stiffness is that of labels and their table, or of an image; of neither there is none.
+        """
+        self._points, self._tissue, self._place = points, None, None
+        result, layers = self._shown.result, self._viewer.layers
+        if points is None or result is None:
+            return
+        self._ways = Directions.of(result.frame, self._viewer)
+        self._tissue = tissue = tissue_of(layers, result)
+        if tissue is not None:
+            self._place = frame_in(tissue, result)
+            self._materials = {row.label: row for row in rows_of(tissue, TISSUE) or ()}
 
-    def at(self, position: Any) -> tuple[Probe | None, str]:
-        """What happens to the tissue that is seen at a point of the world, and the line for it.
+    def at(self, position: Any) -> Probe | None:
+        """What happens to the tissue that is seen at a point of the world; None beside it.
 
         Parameters
         ----------
         position : sequence of float
             As of `viewer.cursor.position`.
-
-        Returns
-        -------
-        probe : Probe or None
-        line : str
-            "" beside the image.
         """
-        result, layers, points = self._shown.result, self._shown.layers, self._points
-        arrows = self._shown.layer("arrows")
-        if result is None or layers is None or points is None or arrows is None:
-            return None, ""
-        place = place_at(arrows, result, position, View.of(self._viewer.dims))
-        if place is None:
-            return None, ""
-        found = points.at(place, layers.percent / FULL)
-        if found is None:
-            return None, NO_TISSUE
+        shown, points, arrows = self._shown, self._points, self._shown.layer("arrows")
+        if shown.result is None or shown.layers is None or points is None or arrows is None:
+            return None
+        place = place_at(arrows, shown.result, position, View.of(self._viewer.dims))
+        return None if place is None else points.at(place, shown.layers.percent / FULL)
+
+    def line_at(self, position: Any) -> str:
+        """The same in words; "" beside tissue."""
+        found, result = self.at(position), self._shown.result
+        if found is None or result is None:
+            return ""
         more = self._strain(found), self._stiffness(found)
-        return found, at_point(result.unit, found, self._ways, more, self._percent())
+        return at_point(result.unit, found, self._ways, more, self._shown.percent)
 
     def _strain(self, found: Probe) -> str:
         overlay = self._shown.overlay
@@ -125,13 +108,9 @@ class UnderCursor:
             return  # our own addition, coming back
         # napari tells of its layers, too, before anybody has pointed at anything.
         pointed = self._viewer.mouse_over_canvas
-        line = self.at(self._viewer.cursor.position)[1] if pointed else ""
-        if line != self._line:
-            self._line = line
-            self._say(line)
-        if not line or line == NO_TISSUE:
-            return
-        joined = f"{said}  |  {line}" if said else line
-        self._viewer.status = (
-            {**status, "coordinates": joined} if isinstance(status, dict) else joined
-        )
+        self._line = line = self.line_at(self._viewer.cursor.position) if pointed else ""
+        if line:
+            joined = f"{said}  |  {line}" if said else line
+            self._viewer.status = (
+                {**status, "coordinates": joined} if isinstance(status, dict) else joined
+            )

@@ -12,7 +12,7 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.layers.animation import Moment, Motion
-from napari_hmrf.ui.result.errands import Errands
+from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.timers import repeating
 
 #: All of the deformation in one direction, in seconds.
@@ -37,6 +37,8 @@ class Player:
 
     Attributes
     ----------
+    percent : int
+        How much is shown, or will be.
     moved : Signal(int)
         Per cent that playing has come to.
     playing_changed : Signal(bool)
@@ -52,7 +54,7 @@ class Player:
         self._kept: OrderedDict[int, Moment] = OrderedDict()
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
-        self._wanted = 100
+        self.percent = 100
 
     @property
     def motion(self) -> Motion | None:
@@ -73,7 +75,7 @@ class Player:
         """Go back and forth until stopped, beginning where the slider is."""
         if self._motion is None or self.playing:
             return
-        self._started = time.monotonic() - SECONDS * self._wanted / 100
+        self._started = time.monotonic() - SECONDS * self.percent / 100
         self._timer.start()
         self.playing_changed.emit(True)
 
@@ -83,13 +85,9 @@ class Player:
             self._timer.stop()
             self.playing_changed.emit(False)
 
-    def expect(self, percent: int) -> None:
-        """Take for granted that this much is shown already."""
-        self._wanted = percent
-
     def show(self, percent: int) -> None:
         """Draw a moment, at once if it is kept, else as soon as it is computed."""
-        self._wanted = percent
+        self.percent = percent
         if self._motion is None:
             return
         kept = self._kept.get(percent)
@@ -116,7 +114,7 @@ class Player:
         part = along if along <= 1 else 2 - along
         step = self._step
         percent = min(100, round(100 * part / step) * step)
-        if percent != self._wanted:
+        if percent != self.percent:
             self.moved.emit(percent)
 
     @property

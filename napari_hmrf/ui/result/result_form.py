@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
 
 from napari_hmrf.ui.forms import Prose, narrow, row
-from napari_hmrf.ui.layer_choice import LayerChoice
-from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, POINT, overlay_choices
-
-Layers = Callable[[], list[Any]]
-Accept = Callable[[Any], bool]
+from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
 #: What is held to see the image as it was.
 BEFORE_KEY = "Shift-B"
@@ -20,23 +15,9 @@ PLAY, PAUSE = "Play", "Pause"
 
 
 class ResultForm(Container):
-    """How much of the deformation is seen, and what of it is drawn.
+    """How much of the deformation is seen, and what of it is drawn."""
 
-    Parameters
-    ----------
-    layers : callable
-        The viewer's layers, lowest first.
-    is_result : callable
-        Whether a layer holds a result.
-    """
-
-    def __init__(self, layers: Layers, is_result: Accept) -> None:
-        self.result = LayerChoice(
-            layers,
-            is_result,
-            "result",
-            "The layer of arrows that holds it: of another image, another slice or a file",
-        )
+    def __init__(self) -> None:
         self.slider = Slider(
             value=100,
             max=100,
@@ -60,12 +41,6 @@ class ResultForm(Container):
             tooltip="From where tissue was to where it is; napari has their length, width and "
             "colour among the controls of their layer",
         )
-        self.point = Prose()
-        self.point.native.setToolTip(
-            "The tissue that is seen under the cursor, also in the status bar: its displacement in "
-            "the unit of the image, its change of area, the stiffness painted in the tissue layer"
-        )
-        self.point.say(POINT)
         self.save = PushButton(
             text="Save pictures ...",
             tooltip="PNG files, in a new folder: figures of displacement, before and after, grid, "
@@ -74,13 +49,11 @@ class ResultForm(Container):
         )
         super().__init__(
             widgets=[
-                Container(widgets=[self.result]),
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
                 Container(widgets=[self.overlay]),
                 self.arrows,
-                self.point,
                 self.save,
             ],
             labels=False,

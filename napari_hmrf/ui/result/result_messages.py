@@ -21,8 +21,6 @@ NO_IMAGE = (
     "There is no image on the pixels of this result, so none can be moved. Open the image it was "
     "made from; arrows, and what 'show' offers, are here all the same."
 )
-POINT = "Point at the tissue to read its displacement, area change and stiffness."
-NO_TISSUE = "No tissue here."
 NOTHING: str = "nothing"
 SAVING = "Saving pictures ..."
 FULL = 100

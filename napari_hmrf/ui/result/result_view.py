@@ -21,18 +21,15 @@ from napari_hmrf.layers.result_lookup import (
     result_of,
     slices_apart,
     source_of,
-    tissue_of,
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Points
 from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.ui.event_wait import Listening
-from napari_hmrf.ui.result.arrow_choices import ArrowChoices
+from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.cursor import UnderCursor
-from napari_hmrf.ui.result.errands import Errands
-from napari_hmrf.ui.result.looked_at import LookedAt
-from napari_hmrf.ui.result.moving_layers import MovingLayers
+from napari_hmrf.ui.result.moving_layers import LookedAt, MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_messages import (
@@ -42,13 +39,11 @@ from napari_hmrf.ui.result.result_messages import (
     NO_IMAGE,
     NO_RESULT,
     NOTHING,
-    POINT,
     SAVING,
     how_far,
     overlay_choices,
     saved,
 )
-from napari_hmrf.ui.result.result_work import figures_of
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
 
@@ -64,6 +59,11 @@ class ResultView:
     form : ResultForm
     results : ResultLayers
         Of the viewer.
+
+    Attributes
+    ----------
+    arrows : napari.layers.Vectors or None
+        Which hold the result that is looked at: the newest, or those that are selected.
     """
 
     #: What there is to say.
@@ -71,32 +71,19 @@ class ResultView:
     #: Pictures are written: a list of `Path`.
     saved = Signal(object)
 
-    def __init__(
-        self,
-        native: Any,
-        viewer: Any,
-        form: ResultForm,
-        results: ResultLayers,
-    ) -> None:
-        self._native, self._viewer, self._form = native, viewer, form
-        self._errands = Errands(native, self._refuse)
-        self._results = results
+    def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
+        self._native, self._viewer, self._form, self._results = native, viewer, form, results
+        self._errands = Errands(self._refuse)
         self.shown = LookedAt()
-        self.cursor = UnderCursor(
-            viewer,
-            self.shown,
-            lambda line: form.point.say(line or POINT),
-            lambda: int(form.slider.value),
-        )
-        self._arrows = ArrowChoices(form, self.shown)
-        self._moving = MovingLayers(native, self.shown, self._arrows, self._refuse)
+        self.cursor = UnderCursor(viewer, self.shown)
+        self._moving = MovingLayers(native, self.shown, self._refuse)
         self.player = Player(native, self._errands, self._moving.draw)
         self._longest = 0.0
-        self._followed: Any = None
+        self._arrows: Any = None
         self._heard = Listening()
-        form.result.changed.connect(lambda _: self._take(chosen=True))
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(lambda _: self._lay_over(chosen=True))
+        form.arrows.changed.connect(self._on_ticked)
         form.play.changed.connect(self._on_play)
         form.save.changed.connect(self._on_save)
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
@@ -108,15 +95,16 @@ class ResultView:
         self._events = Listening(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
-            (viewer.layers.events.renamed, self._on_layers),
-            (viewer.dims.events.current_step, self._say_where),
-            (viewer.dims.events.order, self._say_where),
+            (viewer.layers.selection.events.active, self._on_active),
+            (viewer.dims.events.current_step, self._say_how_far),
+            (viewer.dims.events.order, self._say_how_far),
             (results.changed, self._on_changed),
         )
         if not any(key == _BEFORE for key in getattr(viewer, "keymap", {})):
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
-        self._choose(seen=True)
-        self._take()
+        found = [layer for layer in viewer.layers if result_of(layer) is not None]
+        seen = [layer for layer in found if results.of(layer).visible]
+        self._look_at(next(reversed(seen or found), None))
 
     # What there is
 
@@ -139,13 +127,13 @@ class ResultView:
             layers.release()
 
     @property
-    def _outdated(self) -> bool:
-        """Whether the layer holds another result by now."""
-        arrows, result = self.shown.layer("arrows"), self.shown.result
-        now = None if arrows is None else result_of(arrows)
-        return (None if now is None else now.solution) is not (
-            None if result is None else result.solution
-        )
+    def arrows(self) -> Any:
+        """Which hold the result that is looked at."""
+        return self._arrows
+
+    @arrows.setter
+    def arrows(self, arrows: Any) -> None:
+        self._look_at(arrows)
 
     # What can be done
 
@@ -166,7 +154,7 @@ class ResultView:
             return
         image = None if self.player.motion is None else self.player.motion.image
         self.said.emit(SAVING)
-        work = partial(figures_of, result, image, folder, own_folder)
+        work = partial(_figures_of, result, image, folder, own_folder)
         self._errands.send("pictures", work, self._on_saved)
 
     def rest(self) -> None:
@@ -177,53 +165,37 @@ class ResultView:
 
     def release(self) -> None:
         """Listen no more."""
-        self._follow(None)
+        self._heard.release()
         self._events.release()
-        self._errands.forget()
+        self._errands.release()
         self.cursor.release()
 
     # Which result is looked at
 
-    def _choose(self, seen: bool = False) -> None:
-        """Choose the newest result, or the newest of those that are seen."""
-        offered = self._form.result.offered
-        if seen:
-            offered = [each for each in offered if self._results.of(each).visible] or offered
-        if offered and offered[-1] is not self._form.result.value:
-            with self._form.result.changed.blocked():
-                self._form.result.value = offered[-1]
-            self._take()
-
-    def _take(self, chosen: bool = False) -> None:
-        """Look at the result that is chosen, as it is now; `chosen`: somebody wants to see it."""
-        form, shown, arrows = self._form, self.shown, self._form.result.value
-        gone = self._followed
-        lost = arrows is None and gone is not None and gone not in self._viewer.layers
-        lost = lost and not (shown.layers is not None and shown.layers.leaving)
-        if lost and shown.result is not None and shown.source in self._viewer.layers:
-            self.said.emit(LOST.format(layer=gone.name))
-        layers = None if arrows is None else self._results.of(arrows)
-        other = layers is not shown.layers
+    def _look_at(self, arrows: Any) -> None:
+        """Look at the result that a layer of arrows holds, as it is now; None: at none."""
+        form, shown = self._form, self.shown
         self._put_back()
+        result = None if arrows is None else result_of(arrows)
+        layers = None if result is None else self._results.of(arrows)
+        other = layers is not shown.layers
         if other and shown.layers is not None:
             shown.layers.leave()
+        shown.layers, shown.result, shown.overlay = layers, result, None
+        self._arrows = None if result is None else arrows
+        self._heard.release()
         self.cursor.watch(None)
-        result = None if arrows is None else result_of(arrows)
-        shown.layers, shown.result = (None if result is None else layers), result
-        shown.overlay = None
-        form.result.visible = len(form.result.offered) > 1
         for part in form.of_result:
             part.enabled = result is not None
         if result is None or layers is None:
             self.player.motion = None
             form.how_far.say("")
-            form.point.say(POINT)
-        else:
-            self._show_result(result, layers, other, chosen)
-            self._errands.send("points", partial(Points, result.solution), self.cursor.watch)
-        self._follow(arrows)
+            return
+        self._heard = Listening((arrows.events.visible, self._on_eye))
+        self._show_result(result, layers, other)
+        self._errands.send("points", partial(Points, result.solution), self.cursor.watch)
 
-    def _show_result(self, result: FoundResult, layers: Result, other: bool, chosen: bool) -> None:
+    def _show_result(self, result: FoundResult, layers: Result, other: bool) -> None:
         """Let the form say what the layers are, and the layers what it says."""
         form = self._form
         self.shown.source = source_of(self._viewer.layers, result)
@@ -236,34 +208,33 @@ class ResultView:
             form.overlay.choices = overlay_choices(result.unit, ways)
             form.overlay.value = name
         self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
-        if chosen:
-            layers.release()
         self._on_eye()
-        self._say_where()
+        self._say_how_far()
         self.player.motion = self._moving.motion()
-        self.cursor.stiffness_from(tissue_of(self._viewer.layers, result), result)
         if form.overlay.value != NOTHING:
             self._lay_over(chosen=other)
 
-    def _follow(self, arrows: Any) -> None:
-        """Hear of the eye of the arrows that are looked at, and of no others."""
-        if arrows is not self._followed:
-            self._heard.release()
-            self._followed = arrows
-            eyes = [] if arrows is None else [(arrows.events.visible, self._on_eye)]
-            self._heard = Listening(*eyes)
-
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
+        arrows = result.layer("arrows")
         if result is not self.shown.layers:
-            if (arrows := result.layer("arrows")) is not None and arrows.visible:
-                with self._form.result.changed.blocked():
-                    self._form.result.value = arrows
-                self._take()
-        elif not result.moving and self._outdated:
-            self._take()
+            if arrows is not None and arrows.visible:
+                self._look_at(arrows)
+        elif not result.moving and self._is_other(arrows):
+            self._look_at(arrows)
         else:
             self._interrupt()
+
+    def _is_other(self, arrows: Any) -> bool:
+        """Whether arrows hold another result by now than the one that is looked at."""
+        now, before = None if arrows is None else result_of(arrows), self.shown.result
+        return now is None or before is None or now.solution is not before.solution
+
+    def _on_active(self, *_: Any) -> None:
+        """Look at another result that is selected: of another image, slice or file."""
+        active = self._viewer.layers.selection.active
+        if active not in (None, self._arrows) and result_of(active) is not None:
+            self._look_at(active)
 
     def _on_eye(self, *_: Any) -> None:
         """Let the box say whether arrows are seen, whoever has hidden or shown them."""
@@ -272,24 +243,32 @@ class ResultView:
             with self._form.arrows.changed.blocked():
                 self._form.arrows.value = layers.wants("arrows")
 
+    def _on_ticked(self, drawn: bool) -> None:
+        arrows, layers = self.shown.layer("arrows"), self.shown.layers
+        if arrows is not None and drawn:
+            arrows.visible = True
+        elif layers is not None:
+            layers.hide("arrows")
+
     def _on_inserted(self, event: Any) -> None:
         result, source = self.shown.result, self.shown.source
         if result_of(event.value) is not None:
-            self._form.result.reset_choices()
-            self._choose()
-        elif source not in self._viewer.layers and _may_move(event.value, result):
-            self._take()
-        self._on_layers()
+            self._look_at(event.value)
+        elif result is None or source in self._viewer.layers:
+            return
+        elif can_be_source(event.value, result):  # of a file, or opened again
+            self._look_at(self._arrows)
 
     def _on_removed(self, event: Any) -> None:
         layers = self.shown.layers
-        if layers is not None and not layers.leaving and layers.part_of(event.value) == "overlay":
+        if layers is None:
+            return
+        if event.value is self._arrows:
+            if self.shown.source in self._viewer.layers and not layers.leaving:
+                self.said.emit(LOST.format(layer=event.value.name))
+            self._look_at(None)
+        elif not layers.leaving and layers.part_of(event.value) == "overlay":
             self._form.overlay.value = NOTHING
-        self._on_layers()
-
-    def _on_layers(self, *_: Any) -> None:
-        self._form.result.reset_choices()
-        self._form.result.visible = len(self._form.result.offered) > 1
 
     # What lies over the image
 
@@ -335,14 +314,8 @@ class ResultView:
         """Have a layer that can be moved; whether there is one."""
         return self.player.motion is not None and self._moving.ready(self.player.motion)
 
-    def _go(self, percent: int) -> None:
-        """Show so much of the deformation."""
-        self._say_how_far(percent)
-        self.player.show(percent)
-
     def _put_back(self) -> None:
         """Leave the layers as they were before they were moved."""
-        self.player.stop()
         self._errands.forget()
         if self.shown.layers is not None:
             self.shown.layers.release()
@@ -353,31 +326,28 @@ class ResultView:
         """What was moved is all there again, by another's doing."""
         moving = self.player.playing or self._errands.busy("moment")
         if moving or self._form.slider.value != FULL:
-            self.player.stop()
-            self._errands.forget("moment")
             self._draw_whole()
 
     def _draw_whole(self) -> None:
-        """Arrows of the whole deformation, and no lines of what was seen before."""
+        """Arrows of the whole deformation, and nothing of what was seen before."""
+        self.player.stop()
+        self._errands.forget("moment")
         self._moving.draw_whole()
+        self.player.percent = FULL
         self._set_slider(FULL)
 
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():
             self._form.slider.value = percent
-        self.player.expect(percent)
-        self._say_how_far(percent)
+        self._say_how_far()
 
-    def _say_where(self, *_: Any) -> None:
-        """Say whether it is the slice of the result that is shown."""
-        self._say_how_far(self._form.slider.value)
-
-    def _say_how_far(self, percent: int) -> None:
-        result, view = self.shown.result, View.of(self._viewer.dims)
-        arrows = self.shown.layer("arrows")
-        if result is not None:
-            apart = None if arrows is None else slices_apart(arrows, result, view)
-            self._form.how_far.say(how_far(result, self._longest, percent, apart))
+    def _say_how_far(self, *_: Any) -> None:
+        """Say how much is seen, and whether it is the slice of the result that is shown."""
+        shown, view = self.shown, View.of(self._viewer.dims)
+        shown.percent, arrows = self._form.slider.value, shown.layer("arrows")
+        if shown.result is not None:
+            apart = None if arrows is None else slices_apart(arrows, shown.result, view)
+            self._form.how_far.say(how_far(shown.result, self._longest, shown.percent, apart))
 
     # What is pressed
 
@@ -385,14 +355,13 @@ class ResultView:
         if self.shown.result is not None:
             self.player.stop()
             if self._ready_to_move():
-                self._go(percent)
+                self._on_moved(percent)
             else:
                 self.said.emit(NO_IMAGE)
 
     def _on_moved(self, percent: int) -> None:
-        with self._form.slider.changed.blocked():
-            self._form.slider.value = percent
-        self._go(percent)
+        self._set_slider(percent)
+        self.player.show(percent)
 
     def _on_play(self, *_: Any) -> None:
         if self.player.playing:
@@ -419,6 +388,24 @@ class ResultView:
         self.said.emit(str(error) or type(error).__name__)
 
 
-def _may_move(layer: Any, result: FoundResult | None) -> bool:
-    """Whether a layer may be the image that a result was made from: of a file, or opened again."""
-    return result is not None and can_be_source(layer, result)
+def _figures_of(result: FoundResult, image: Any, folder: Path, own_folder: bool) -> list[Path]:
+    """Write the figures of a result into a folder, or into a new one there."""
+    from napari_hmrf.io.figures import save_result_pictures
+
+    if own_folder:
+        folder = _new_folder(folder, f"{result.source or 'result'} pictures")
+    return save_result_pictures(folder, result.solution, image, result.unit)
+
+
+def _new_folder(parent: Path, name: str) -> Path:
+    """Make a folder of a name that is not taken, so that no file is replaced."""
+    kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
+    folder, number = parent / kept, 1
+    while True:
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            folder = parent / f"{kept} {number}"
+        else:
+            return folder

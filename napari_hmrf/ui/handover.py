@@ -1,0 +1,183 @@
+"""What the compute thread finds, handed over to the window's thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Any
+
+from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
+
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.ui.timers import single_shot
+
+_log = logging.getLogger("napari_hmrf")
+_Work = Callable[[], Any]
+_Answer = Callable[[Any], None]
+# What those who wait for an errand are told.
+_DOING = "what shows a result in 'Soft tissue', which takes a moment; closing that dock ends them"
+
+
+class Newest(QObject):
+    """What is put here from any thread is answered on the window's, and what is replaced never.
+
+    It has no parent, as that would end it while another thread puts something in.
+
+    Parameters
+    ----------
+    answer : callable
+        Called on the thread this was made on, by its event loop.
+    """
+
+    _came = Signal()
+
+    def __init__(self, answer: Callable[[Any], None]) -> None:
+        super().__init__()
+        self._answer = answer
+        self._lock = threading.Lock()
+        self._waiting: list[Any] = []
+        self._released = False
+        self._came.connect(self._on_came, Qt.ConnectionType.QueuedConnection)
+
+    def put(self, value: Any) -> None:
+        """Have this answered instead of what waits; returns at once."""
+        with self._lock:
+            if self._released:
+                return
+            told = bool(self._waiting)
+            self._waiting = [value]
+            if not told:
+                self._came.emit()
+
+    @property
+    def waits(self) -> bool:
+        """Whether something is not answered yet."""
+        return bool(self._waiting)
+
+    def forget(self) -> None:
+        """Drop what waits."""
+        with self._lock:
+            # Whoever was told finds nothing.
+            self._waiting = []
+
+    def release(self) -> None:
+        """Answer nothing any more; what is put from now on is dropped."""
+        with self._lock:
+            self._released, self._waiting = True, []
+        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+            self.deleteLater()
+
+    def _on_came(self) -> None:
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        if waiting and not self._released:
+            self._answer(waiting[0])
+
+
+class Errands:
+    """Small work on the compute thread; of those of a kind that wait, only the newest is ever run.
+
+    Work must hold copies only, and nothing of Qt's: whoever sent it may be gone when it ends.
+
+    Parameters
+    ----------
+    refused : callable
+        Given the error of work that raised one.
+    """
+
+    def __init__(self, refused: Callable[[Exception], None]) -> None:
+        self._refused = refused
+        self._waiting: dict[str, tuple[_Work, _Answer]] = {}
+        self._under_way: dict[str, tuple[Future[Any], _Answer]] = {}
+        self._ended = Newest(self._on_ended)
+
+    def send(self, kind: str, work: _Work, answer: _Answer) -> None:
+        """Have work done; `answer` is called with what it returns, unless newer work replaces it.
+
+        What is being computed already is shown, too, so that something moves while one drags.
+        """
+        self._waiting[kind] = work, answer
+        self._submit(kind)
+
+    def busy(self, kind: str | None = None) -> bool:
+        """Whether an errand of a kind, or any, is not answered yet."""
+        kinds = self._waiting.keys() | self._under_way.keys()
+        return bool(kinds) if kind is None else kind in kinds
+
+    def forget(self, kind: str | None = None) -> None:
+        """Answer nothing of a kind, or of all, that was sent."""
+        for each in [kind] if kind is not None else [*self._waiting, *self._under_way]:
+            self._waiting.pop(each, None)
+            if each in self._under_way:
+                self._under_way.pop(each)[0].cancel()
+
+    def release(self) -> None:
+        """Answer nothing any more."""
+        self.forget()
+        self._ended.release()
+
+    def _submit(self, kind: str) -> None:
+        if kind in self._waiting and kind not in self._under_way:
+            work, answer = self._waiting.pop(kind)
+            future = compute_thread.submit(work, _DOING)
+            self._under_way[kind] = future, answer
+            future.add_done_callback(self._ended.put)
+
+    def _on_ended(self, _: Future[Any]) -> None:
+        """Answer all that has ended: of what was put meanwhile only the newest is told."""
+        ended = [kind for kind, (future, _) in self._under_way.items() if future.done()]
+        for kind in ended:
+            if kind not in self._under_way:
+                continue  # an answer may have had others forgotten
+            future, answer = self._under_way.pop(kind)
+            try:
+                found = future.result(timeout=0)
+            except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
+                _log.debug("%s failed", kind, exc_info=True)
+                self._refused(error)
+            else:
+                answer(found)
+            self._submit(kind)
+
+
+class Repainted(QObject):
+    """Tells, once asked, when the window has painted and has heard of the mouse since.
+
+    Qt posts itself a request to paint, of low priority: what is posted with a lower one comes after
+    it. What the mouse has done meanwhile is heard next, and then timers without a delay ring.
+
+    Parameters
+    ----------
+    answer : callable
+        Called on the thread this was made on, by its event loop.
+    """
+
+    _KIND = QEvent.Type(QEvent.registerEventType())
+    _PRIORITY = int(getattr(Qt.EventPriority.LowEventPriority, "value", -1)) - 1
+
+    def __init__(self, answer: Callable[[], None]) -> None:
+        super().__init__()
+        self._timer = single_shot(self, 0, answer)
+        self._released = False
+
+    def ask(self) -> None:
+        """Have the answer called after the next painting."""
+        QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
+
+    def event(self, event: QEvent | None) -> bool:
+        """What was asked for has been painted."""
+        if event is not None and event.type() == self._KIND:
+            if not self._released:
+                self._timer.start()
+            return True
+        return bool(super().event(event))
+
+    def release(self) -> None:
+        """Tell nothing any more."""
+        self._released = True
+        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+            self._timer.stop()
+            self.deleteLater()
