@@ -251,8 +251,8 @@ def test_tissue_follows_the_table_of_what_moves_at_once(deform, viewer, small_sa
     wait_for(lambda: dock.solution is not None and not dock.busy)
     pushed = viewer.layers["Boundary"].data == 2
     assert np.abs(dock.solution.displacement[pushed] - (0, 3)).max() < 1e-3
-    screen.cell("2", "row").write("2")
-    screen.cell("2", "col").write("0")
+    screen.cell("2", "down").write("2")
+    screen.cell("2", "right").write("0")
     wait_for(lambda: not dock.busy)
     assert np.abs(dock.solution.displacement[pushed] - (2, 0)).max() < 1e-3
 
