@@ -12,9 +12,8 @@ from qtpy.QtWidgets import QApplication
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import is_drawn
 from napari_hmrf.layers.edit_history import CURVE, POINTS, Owner, Slot, ViewerSteps
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, change
 from napari_hmrf.layers.points_state import placed_in
-from napari_hmrf.layers.table_state import Table, change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
