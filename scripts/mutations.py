@@ -63,7 +63,7 @@ MUTATIONS = (
     ),
     Mutation(
         "study/study.py",
-        "and self.tissue.same_as(other.tissue)",
+        "and _same_parts(self.tissue, other.tissue)",
         "and True",
         "test_layers_inputs.py",
     ),
@@ -117,7 +117,7 @@ MUTATIONS = (
         "test_landmark_boundary.py",
     ),
     Mutation(
-        "layers/observed_arrows.py",
+        "layers/read.py",
         "at = np.rint(arrows[:, 0]).astype(int)",
         "at = np.ceil(arrows[:, 0]).astype(int)",
         "test_layers_inputs.py",
@@ -129,7 +129,7 @@ MUTATIONS = (
         "test_directions.py",
     ),
     Mutation(
-        "layers/layer_copies.py",
+        "layers/pixel_copy.py",
         "found = next((each for each in known if _same(each, now)), now)",
         "found = now",
         "test_layers_inputs.py test_pull.py",

@@ -154,7 +154,7 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
 def test_stiffness_has_a_unit_only_where_one_is_known(deform, viewer):
     dock, screen = deform
     viewer.add_image(np.full((30, 40), 200, np.uint8), name="MR")
-    screen.press("Make layers to paint on")
+    screen.press("Layers to paint on")
     table = dock.native.findChildren(QTableView)[0]
     assert head(table, 2) == "Relative\nstiffness", "the paper's 20, 10 and 40 are ratios"
     dock.take_materials(next(each for each in PRESETS if each.unit == "kPa"))

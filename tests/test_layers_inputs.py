@@ -11,7 +11,7 @@ from napari.layers import Image, Labels, Vectors
 from study_reader import read_layers
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.layer_copies import LayerCopies
+from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View

@@ -573,7 +573,7 @@ def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(open_window, set
     person.drag((24, 30), (28, 36))
     settle(dock)
     before = dock.solution
-    Screen(dock).press("Make layers")
+    Screen(dock).press("Layers to paint on")
     settle(dock)
     assert dock.tissue is person.viewer.layers["Tissue"]
     assert np.array_equal(dock.solution.tissue, before.tissue)

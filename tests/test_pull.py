@@ -11,8 +11,8 @@ from study_reader import read_ground
 from napari_hmrf import Multigrid, ProblemError, solve
 from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
-from napari_hmrf.layers.layer_copies import LayerCopies
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.study.study_model import History

@@ -21,8 +21,8 @@ from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.contributions import open_solution
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.overlay import quantity_layer
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.strain_layers import quantity_layer
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule

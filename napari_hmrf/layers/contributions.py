@@ -79,13 +79,13 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     from pathlib import Path
 
     from napari_hmrf.errors import FileFormatError
-    from napari_hmrf.layers.result_layers import RESTORED, result_layers
+    from napari_hmrf.layers.result_layers import result_layers
     from napari_hmrf.solver.solution import Solution
 
     layers: list[LayerData] = []
     for each in [path] if isinstance(path, str) else path:
         try:
-            outputs = result_layers(Solution.load(each), kinds=RESTORED)
+            outputs = result_layers(Solution.load(each))
         except ValueError as error:
             if isinstance(error, FileFormatError):
                 raise

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import weakref
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.compat import unwrapped
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
+from napari_hmrf.layers.compat import paint_steps, unwrapped
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.table_state import Table
-from napari_hmrf.layers.undo_keys import UndoKeys
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.study.study_model import Step, StudyModel
 
+#: Keys, and what they do.
+KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
 #: What a slot with a drawing is called; those with tables are called by the role of their layer.
 DRAWING = "drawing"
 #: And that with the curve by which an image's intensity says how stiff tissue is.
@@ -108,15 +110,12 @@ class ViewerSteps:
     @property
     def undo_tooltip(self) -> str:
         """What `undo` would do, for its button; it ends with the key."""
-        step = self.edits.next_undo
-        return "Nothing to take back (Ctrl+Z)" if step is None else self._tip("Take back", step)
+        return f"{self._tip('take back', self.edits.next_undo)} (Ctrl+Z)"
 
     @property
     def redo_tooltip(self) -> str:
         """What `redo` would do, for its button; it ends with the key."""
-        step = self.edits.next_redo
-        nothing = "Nothing to do again (Ctrl+Shift+Z)"
-        return nothing if step is None else self._tip("Do again", step, "Ctrl+Shift+Z")
+        return f"{self._tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: Owner) -> None:
         """Undo and redo by keys, beside napari's for paint, wherever no layer has others for them.
@@ -128,10 +127,8 @@ class ViewerSteps:
         """
         viewer = self._viewer()
         self._owners.add(owner)
-        if viewer is None or self._keys is not None:
-            return
-        go = {"undo": self.undo, "redo": self.redo}
-        self._keys = UndoKeys(viewer, self.edits, go)
+        if viewer is not None and self._keys is None:
+            self._keys = UndoKeys(viewer, self)
 
     def unbind_keys(self, owner: Owner) -> None:
         """Leave the viewer's keys alone, unless somebody else still wants them."""
@@ -154,9 +151,11 @@ class ViewerSteps:
     def _interrupted(self) -> bool:
         return any(owner.interrupt() for owner in tuple(self._owners))
 
-    def _tip(self, what: str, step: Step, key: str = "Ctrl+Z") -> str:
+    def _tip(self, what: str, step: Step | None) -> str:
+        if step is None:
+            return f"Nothing to {what}"
         where = self.where(step.slot)
-        return f"{what}: {step.word}{f' (in {where})' if where else ''} ({key})"
+        return f"{what.capitalize()}: {step.word}{f' (in {where})' if where else ''}"
 
     def _tell(self, what: str, step: Step | None, nothing: str) -> None:
         if step is None:
@@ -173,16 +172,12 @@ class ViewerSteps:
             return
         plane, index = slot.place.plane, slot.place.index
         dims, layer = viewer.dims, slot.layer
-        try:
-            view = View.of(dims)
-            missing = dims.ndim - layer.ndim
-            if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
+        view, missing = View.of(dims), dims.ndim - layer.ndim
+        if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
+            return
+        with suppress(HmrfError):  # the slice shown may lie beyond the layer
+            if Frame.of(layer, view).index == index:
                 return
-            shown = _index_shown(layer, view)
-        except (HmrfError, ValueError):
-            return
-        if shown == index:
-            return
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
         there = there / view.factors(layer)
         for axis in range(layer.ndim):
@@ -204,9 +199,88 @@ def steps_of(viewer: Any) -> ViewerSteps:
     return shared(unwrapped(viewer), ViewerSteps)
 
 
-def _index_shown(layer: Any, view: View) -> tuple[int, ...]:
-    """Where the slice that is shown lies; nowhere, beyond the ends of the layer."""
-    try:
-        return Frame.of(layer, view).index
-    except HmrfError:
-        return ()
+class UndoKeys:
+    """Have what was done last taken back, by the same keys for paint and for all else.
+
+    napari binds them to paint wherever a Labels layer is the active one. There they take back
+    paint unless an edit of ours came after it, or no paint is left.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    steps : ViewerSteps
+        Ours.
+    """
+
+    def __init__(self, viewer: Any, steps: ViewerSteps) -> None:
+        self._steps, self._edits = steps, steps.edits
+        self._bound: list[tuple[Any, str]] = []
+        self._layer: weakref.ref[Any] | None = None
+        #: Whether what was done last was an edit of ours.
+        self._ours = False
+        for key, name in KEYS.items():
+            self._bind(viewer, key, name)
+        self._edits.moved.connect(self._on_moved)
+        self._viewer = weakref.ref(viewer)
+        viewer.layers.selection.events.active.connect(self._on_active)
+        self._on_active()
+
+    def release(self) -> None:
+        """Leave all keys as they were."""
+        self._leave()
+        self._edits.moved.disconnect(self._on_moved)
+        viewer = self._viewer()
+        if viewer is not None:
+            viewer.layers.selection.events.active.disconnect(self._on_active)
+        for owner, key in self._bound:
+            owner.bind_key(key, None)
+        self._bound.clear()
+
+    def _bind(self, owner: Any, key: str, name: str) -> None:
+        def answer(owner: Any) -> None:
+            self._choose(owner, name)
+
+        try:
+            owner.bind_key(key, answer)
+        except ValueError:  # somebody else's
+            return
+        self._bound.append((owner, key))
+
+    def _on_active(self, *_: Any) -> None:
+        viewer = self._viewer()
+        active = None if viewer is None else viewer.layers.selection.active
+        self._leave()
+        # Without its history napari keeps the keys, and all is as it is without us.
+        if not isinstance(active, Labels) or paint_steps(active, "undo") is None:
+            return
+        self._layer = weakref.ref(active)
+        active.events.paint.connect(self._on_paint)
+        for key, name in KEYS.items():
+            self._bind(active, key, name)
+
+    def _leave(self) -> None:
+        """Let go of the layer that was the active one."""
+        layer, self._layer = None if self._layer is None else self._layer(), None
+        if layer is None:
+            return
+        layer.events.paint.disconnect(self._on_paint)
+        for owner, key in self._bound:
+            if owner is layer:
+                layer.bind_key(key, None)
+        self._bound = [each for each in self._bound if each[0] is not layer]
+
+    def _choose(self, owner: Any, name: str) -> None:
+        """Take back, or do again, what is ours, or a layer's paint."""
+        step = self._edits.next_undo
+        later = name == "undo" and self._ours and step is not None
+        if paint_steps(owner, name) and not later:
+            getattr(owner, name)()
+        else:
+            getattr(self._steps, name)()
+
+    def _on_moved(self) -> None:
+        # Something new leaves nothing to be done again.
+        self._ours = self._edits.next_undo is not None and self._edits.next_redo is None
+
+    def _on_paint(self, *_: Any) -> None:
+        self._ours = False

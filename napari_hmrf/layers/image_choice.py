@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,39 +50,30 @@ def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> l
     return [layer for layer in painted if fits(layer, image, view)]
 
 
-def image_covering(viewer: Any, image: Any) -> Any:
-    """Find the topmost image that hides all of another one, as far as is plain; else None.
+def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = ()) -> Any:
+    """Find the topmost image that hides places of another one; else None.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     image : napari.layers.Image
         In the viewer.
+    places : iterable of sequence of float
+        In the world, that must all be hidden; by default the corners of the image.
     """
-    displayed = [axis - viewer.dims.ndim for axis in viewer.dims.displayed]
-    return next(
-        (layer for layer in _opaque_above(viewer, image) if _covers(layer, image, displayed)), None
-    )
+    there, layers = tuple(places) or _corners(viewer, image), list(viewer.layers)
+    above = filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
+    return next((layer for layer in above if all(_holds(layer, at) for at in there)), None)
 
 
-def image_covering_at(viewer: Any, image: Any, place: Sequence[float]) -> Any:
-    """Find the topmost image that hides a place of another one; else None.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or ViewerModel
-    image : napari.layers.Image
-        In the viewer.
-    place : sequence of float
-        In the world.
-    """
-    return next((layer for layer in _opaque_above(viewer, image) if _holds(layer, place)), None)
-
-
-def _opaque_above(viewer: Any, image: Any) -> Iterator[Any]:
-    """The images that hide what lies beneath, of those above another; topmost first."""
-    layers = list(viewer.layers)
-    return filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
+def _corners(viewer: Any, image: Any) -> list[list[float]]:
+    """The corners of an image as a viewer shows it, in the world."""
+    extent, missing = image.extent.world, viewer.dims.ndim - image.ndim
+    found = [list(viewer.dims.point)]
+    for axis in viewer.dims.displayed:
+        ends = extent[:, axis - missing] if axis >= missing else viewer.dims.range[axis][:2]
+        found = [[*at[:axis], float(end), *at[axis + 1 :]] for at in found for end in ends]
+    return found
 
 
 def _is_opaque(layer: Any) -> bool:
@@ -99,15 +90,3 @@ def _holds(layer: Any, place: Sequence[float]) -> bool:
     pixel = np.rint(layer.world_to_data(place[len(place) - layer.ndim :]))
     extents = np.array(full_resolution(layer).shape[: layer.ndim])
     return bool(((pixel >= 0) & (pixel < extents)).all())
-
-
-def _covers(layer: Any, image: Any, displayed: list[int]) -> bool:
-    """Whether one layer's extent holds the other's; of layers that lie askew that is not known."""
-    if max(-axis for axis in displayed) > min(layer.ndim, image.ndim):
-        return False
-    linear = np.asarray(layer.affine.linear_matrix)
-    askew = np.any(layer.rotate != np.eye(layer.ndim)) or np.any(layer.shear)
-    if askew or np.any(linear != np.diag(np.diag(linear))):
-        return False
-    upper, lower = (np.asarray(each.extent.world)[:, displayed] for each in (layer, image))
-    return bool((upper[0] <= lower[0]).all() and (upper[1] >= lower[1]).all())

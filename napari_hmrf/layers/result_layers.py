@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
@@ -20,7 +20,6 @@ from napari_hmrf.field.deformation import (
 )
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.warp import inverse_map_and_overlaps
-from napari_hmrf.layers.arrow_thinning import apart
 from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
 from napari_hmrf.layers.label_colours import (
     OBSERVED,
@@ -39,9 +38,8 @@ Kind = Literal["image", "labels", "stiffness", "confidence", "folds", "observed"
 #: The layers there can be, in the order they are stacked, lowest first. What was given, m, y and c
 #: of the problem, lies where tissue was before it moved.
 KINDS: tuple[Kind, ...] = get_args(Kind)
-
-#: What a file of a solution alone can show.
-RESTORED: tuple[Kind, ...] = ("arrows",)
+#: Of these, what was given.
+_GIVEN = ("stiffness", "confidence", "observed")
 
 #: Arrows enough to see the motion, few enough to see the image and each of them.
 ARROWS = 250
@@ -140,7 +138,8 @@ def result_layers(
     layers: dict[Kind, LayerData] = {}
     for kind in KINDS:
         checkpoint()
-        if kind in kinds and (made := getattr(maker, kind)()) is not None:
+        known = problem is not None or kind not in _GIVEN
+        if known and kind in kinds and (made := getattr(maker, kind)()) is not None:
             layers[kind] = made
     return Outputs(solution, layers, int(folded.sum()), overlaps, worst)
 
@@ -178,14 +177,7 @@ def picture_layer(
     facts : mapping, optional
         What the layer is to know of its result; by default where it comes from.
     """
-    known = {
-        "source": pictures.name,
-        "slice": frame.slice_name,
-        "slice_seen": frame.slice_seen,
-        "unit": frame.unit,
-        **(facts or {}),
-        "kind": "image",
-    }
+    known = {**(facts or _whence(frame, pictures)), "kind": "image"}
     attributes = {
         **pictures.look,
         **frame.placement(image=True),
@@ -194,6 +186,16 @@ def picture_layer(
         "metadata": {METADATA: known},
     }
     return LayerData(frame.put_image(picture), attributes, "image")
+
+
+def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
+    """Of what a result was made."""
+    return {
+        "source": pictures.name,
+        "slice": frame.slice_name,
+        "slice_seen": frame.slice_seen,
+        "unit": frame.unit,
+    }
 
 
 def result_name(source: str, what: str, parameters: Mapping[str, Any], where: str) -> str:
@@ -212,19 +214,13 @@ class _Maker:
         frame: Frame,
         pictures: Pictures,
         folded: npt.NDArray[np.bool_],
-        problem: Problem | None,
+        problem: Any,
     ) -> None:
-        self._solution = solution
-        self._folded = folded
-        self._problem = problem
-        self._frame = frame
-        self._pictures = pictures
+        self._solution, self._problem, self._folded = solution, problem, folded
+        self._frame, self._pictures = frame, pictures
         self._field = (solution.displacement, solution.spacing)
         self._facts: dict[str, Any] = {
-            "source": pictures.name,
-            "slice": frame.slice_name,
-            "slice_seen": frame.slice_seen,
-            "unit": frame.unit,
+            **_whence(frame, pictures),
             "model": in_words(solution.provenance.parameters),
             "folds": int(folded.sum()),
             "provenance": asdict(solution.provenance),
@@ -242,7 +238,7 @@ class _Maker:
         picture = self._pictures.image
         if picture is None:
             return None
-        moved = resample(picture, *self._inverse, order=1, fill=emptiness(picture))
+        moved = resample(picture, *self._inverted[:2], order=1, fill=emptiness(picture))
         parameters = self._solution.provenance.parameters
         return picture_layer(self._frame, self._pictures, moved, parameters, self._facts)
 
@@ -251,32 +247,26 @@ class _Maker:
         labels = self._pictures.labels
         if labels is None:
             return None
-        moved = resample(labels, *self._inverse, order=0)
+        moved = resample(labels, *self._inverted[:2], order=0)
         look = {**self._pictures.labels_look, "name": self._name("deformed", labels=True)}
         return self._picture("labels", moved, "deformed", look)._replace(kind="labels")
 
-    def stiffness(self) -> LayerData | None:
+    def stiffness(self) -> LayerData:
         """How stiff tissue was taken to be: m."""
-        if self._problem is None:
-            return None
         m = self._problem.stiffness
         finite = m[np.isfinite(m)]
         most = float(finite.max(initial=0.0)) or 1.0
         look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **_OVER}
         return self._picture("stiffness", m, "stiffness", look)
 
-    def confidence(self) -> LayerData | None:
+    def confidence(self) -> LayerData:
         """How sure it was how tissue moves: c, the larger of its components."""
-        if self._problem is None:
-            return None
         look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **_OVER}
         c = self._problem.confidence.max(axis=-1)
         return self._picture("confidence", c, "confidence", look)
 
-    def observed(self) -> LayerData | None:
+    def observed(self) -> LayerData:
         """How tissue was to move where that was known: y; what was held has a dot."""
-        if self._problem is None:
-            return None
         y, known = self._problem.observed, self._problem.known
         apart_by = pixels_between(_ACROSS, known.shape[:2], self._solution.spacing)
         starts = np.argwhere(known.any(axis=-1))
@@ -323,10 +313,6 @@ class _Maker:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         return inverse_map_and_overlaps(*self._field, self._solution.tissue)
 
-    @property
-    def _inverse(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        return self._inverted[:2]
-
     def _picture(
         self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any]
     ) -> LayerData:
@@ -356,3 +342,44 @@ class _Maker:
         source = self._pictures.labels_name if labels else self._pictures.name
         parameters = self._solution.provenance.parameters
         return result_name(source, what, parameters, self._frame.slice_seen)
+
+
+def apart(
+    arrows: npt.NDArray[np.float32], gap: float, spacing: Sequence[float] = (1.0, 1.0)
+) -> npt.NDArray[np.intp]:
+    """Choose arrows of which none lies on another; where two do, the longer one stays.
+
+    Parameters
+    ----------
+    arrows : ndarray, shape (N, 2, 2)
+        (start, step) in pixels.
+    gap : float
+        How far lines must at least be apart, in the unit of `spacing`.
+    spacing : sequence of float, shape (2,)
+        Size of a pixel in (row, col) direction.
+
+    Returns
+    -------
+    ndarray of int
+        Which to keep, in order.
+    """
+    if not len(arrows):
+        return np.zeros(0, dtype=np.intp)
+    # In cells as wide as the gap: a kept line claims its cells and those around them.
+    starts, steps = arrows[:, 0] * spacing / gap, arrows[:, 1] * spacing / gap
+    lowest = np.minimum(starts, starts + steps).min(axis=0) - 1
+    starts = starts - lowest
+    size = np.maximum(starts, starts + steps).max(axis=0).astype(int) + 3
+    claimed = np.zeros(size, dtype=bool)
+    lengths = np.linalg.norm(steps, axis=1)
+    kept = []
+    for number in np.argsort(-lengths, kind="stable"):
+        along = np.linspace(0, 1, int(2 * lengths[number]) + 2)[:, None]
+        rows, cols = (starts[number] + along * steps[number]).astype(int).T
+        if claimed[rows, cols].any():
+            continue
+        kept.append(number)
+        for row in (-1, 0, 1):
+            for col in (-1, 0, 1):
+                claimed[rows + row, cols + col] = True
+    return np.sort(np.array(kept, dtype=np.intp))

@@ -94,10 +94,6 @@ class Tissue:
                 "tissue", f"is given by its {' and by its '.join(given)}. Give one of them."
             )
 
-    def same_as(self, other: Tissue) -> bool:
-        """Whether it is made of the same parts."""
-        return _same_parts(self, other)
-
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -129,10 +125,6 @@ class Motion:
     def __post_init__(self) -> None:
         if (self.observed is None) != (self.counts is None):
             raise ProblemError("motion", "needs both what is observed and how sure that is.")
-
-    def same_as(self, other: Motion) -> bool:
-        """Whether it is made of the same parts."""
-        return _same_parts(self, other)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +247,8 @@ class Study:
             and self.prior == other.prior
             and self.optimizer == other.optimizer
             and self.pictures.image is other.pictures.image
-            and self.tissue.same_as(other.tissue)
-            and self.motion.same_as(other.motion)
+            and _same_parts(self.tissue, other.tissue)
+            and _same_parts(self.motion, other.motion)
         )
 
     def lies_as(self, other: Study) -> bool:
@@ -291,9 +283,10 @@ class Study:
             return named
 
 
+def is_same(one: Any, other: Any) -> bool:
+    """Whether arrays are one and the same; all else is compared by value."""
+    return one is other or not (hasattr(one, "dtype") or hasattr(other, "dtype") or one != other)
+
+
 def _same_parts(one: Any, other: Any) -> bool:
-    """Whether all attributes are the same: arrays by identity, all else by value."""
-    return one is other or all(
-        mine is its if hasattr(mine, "dtype") or hasattr(its, "dtype") else mine == its
-        for mine, its in ((getattr(one, name), getattr(other, name)) for name in vars(one))
-    )
+    return all(is_same(value, getattr(other, name)) for name, value in vars(one).items())

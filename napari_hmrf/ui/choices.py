@@ -11,10 +11,10 @@ from napari.layers import Labels, Vectors
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CURVE, DRAWING, Slot, steps_of
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui.dock_form import DockForm

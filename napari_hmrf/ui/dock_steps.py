@@ -7,8 +7,7 @@ from typing import Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
-from napari_hmrf.layers.table_state import Table, change
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening

@@ -11,7 +11,7 @@ from magicgui.widgets import Container
 from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.compat import camera_of, clear_middle, unwrapped
-from napari_hmrf.layers.viewer_results import ResultLayers
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.ui.timers import single_shot
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.layers.arrow_layer import Lines
-from napari_hmrf.layers.image_choice import image_covering_at
-from napari_hmrf.layers.image_result import Result
+from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.paint_layer import outline_of, touches
 from napari_hmrf.layers.result_layers import picture_layer
 from napari_hmrf.layers.viewer_layers import still_there
-from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_deformation import Deformation
@@ -111,7 +110,7 @@ class Display:
         lowest = picture if picture is not None and picture.visible else image
         if lowest is None:
             return None
-        return image_covering_at(self._viewer, lowest, self._viewer.cursor.position)
+        return image_covering(self._viewer, lowest, [self._viewer.cursor.position])
 
     def is_beside(self, stroke: Stroke) -> bool:
         """Whether a stroke lies beside all tissue, and does not make any."""

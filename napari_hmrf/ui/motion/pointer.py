@@ -10,9 +10,8 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import DRAWING, KEYS, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.layers.undo_keys import KEYS
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke

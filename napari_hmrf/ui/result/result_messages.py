@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from napari_hmrf.layers.overlay import Name
+from napari_hmrf.layers.overlay import QUANTITIES, Name
 from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.strain_layers import QUANTITIES
 from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 
