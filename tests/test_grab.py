@@ -547,8 +547,9 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
     assert not solution.displacement[~disc].any()
 
 
-def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, at_rest):
+def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, at_rest, settle):
     person, widget = open_window()
+    settle(widget)
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
     assert "two dimensions" in widget.status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum, auto
 from typing import Any
 
 from napari.layers import Labels
@@ -16,14 +17,19 @@ from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.pointer import Pointer
 
-#: What is said until there is something else to say.
-_INVITATIONS = (
-    messages.WELCOME,
-    messages.CHOOSE,
-    motion_messages.START,
-    motion_messages.FLAT,
-    motion_messages.OFF,
-)
+
+class _Said(Enum):
+    """Why something is read, which says what may take its place."""
+
+    NEWS = auto()
+    #: Until it is another that can be done next.
+    INVITATION = auto()
+    #: Until something new is begun.
+    STEP = auto()
+    #: As long as somebody paints.
+    PAINTING = auto()
+    #: Until an image is chosen.
+    GONE = auto()
 
 
 class Guide:
@@ -50,7 +56,8 @@ class Guide:
         steps: ViewerSteps,
     ) -> None:
         self._viewer, self._form, self._pointer, self._live = viewer, form, pointer, live
-        self._said = self._doing = self._step = self._painting = self._gone = ""
+        self._said = self._doing = ""
+        self._why = _Said.NEWS
         for section in (form.tissue, form.motion.boundary):
             section.painted.found.connect(self._on_found)
             section.table.refused.connect(self.say)
@@ -88,53 +95,45 @@ class Guide:
             how = self._pointer.tool.how
         return self._paused or form.model.objection or how
 
-    def say(self, sentence: str) -> None:
+    def say(self, sentence: str, why: _Said = _Said.NEWS) -> None:
         """Say something in place of all that was said."""
-        self._said = sentence
+        self._said, self._why = sentence, why
         self._form.footer.say(self.shown)
 
     def invite(self) -> None:
         """Say what can be done next, unless it is still to be read what was taken back."""
-        if not self._reads_step:
-            self.say(self.invitation)
+        if self._why is not _Said.STEP:
+            self.say(self.invitation, _Said.INVITATION)
 
     def say_painting(self, layer: Any, before: bool) -> None:
         """Say what is painted, as long as it is; `before`: on the image as it was."""
-        self._painting = (
-            f"{messages.painting(layer)} {messages.MEANWHILE if before else ''}".rstrip()
-        )
-        self.say(self._painting)
+        meanwhile = messages.MEANWHILE if before else ""
+        self.say(f"{messages.painting(layer)} {meanwhile}".rstrip(), _Said.PAINTING)
 
     def say_gone(self, image: Any) -> None:
         """Say that the image is gone, and which takes its place."""
         chosen = self._form.image.value
-        next_one = (
-            "choose or open another image" if chosen is None else f"'{chosen.name}' is chosen now"
-        )
-        sentence = f"'{image.name}' is gone: {next_one}."
-        self._gone = sentence if chosen is None else ""
-        self.say(sentence)
+        if chosen is None:
+            self.say(f"'{image.name}' is gone: choose or open another image.", _Said.GONE)
+        else:
+            self.say(f"'{image.name}' is gone: '{chosen.name}' is chosen now.")
 
     def say_arrows_gone(self) -> None:
         """Say how to have the arrows back, until something new is begun."""
-        self._say_step(motion_messages.ARROWS_GONE)
+        self.say(motion_messages.ARROWS_GONE, _Said.STEP)
 
     def look_at_mouse(self, stopped: bool) -> None:
         """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
-        if stopped and self._paused:
-            self.say(self.invitation)
-        elif self._pointer.active and self._said == motion_messages.OFF:
-            self.invite()
         paints = isinstance(self._viewer.layers.selection.active, Labels)
-        if not paints and self._said == self._painting:
+        if stopped and self._paused:
+            self.say(self.invitation, _Said.INVITATION)
+        elif self._why is _Said.INVITATION or (self._why is _Said.PAINTING and not paints):
             self.invite()
 
     def look_at_view(self) -> None:
         """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-        invited = {*_INVITATIONS, self._pointer.tool.how}
-        if self._form.image.value is not None:
-            invited.add(self._gone)
-        if self._said in invited or self._said.startswith(motion_messages.COVERED):
+        there = self._form.image.value is not None
+        if self._why is _Said.INVITATION or (self._why is _Said.GONE and there):
             self.invite()
 
     @property
@@ -152,43 +151,35 @@ class Guide:
             return ""
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
-    @property
-    def _reads_step(self) -> bool:
-        return bool(self._step) and self._said == self._step
-
-    def _say_step(self, sentence: str) -> None:
-        self._step = sentence
-        self.say(sentence)
-
     def _on_begun(self, *_: object) -> None:
         """Something new is begun: what was taken back before has been read."""
-        self._step = ""
+        if self._why is _Said.STEP:
+            self._why = _Said.NEWS
 
     def _on_step(self, sentence: str, slot: object) -> None:
         """Say what was taken back, on another slice, too; and that the mouse draws no more."""
         drawn = isinstance(slot, Slot) and slot.what == DRAWING
-        self._say_step(f"{sentence} {self._paused if drawn else ''}".rstrip())
+        self.say(f"{sentence} {self._paused if drawn else ''}".rstrip(), _Said.STEP)
 
     def _on_doing(self, sentence: str) -> None:
-        if sentence == self._doing:
-            return
-        self._doing = sentence
-        self._form.footer.say(self.shown)
+        if sentence != self._doing:
+            self._doing = sentence
+            self._form.footer.say(self.shown)
 
     def _on_pointer(self, sentence: str) -> None:
         if sentence in (self._pointer.tool.how, motion_messages.OFF):
             self.invite()
         else:
-            self.say(sentence)
+            covered = sentence.startswith(motion_messages.COVERED)
+            self.say(sentence, _Said.INVITATION if covered else _Said.NEWS)
 
     def _on_study(self, sentence: str) -> None:
         """Say something of the study beside what was taken back; "": nothing is wrong any more."""
-        if sentence == messages.WELCOME and self._said == self._gone:
-            return  # it has said as much
         if not sentence:
-            self.invite()
+            if self._why is not _Said.GONE:
+                self.invite()
         else:
-            self.say(f"{self._step} {sentence}" if self._reads_step else sentence)
+            self.say(f"{self._said} {sentence}" if self._why is _Said.STEP else sentence)
 
     def _on_found(self, found: str) -> None:
         """Say what was found in the paint, until the next result."""
@@ -197,5 +188,5 @@ class Guide:
 
     def _on_other(self) -> None:
         """Another slice or image is worked on."""
-        if self._said in (messages.WELCOME, messages.CHOOSE):
+        if self._why is _Said.INVITATION:
             self.invite()

@@ -251,10 +251,6 @@ class LiveStudy:
             self._pointer.display.arrows.keep(self._pointer.drawing)
             self._follower.complete()
 
-    def let_go(self) -> None:
-        """End a drag where it is: another slice is shown."""
-        self._pointer.release()
-
     def show_before(self, before: bool) -> None:
         """Show the image as it was before it moved, or as it has moved again."""
         result = self._pointer.display.result
@@ -413,7 +409,7 @@ class LiveStudy:
         sentence = messages.in_short(error)
         if sentence in (messages.WELCOME, messages.CHOOSE):
             if sentence == messages.WELCOME:
-                self.said.emit(messages.WELCOME)
+                self.said.emit("")
             return  # nobody has done anything yet
         if sentence != self._failed:
             self._failed = sentence

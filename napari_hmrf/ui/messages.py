@@ -186,6 +186,11 @@ def _time(seconds: float) -> str:
     return f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.2g} s"
 
 
+def removed(layer: Any) -> str:
+    """Why nothing is computed any more."""
+    return f"Cancelled: '{layer.name}' was removed."
+
+
 def painting(layer: Any) -> str:
     """What is painted with from now on, by its name in the table if it has one."""
     label, role = int(layer.selected_label), role_of(layer)

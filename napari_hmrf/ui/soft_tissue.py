@@ -37,7 +37,6 @@ from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
-from napari_hmrf.ui.timers import single_shot
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
@@ -149,7 +148,6 @@ class SoftTissue(Dock):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
-        self._was_active = False
         self._taken: tuple[Landmark, ...] = ()
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
@@ -159,11 +157,17 @@ class SoftTissue(Dock):
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         self._view = ResultView(self.native, viewer, form.result, self._results)
         self._steps = DockSteps(self.native, form, steps, self._pointer)
-        # napari may be in the middle of removing more layers than the one.
-        self._leaving = single_shot(self.native, 0, self._on_left)
         remember(viewer, form.model)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
-        self._watch = ViewerWatch(self.native, viewer, form, self._choices, self._live_study)
+        self._watch = ViewerWatch(
+            self.native,
+            viewer,
+            form,
+            self._choices,
+            self._pointer,
+            self._live_study,
+            self._guide,
+        )
         self._connect()
         self._choices.look()
         self._choices.choose_first()
@@ -244,14 +248,14 @@ class SoftTissue(Dock):
             self._watch.hide_paint()
             self._pointer.take()
             self.touch()  # what is drawn on is followed, live or not
-        self.active_changed()
+        self._watch.look_at_mouse()
         return self.active
 
     def stop(self) -> None:
         """Have the mouse move the view again; what is drawn stays."""
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
-        self.active_changed()
+        self._watch.look_at_mouse()
 
     def undo(self) -> None:
         """Take back what was done last."""
@@ -375,38 +379,6 @@ class SoftTissue(Dock):
         """Say something at the bottom."""
         self._guide.say(sentence)
 
-    # What happens elsewhere
-
-    def active_changed(self) -> None:
-        """Another layer feels the mouse, or ours does again."""
-        if self._pointer.display.quiet:
-            return
-        before, self._was_active = self._was_active, self.active
-        if before and not self.active:
-            self._pointer.release()
-        self._guide.look_at_mouse(stopped=before and not self.active)
-        self._show_tool()
-
-    def cover_changed(self) -> None:
-        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-        self._guide.look_at_view()
-
-    def layer_gone(self, layer: Any) -> None:
-        """A layer was removed: nothing is computed of it any more."""
-        live, display = self._live_study, self._pointer.display
-        if layer is display.arrows.former and not display.quiet:
-            self._pointer.release()
-            self._guide.say_arrows_gone()
-        if live.study is not None and layer is live.source:
-            live.cancel(f"Cancelled: '{layer.name}' was removed.")
-            live.forget()
-            self._guide.say_gone(layer)
-            if self.image is None:
-                self._leaving.start()
-        elif live.is_solving(layer):
-            live.cancel(f"Cancelled: '{layer.name}' was removed.")
-        self.touch()
-
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
         form.edited.connect(self.touch)
@@ -424,12 +396,8 @@ class SoftTissue(Dock):
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
-        watch = self._watch
-        watch.touched.connect(self.touch)
-        watch.active_changed.connect(self.active_changed)
-        watch.cover_changed.connect(self.cover_changed)
-        watch.layer_gone.connect(self.layer_gone)
-        watch.first_came.connect(self._on_first)
+        self._watch.active_changed.connect(self._show_tool)
+        self._watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
@@ -472,12 +440,6 @@ class SoftTissue(Dock):
             tissue = self.tissue if self.curve is None else self._live_study.curve_layer.layer
             if tissue is not None:
                 tissue.visible = False  # it would tint what was deformed
-
-    def _on_left(self) -> None:
-        """There is nothing to draw on."""
-        if self.image is None:
-            self._pointer.leave()
-            self.active_changed()
 
     def _on_over(self, closed: bool) -> None:
         if closed:

@@ -12,10 +12,13 @@ from napari_hmrf.layers.edit_history import Slot, steps_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.viewer_layers import is_selection_kept
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
+from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.pixels import Pixels
 from napari_hmrf.ui.timers import single_shot
 
@@ -36,29 +39,35 @@ class ViewerWatch:
     viewer : napari.Viewer or ViewerModel
     form : DockForm
     choices : Choices
+    pointer : Pointer
     live : LiveStudy
+    guide : Guide
     """
 
-    #: Something that the study depends on is another.
-    touched = Signal()
-    #: Another layer feels the mouse.
+    #: Another layer feels the mouse, or ours does again.
     active_changed = Signal()
-    #: The image may be hidden beneath another, or be seen in two dimensions, or no more.
-    cover_changed = Signal()
-    #: A layer was removed.
-    layer_gone = Signal(object)
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
 
     def __init__(
-        self, native: Any, viewer: Any, form: DockForm, choices: Choices, live: LiveStudy
+        self,
+        native: Any,
+        viewer: Any,
+        form: DockForm,
+        choices: Choices,
+        pointer: Pointer,
+        live: LiveStudy,
+        guide: Guide,
     ) -> None:
-        self._viewer, self._form, self._choices, self._live = viewer, form, choices, live
-        self._pixels = Pixels(self.touched.emit, refreshed=True)
+        self._viewer, self._form, self._choices = viewer, form, choices
+        self._pointer, self._live, self._guide = pointer, live, guide
+        self._pixels = Pixels(live.touch, refreshed=True)
         self._fitting = single_shot(native, 50, viewer.reset_view)
         self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
-        self._begun = False
+        # napari may be in the middle of removing more layers than the one.
+        self._leaving = single_shot(native, 0, self._on_left)
+        self._begun = self._was_active = False
         live.moved_on.connect(self._on_other)
         self._eyes, self._brush = Listening(), Listening()
         self._slice = _slice_of(viewer.dims)
@@ -92,9 +101,7 @@ class ViewerWatch:
         study = self._live.study
         if not self._begun and study is not None:
             self._begun = True
-            rows, cols = study.grid.shape
-            down, along = study.grid.spacing
-            size = ((rows, cols), (down, along))
+            size = study.grid.shape, study.grid.spacing
             self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
             self._starting.start()
 
@@ -108,8 +115,7 @@ class ViewerWatch:
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""
         for layer in self._viewer.layers:
-            painted = layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY)
-            if painted:
+            if layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY):
                 layer.visible = False
 
     @property
@@ -129,14 +135,14 @@ class ViewerWatch:
         form.make.enabled = missing
         form.intensity.enabled = form.image.value is not None
         self._mark()
-        self.touched.emit()
-        self.cover_changed.emit()
+        self._live.touch()
+        self._guide.look_at_view()
 
     def _on_table(self, slot: Any, *_: Any) -> None:
         """The table of a layer says something else, wherever that was done."""
         of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
         if of_ours and slot.layer in self._painted:
-            self.touched.emit()
+            self._live.touch()
 
     # What is shown
 
@@ -144,10 +150,10 @@ class ViewerWatch:
         # An arrow over the image's edge makes the canvas larger, and napari says as much.
         before, self._slice = self._slice, _slice_of(self._viewer.dims)
         if self._slice != before:
-            self._live.let_go()
-            self.active_changed.emit()
-            self.touched.emit()
-            self.cover_changed.emit()
+            self._pointer.release()
+            self.look_at_mouse()
+            self._live.touch()
+            self._guide.look_at_view()
 
     def _look_at_eyes(self) -> None:
         """Listen to whether layers are shown: those that there are now."""
@@ -157,7 +163,7 @@ class ViewerWatch:
         )
 
     def _on_cover(self, *_: Any) -> None:
-        self.cover_changed.emit()
+        self._guide.look_at_view()
 
     def _on_inserted(self, event: Any) -> None:
         self._look_at_eyes()
@@ -166,28 +172,56 @@ class ViewerWatch:
         if role_of(event.value) and len(self._viewer.layers) == 1:
             self._fitting.start()  # napari fitted it before it knew the canvas
         self._on_choice()
-        self._on_cover()
 
     def _on_removed(self, event: Any) -> None:
         self._look_at_eyes()
         self._choices.look()
-        self.layer_gone.emit(event.value)
+        self._let_go_of(event.value)
         self._on_choice()
-        self._on_cover()
+
+    def _let_go_of(self, layer: Any) -> None:
+        """A layer was removed: nothing is computed of it any more."""
+        live, display, why = self._live, self._pointer.display, messages.removed(layer)
+        if layer is display.arrows.former and not display.quiet:
+            self._pointer.release()
+            self._guide.say_arrows_gone()
+        if live.study is not None and layer is live.source:
+            live.cancel(why)
+            live.forget()
+            self._guide.say_gone(layer)
+            if self._form.image.value is None:
+                self._leaving.start()
+        elif live.is_solving(layer):
+            live.cancel(why)
+
+    def _on_left(self) -> None:
+        """There is nothing to draw on."""
+        if self._form.image.value is None:
+            self._pointer.leave()
+            self.look_at_mouse()
 
     # Who feels the mouse
+
+    def look_at_mouse(self) -> None:
+        """Another layer feels the mouse, or ours does again."""
+        pointer = self._pointer
+        if not pointer.display.quiet:
+            stopped, self._was_active = self._was_active and not pointer.active, pointer.active
+            if stopped:
+                pointer.release()
+            self._guide.look_at_mouse(stopped)
+            self.active_changed.emit()
 
     def _on_active(self, *_: Any) -> None:
         if is_selection_kept(self._viewer):
             self._selected.start()  # what is selected then counts
             return
         self._mark()
-        self.active_changed.emit()
+        self.look_at_mouse()
         active = self._viewer.layers.selection.active
         self._brush.release()
-        self._brush = Listening()
-        if isinstance(active, Labels):
-            self._brush = Listening((active.events.mode, self._on_mode))
+        modes = [active.events.mode] if isinstance(active, Labels) else []
+        self._brush = Listening(*((mode, self._on_mode) for mode in modes))
         self._on_mode()
 
     def _mark(self) -> None:
