@@ -34,6 +34,7 @@ STIFFNESSES = (10.0, 20.0, 40.0)
 _NODES = 64
 #: Integers of no more values than this are looked up, each value computed once.
 _TABLE = 2**16
+_TOO_LARGE = 2**62
 #: Stiffnesses are computed in single precision.
 _LARGEST = float(np.finfo(np.float32).max)
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
@@ -163,13 +164,10 @@ class StiffnessCurve:
         if not image.size:
             return np.zeros(image.shape, dtype=np.float32)
         lowest, highest = int(image.min()), int(image.max())
-        if highest - lowest >= min(_TABLE, image.size):
+        if highest - lowest >= min(_TABLE, image.size) or highest >= _TOO_LARGE:
             return self._at(image)
-        kind = image.dtype.type
-        table = self._at(np.arange(highest - lowest + 1).astype(kind) + kind(lowest))
-        # Differences wrap around in the image's own type; without a sign they are right again.
-        offsets = np.asarray(image - kind(lowest)).view(f"u{image.dtype.itemsize}")
-        taken: FloatArray = table[offsets]
+        table = self._at(np.arange(lowest, highest + 1))
+        taken: FloatArray = table[image.astype(np.int64) - lowest]
         return taken
 
     @property

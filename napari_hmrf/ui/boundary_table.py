@@ -7,8 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.tissue.boundary_rules import Action, BoundaryRule
-from napari_hmrf.tissue.label_defaults import default_rule
+from napari_hmrf.tissue.boundary_rules import Action, BoundaryRule, default_rule
 from napari_hmrf.ui.label_table import Column, LabelTable, number
 
 _ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}

@@ -10,10 +10,10 @@ from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
     RIGID,
     Material,
+    default_material,
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.label_defaults import default_material
 from napari_hmrf.tissue.material_presets import Preset, take_over
 from napari_hmrf.ui.label_table import Column, LabelTable, number
 from napari_hmrf.ui.messages import ABOUT_POISSON
