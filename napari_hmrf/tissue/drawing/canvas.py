@@ -161,7 +161,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     reach = brush_reach(radius, canvas.spacing)
     where = distance <= reach
     at = (slice(box[0], box[1]), slice(box[2], box[3]))
-    which = _COMPONENTS["both" if mark.components == "both" else mark.components]
+    which = _COMPONENTS[mark.components]
     y, c = canvas.observed[at][..., which], canvas.confidence[at][..., which]
     if isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[which], mark.confidence
