@@ -197,9 +197,9 @@ class Hand:
 
     def _remake(self, mark: Mark) -> None:
         """Have another mark in the place of the one that is held."""
-        number = self.selected
-        if number is not None:
-            self._show(self._history.drawing.replaced(number, mark), number)
+        if self._selected is not None:
+            drawing = self._history.drawing.replaced(self._selected, mark)
+            self._show(drawing, self._selected)
 
 
 class Pull(Hand):
