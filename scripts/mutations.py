@@ -80,9 +80,9 @@ MUTATIONS = (
         "test_study.py",
     ),
     Mutation(
-        "tissue/drawing/pull.py",
-        "to = (point[0] - self._offset[0], point[1] - self._offset[1])",
-        "to = (point[0] + self._offset[0], point[1] + self._offset[1])",
+        "tissue/drawing/hands.py",
+        "to, mark = (point[0] - self._offset[0], point[1] - self._offset[1])",
+        "to, mark = (point[0] + self._offset[0], point[1] + self._offset[1])",
         "test_drawing.py test_pull.py test_grab.py",
     ),
     Mutation(

@@ -1,5 +1,7 @@
 """Painting and placing landmarks with a pointer, without a window."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from napari.layers import Labels
@@ -8,12 +10,21 @@ from napari_hmrf import ProblemError
 from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.tissue.drawing.brush import Brush, Paint
-from napari_hmrf.tissue.drawing.landmark_pairs import Pairs
-from napari_hmrf.tissue.drawing.pull import Grip
+from napari_hmrf.tissue.drawing.brush import Brush
+from napari_hmrf.tissue.drawing.hands import Pairs
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)
+
+
+def paint(action, radius, **how):
+    """A stroke as new ones are to be."""
+    return Stroke(action, (((0, 0),),), radius, **how)
+
+
+def grip(radius, confidence=1.0):
+    """An arrow as new ones are to be."""
+    return Arrow((0, 0), (0, 0), radius, confidence)
 
 
 @pytest.fixture
@@ -55,25 +66,25 @@ def ring(middle=(30, 25), radius=14.0, count=40):
 
 
 def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, history):
-    assert drag(brush, Paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "pinned tissue"
+    assert drag(brush, paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "pinned tissue"
     assert history.drawing.marks == (Stroke("pin", (((10, 10), (20, 10), (30, 10)),), 4.0),)
     assert history.edits.undo().word == "pinned tissue"
     assert not history.drawing.marks
 
 
 @pytest.mark.parametrize(
-    ("paint", "y", "c"),
+    ("how", "y", "c"),
     [
-        (Paint("pin", 4.0, confidence=0.5), (0, 0), (0.5, 0.5)),
-        (Paint("free", 4.0), (0, 0), (0, 0)),
-        (Paint("move", 4.0, by=(3, -1)), (3, -1), (1, 1)),
-        (Paint("move", 4.0, by=(3, -1), components="row"), (3, 8), (1, 0.8)),
-        (Paint("confidence", 4.0, confidence=0.25), (7, 8), (0.25, 0.25)),
+        (paint("pin", 4.0, confidence=0.5), (0, 0), (0.5, 0.5)),
+        (paint("free", 4.0), (0, 0), (0, 0)),
+        (paint("move", 4.0, by=(3, -1)), (3, -1), (1, 1)),
+        (paint("move", 4.0, by=(3, -1), components="row"), (3, 8), (1, 0.8)),
+        (paint("confidence", 4.0, confidence=0.25), (7, 8), (0.25, 0.25)),
     ],
 )
-def test_each_brush_says_its_own_of_what_it_covers(brush, history, paint, y, c):
+def test_each_brush_says_its_own_of_what_it_covers(brush, history, how, y, c):
     history.do(Drawing((Arrow((20, 20), (7, 8), 15.0, 0.8),)), "pulled")
-    drag(brush, paint, (18, 20), (22, 20))
+    drag(brush, how, (18, 20), (22, 20))
     canvas = rendered(history)
     assert canvas.observed[20, 20] == pytest.approx(y)
     assert canvas.confidence[20, 20] == pytest.approx(c)
@@ -81,7 +92,7 @@ def test_each_brush_says_its_own_of_what_it_covers(brush, history, paint, y, c):
 
 
 def test_tissue_becomes_what_is_painted(brush, history):
-    drag(brush, Paint("tissue", 4.0, label=3), (20, 20), (30, 20))
+    drag(brush, paint("tissue", 4.0, label=3), (20, 20), (30, 20))
     labels = rendered(history).labels
     assert (labels[25, 20], labels[25, 30]) == (3, 1)
     assert not rendered(history).confidence.any(), "and nothing is held by that"
@@ -89,7 +100,7 @@ def test_tissue_becomes_what_is_painted(brush, history):
 
 def test_a_soft_brush_fades_confidence_out(brush, history):
     history.do(Drawing((Arrow((30, 25), (0, 0), 40.0),)), "held")
-    drag(brush, Paint("confidence", 10.0, confidence=0.0, softness=1.0), (30, 25))
+    drag(brush, paint("confidence", 10.0, confidence=0.0, softness=1.0), (30, 25))
     down = rendered(history).confidence[30:42, 25, 0]
     assert down[0] == pytest.approx(0, abs=0.01)
     assert (np.diff(down[:11]) > 0).all()
@@ -97,16 +108,16 @@ def test_a_soft_brush_fades_confidence_out(brush, history):
 
 
 def test_a_ring_expands_outward_and_shrinks_inward(brush, history):
-    drag(brush, Paint("expand", 3.0, amount=2.0), *ring())
+    drag(brush, paint("expand", 3.0, amount=2.0), *ring())
     y = rendered(history).observed
     assert y[16, 25] == pytest.approx((-2, 0), abs=0.15)
     assert y[30, 32] == pytest.approx((0, 2), abs=0.15)
-    assert brush.change(amount=-2.0)
+    assert brush.change(replace(brush.mark, amount=-2.0))
     assert rendered(history).observed[16, 25] == pytest.approx((2, 0), abs=0.15)
 
 
 def test_an_open_line_cannot_expand_and_leaves_nothing(brush, history):
-    brush.press((5, 5), 1.0, Paint("expand", 1.0, amount=2.0))
+    brush.press((5, 5), 1.0, paint("expand", 1.0, amount=2.0))
     for row in range(6, 50):
         brush.move((row, 5))
     with pytest.raises(ProblemError, match="no outside"):
@@ -116,12 +127,12 @@ def test_an_open_line_cannot_expand_and_leaves_nothing(brush, history):
 
 
 def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, history):
-    paint = Paint("expand", 4.0, amount=1.0)
-    drag(brush, paint, (20, 20), (30, 20))
-    drag(brush, paint, (28, 21), (28, 28))
+    how = paint("expand", 4.0, amount=1.0)
+    drag(brush, how, (20, 20), (30, 20))
+    drag(brush, how, (28, 21), (28, 28))
     assert len(history.drawing.marks) == 1
     assert len(history.drawing.marks[0].lines) == 2
-    drag(brush, paint, (50, 40))
+    drag(brush, how, (50, 40))
     assert len(history.drawing.marks) == 2, "elsewhere another one begins"
     history.edits.undo()
     history.edits.undo()
@@ -129,9 +140,9 @@ def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, histor
 
 
 def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, history):
-    drag(brush, Paint("move", 4.0, by=(1, 0)), (20, 20))
-    assert brush.change(by=(3, 0), confidence=0.5)
-    assert not brush.change(radius=9.0)
+    drag(brush, paint("move", 4.0, by=(1, 0)), (20, 20))
+    assert brush.change(replace(brush.mark, by=(3, 0), confidence=0.5))
+    assert not brush.change(replace(brush.mark, radius=9.0))
     assert history.drawing.marks == (
         Stroke("move", (((20, 20),),), 4.0, by=(3, 0), confidence=0.5),
     )
@@ -142,10 +153,10 @@ def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, history):
 
 
 def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, history):
-    paint = Paint("pin", 4.0)
-    drag(brush, paint, (20, 20))
+    how = paint("pin", 4.0)
+    drag(brush, how, (20, 20))
     before = history.drawing
-    brush.press((21, 20), 1.0, paint)
+    brush.press((21, 20), 1.0, how)
     brush.move((40, 20))
     assert brush.cancel()
     brush.move((45, 20))
@@ -158,7 +169,7 @@ def test_moved_tissue_is_painted_where_it_came_from(brush, history):
     def came_from(point):
         return None if point[1] > 30 else (point[0] - 5, point[1])
 
-    drag(brush, Paint("pin", 4.0), (20, 20), (20, 40), came_from=came_from)
+    drag(brush, paint("pin", 4.0), (20, 20), (20, 40), came_from=came_from)
     assert history.drawing.marks[0].lines == (((15, 20), (20, 40)),), "beyond it, the place itself"
 
 
@@ -194,23 +205,23 @@ def test_what_was_painted_last_is_known_of_each_pixel():
 
 
 def test_two_clicks_make_a_landmark(pairs, history):
-    grip = Grip(3.0, 0.5)
-    assert click(pairs, (10, 10), grip) == ""
+    how = grip(3.0, 0.5)
+    assert click(pairs, (10, 10), how) == ""
     assert pairs.pending == (10, 10)
     assert not history.drawing.marks
-    assert click(pairs, (14, 12), grip) == "placed a landmark"
+    assert click(pairs, (14, 12), how) == "placed a landmark"
     assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0, 0.5),)
     assert pairs.pending is None
     assert history.edits.undo().word == "placed a landmark"
 
 
 def test_one_drag_makes_a_landmark_too(pairs, history):
-    assert drag(pairs, Grip(3.0), (10, 10), (10.2, 10), (14, 12)) == "placed a landmark"
+    assert drag(pairs, grip(3.0), (10, 10), (10.2, 10), (14, 12)) == "placed a landmark"
     assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0),)
 
 
 def test_escape_gives_half_a_pair_up(pairs, history):
-    click(pairs, (10, 10), Grip(3.0))
+    click(pairs, (10, 10), grip(3.0))
     assert pairs.cancel()
     assert pairs.pending is None
     assert not pairs.cancel()
@@ -219,19 +230,19 @@ def test_escape_gives_half_a_pair_up(pairs, history):
 
 def test_landmarks_are_taken_up_again_by_either_end(pairs, history):
     history.do(Drawing((Landmark((10, 10), (20, 20), 3.0),)), "opened")
-    assert drag(pairs, Grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
-    drag(pairs, Grip(3.0), (10, 10), (9, 10))
+    assert drag(pairs, grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
+    drag(pairs, grip(3.0), (10, 10), (9, 10))
     assert history.drawing.marks == (Landmark((9, 10), (22, 20), 3.0),)
     assert pairs.remove()
     assert history.edits.undo().word == "removed a landmark"
 
 
 def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(pairs, history):
-    assert pairs.press((10, 10), 1.0, Grip(3.0), lambda _: (8.0, 9.0))
+    assert pairs.press((10, 10), 1.0, grip(3.0), lambda _: (8.0, 9.0))
     pairs.release()
-    click(pairs, (14, 14), Grip(3.0))
+    click(pairs, (14, 14), grip(3.0))
     assert history.drawing.marks == (Landmark((8, 9), (14, 14), 3.0),)
-    assert not pairs.press((40, 40), 1.0, Grip(3.0), lambda _: None)
+    assert not pairs.press((40, 40), 1.0, grip(3.0), lambda _: None)
     assert pairs.pending is None
 
 
@@ -248,17 +259,17 @@ def test_what_was_painted_has_a_colour_of_its_own_and_is_paler_where_it_is_less_
 
 
 def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, history):
-    drag(brush, Paint("move", 4.0), (20, 20), (24, 20))
+    drag(brush, paint("move", 4.0), (20, 20), (24, 20))
     assert history.drawing.marks[0].moves_nowhere
     assert (
-        drag(brush, Paint("move", 4.0), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
+        drag(brush, paint("move", 4.0), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
     )
     (stroke,) = history.drawing.marks
     assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
     assert stroke.lines == (((20, 20), (24, 20)),), "dragged, and not painted on"
-    drag(brush, Paint("move", 4.0, by=stroke.by), (22, 20), (20, 20))
+    drag(brush, paint("move", 4.0, by=stroke.by), (22, 20), (20, 20))
     assert history.drawing.marks[0].by == pytest.approx((3 * SPACING[0], 4 * SPACING[1]))
     history.edits.undo()
     assert history.drawing.marks == (stroke,)
-    drag(brush, Paint("move", 4.0), (50, 40))
+    drag(brush, paint("move", 4.0), (50, 40))
     assert len(history.drawing.marks) == 2, "elsewhere another region is painted"

@@ -19,8 +19,7 @@ from napari_hmrf.layers.metadata import (
     tissue_recorded,
 )
 from napari_hmrf.solver.solution import Provenance
-from napari_hmrf.tissue.boundary_rules import RIGID, Material
-from napari_hmrf.tissue.label_defaults import default_material
+from napari_hmrf.tissue.boundary_rules import RIGID, Material, default_material
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
 from napari_hmrf.tissue.material_tables import load_materials, save_materials
 

@@ -18,10 +18,11 @@ from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.tissue.drawing.pull import Grip, Pull
+from napari_hmrf.tissue.drawing.hands import Pull
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 SPACING = (1.0, 2.0)
+GRIP = Arrow((0, 0), (0, 0), 3.0)
 
 
 @pytest.fixture
@@ -34,8 +35,8 @@ def pull(history):
     return Pull(history, SPACING)
 
 
-def drag(pull, *points, reach=1.0, grip=None, **options):
-    assert pull.press(points[0], reach, grip or Grip(3.0), **options)
+def drag(pull, *points, reach=1.0, how=None, **options):
+    assert pull.press(points[0], reach, how or GRIP, **options)
     for point in points[1:]:
         pull.move(point)
     return pull.release()
@@ -49,13 +50,13 @@ def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, history):
 
 
 def test_a_click_holds_tissue_where_it_is_seen(pull, history):
-    grip = Grip(3.0, confidence=0.5)
-    assert drag(pull, (10, 10), grip=grip, came_from=lambda _: (8.0, 11.0)) == "held a place"
+    grip = replace(GRIP, confidence=0.5)
+    assert drag(pull, (10, 10), how=grip, came_from=lambda _: (8.0, 11.0)) == "held a place"
     assert history.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
 
 
 def test_what_is_no_tissue_is_not_taken_hold_of(pull, history):
-    assert not pull.press((10, 10), 1, Grip(3.0), lambda _: None)
+    assert not pull.press((10, 10), 1, GRIP, lambda _: None)
     pull.move((12, 12))
     assert (pull.release(), history.drawing.marks, history.undo_word) == ("", (), "")
 
@@ -79,9 +80,9 @@ def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, history):
 
 
 def test_an_arrow_of_one_component_stays_on_its_line(pull, history):
-    drag(pull, (10, 10), (14, 13), grip=Grip(3.0, components="row"))
+    drag(pull, (10, 10), (14, 13), how=replace(GRIP, components="row"))
     assert history.drawing.marks[0].by == (4, 0)
-    assert pull.change(components="col")
+    assert pull.change(replace(pull.mark, components="col"))
     assert history.drawing.marks[0].by == (0, 0)
 
 
@@ -89,9 +90,9 @@ def test_the_selected_arrow_is_changed_and_removed(pull, history):
     drag(pull, (10, 10), (14, 12))
     drag(pull, (20, 20), (21, 21))
     assert pull.selected == 1
-    assert pull.change(radius=5.0, confidence=0.25)
+    assert pull.change(replace(pull.mark, radius=5.0, confidence=0.25))
     assert history.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
-    assert not pull.change(radius=5.0), "that makes no difference"
+    assert not pull.change(pull.mark), "that makes no difference"
     assert pull.remove()
     assert len(history.drawing.marks) == 1
     assert pull.selected is None
@@ -103,7 +104,7 @@ def test_the_selected_arrow_is_changed_and_removed(pull, history):
 def test_a_cancelled_drag_leaves_nothing(pull, history):
     drag(pull, (10, 10), (14, 12))
     before = history.drawing
-    pull.press((20, 20), 1, Grip(3.0))
+    pull.press((20, 20), 1, GRIP)
     pull.move((25, 25))
     assert pull.cancel()
     pull.move((26, 26))

@@ -31,11 +31,12 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
     Material,
     boundary_images,
+    default_material,
+    default_rule,
     poisson_image,
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Canvas, Drawing
-from napari_hmrf.tissue.label_defaults import default_material, default_rule
 from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.palette import OTHER, Palette

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -20,7 +20,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.labels import labels_present, values_at
-from napari_hmrf.tissue.normals import OpenLine, outward_normals
+from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
 Action = Literal["fixed", "move", "expand"]
@@ -30,6 +30,9 @@ USUAL_POISSON = 0.45
 #: The stiffness of a body that moves as one, such as bone or an implant.
 RIGID = math.inf
 _RIGID = "rigid"
+#: The name of label 0, and the stiffness of a new tissue where nothing is known.
+UNPAINTED = "everything unpainted"
+_STIFFNESS = 20.0
 #: Single precision holds no larger one: it would come out as rigid.
 LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
 
@@ -109,6 +112,20 @@ class BoundaryRule:
     name: str = ""
 
 
+def default_material(label: int, known: Iterable[Material]) -> Material:
+    """A new tissue behaves as the first known one that is not rigid, until told otherwise."""
+    name = UNPAINTED if label == 0 else f"tissue {label}"
+    first = next((material for material in known if material.is_deformable), None)
+    if first is None:
+        return Material(label, name, _STIFFNESS)
+    return replace(first, label=label, name=name)
+
+
+def default_rule(label: int) -> BoundaryRule:
+    """A new boundary stays where it is, until told otherwise."""
+    return BoundaryRule(label, "fixed", name=f"boundary {label}")
+
+
 def read_stiffness(value: Any) -> Any:
     """Take the word "rigid", however it is spelt, as `RIGID`; anything else is left as it is."""
     is_word = isinstance(value, str) and value.strip().casefold() == _RIGID
@@ -140,8 +157,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
         If a label has no material or two, or a stiffness is neither `RIGID` nor a number of 0 or
         more that single precision holds.
     """
-    image = _as_labels("stiffness", labels)
-    table = _by_label("stiffness", "materials", Material, materials)
+    image, present, table = _read("stiffness", "materials", Material, labels, materials)
     for material in table.values():
         stiffness = real(material.stiffness)
         if not (0 <= stiffness <= LARGEST_STIFFNESS or stiffness == RIGID):
@@ -151,8 +167,6 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
                 f"number above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or "
                 "'rigid' for what moves as one.",
             )
-    present = labels_present(image)
-    _require("stiffness", "stiffness", present, table)
     values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
     return values_at(image, present, values)
 
@@ -176,10 +190,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     ProblemError
         If a label has no material or two, or a tissue's ratio is out of range.
     """
-    image = _as_labels("stiffness", labels)
-    table = _by_label("stiffness", "materials", Material, materials)
-    present = labels_present(image)
-    _require("stiffness", "Poisson's ratio", present, table)
+    image, present, table = _read("stiffness", "materials", Material, labels, materials)
     there = [table[int(label)] for label in present]
     low, high = POISSON_RANGE
     tissues = [material for material in there if material.is_deformable]
@@ -231,59 +242,37 @@ def boundary_images(
         If a label has no rule or two, a rule holds numbers out of range, or an open line is to
         expand (which of its sides is outside, nobody can say).
     """
-    image = _as_labels("observed", labels)
-    table = _by_label("observed", "rules", BoundaryRule, rules)
+    image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
     for rule in table.values():
         _check_rule(rule)
-    present = [int(label) for label in labels_present(image) if label != 0]
-    _require("observed", "rule", present, table)
     y = np.zeros((*image.shape, 2), dtype=np.float32)
     c = np.zeros_like(y)
     for label in present:
-        rule = table[label]
+        rule = table[int(label)]
         painted = image == label
         c[painted] = rule.confidence
         if rule.action == "move":
             y[painted] = rule.vector
         elif rule.action == "expand":
-            normals = _normals(painted, spacing, rule)
+            normals = outward_normals(painted, spacing, _quoted(rule))
             y[painted] = np.float32(rule.amount) * normals[painted]
             c[painted & ~normals.any(axis=-1)] = 0
     return y, c
 
 
-def _normals(
-    painted: npt.NDArray[np.bool_], spacing: Sequence[float], rule: BoundaryRule
-) -> FloatArray:
-    try:
-        return outward_normals(painted, spacing)
-    except OpenLine as line:
-        raise ProblemError(
-            "observed",
-            f"lets {_quoted(rule)} expand, but a part of it is an open line (about "
-            f"{line.length:.3g} long and {line.thickness:.3g} thick), which has no outside: it "
-            "would be torn along its middle. Close the line to a ring, or let it move by a vector "
-            "instead ('moves by').",
-        ) from None
-
-
-def _as_labels(field: str, labels: npt.ArrayLike) -> npt.NDArray[Any]:
+def _read(
+    field: str, what: str, kind: type, labels: npt.ArrayLike, rows: Iterable[Any]
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
+    """Labels as an image, those in it, and their rows by label."""
     image = as_numbers(field, labels)
-    if image.dtype.kind not in "biu":
+    if image.dtype.kind not in "biu" or image.ndim != 2:
         raise ProblemError(
-            field, f"has labels of type {image.dtype}. Give whole numbers, one per material."
+            field,
+            f"has labels of type {image.dtype}, shape {image.shape}, but a 2-D image (H, W) of "
+            "whole numbers is needed, one per material.",
         )
-    if image.ndim != 2:
-        raise ProblemError(
-            field, f"has labels of shape {image.shape}, but a 2-D image (H, W) is needed."
-        )
-    return image
-
-
-def _by_label(field: str, what: str, kind: type, rows: Iterable[Any]) -> dict[int, Any]:
     table: dict[int, Any] = {}
-    given = list(rows) if isinstance(rows, Iterable) else [rows]
-    for row in given:
+    for row in rows if isinstance(rows, Iterable) else [rows]:
         refuse_unless(isinstance(row, kind), what, row, f"a list, each a {kind.__name__}")
         if not is_whole(row.label):
             raise ProblemError(
@@ -292,20 +281,20 @@ def _by_label(field: str, what: str, kind: type, rows: Iterable[Any]) -> dict[in
         if row.label in table:
             raise ProblemError(field, f"has two {what} for label {row.label}. Remove one.")
         table[row.label] = row
-    return table
-
-
-def _require(field: str, what: str, present: Iterable[int], table: dict[int, Any]) -> None:
-    missing = [int(label) for label in present if int(label) not in table]
+    present = labels_present(image)
+    if kind is BoundaryRule:
+        present = present[present != 0]
+    missing = [str(label) for label in present if int(label) not in table]
     if missing:
-        listed = ", ".join(str(label) for label in missing[:10])
+        listed = ", ".join(missing[:10])
         more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
-        one = len(missing) == 1
         raise ProblemError(
             field,
-            f"has {'label' if one else 'labels'} {listed}{more} without a {what}. Give "
-            f"{'it' if one else 'each'} one in the table, or erase {'it' if one else 'them'}.",
+            f"has {'label' if len(missing) == 1 else 'labels'} {listed}{more} without a "
+            f"{'rule' if kind is BoundaryRule else 'stiffness'}. Give each one in the table, or "
+            "erase what is painted so.",
         )
+    return image, present, table
 
 
 def _check_rule(rule: BoundaryRule) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.errors import ProblemError
+
 #: How far an outline is smoothed before its normal is taken, in pixels.
 _SMOOTHING = 1.5
 #: A part so many times longer than it is thick is a line, whatever the brush: it has no inside.
@@ -19,22 +21,8 @@ _EIGHT = np.ones((3, 3), dtype=bool)
 _SPECK = 25
 
 
-class OpenLine(ValueError):
-    """A part is an open line: which of its sides is outside, nobody can say.
-
-    Attributes
-    ----------
-    length, thickness : float
-        About, in the unit of the spacing.
-    """
-
-    def __init__(self, length: float, thickness: float) -> None:
-        super().__init__(f"an open line, {length:.3g} long and {thickness:.3g} thick")
-        self.length, self.thickness = length, thickness
-
-
 def outward_normals(
-    mask: npt.NDArray[np.bool_], spacing: Sequence[float]
+    mask: npt.NDArray[np.bool_], spacing: Sequence[float], name: str
 ) -> npt.NDArray[np.float32]:
     """Unit normals of each part's enclosing outline, at the outline's nearest pixel.
 
@@ -47,6 +35,8 @@ def outward_normals(
     mask : ndarray of bool, shape (H, W)
     spacing : sequence of float, shape (2,)
         Size of a pixel in (row, col) direction.
+    name : str
+        What is to expand, for people.
 
     Returns
     -------
@@ -56,8 +46,8 @@ def outward_normals(
 
     Raises
     ------
-    OpenLine
-        If a part has no inside.
+    ProblemError
+        If a part is an open line: which of its sides is outside, nobody can say.
     """
     sizes = np.asarray(spacing, dtype=float)
     sigma = _SMOOTHING * sizes.max() / sizes
@@ -65,8 +55,8 @@ def outward_normals(
     normals = np.zeros((*mask.shape, 2), dtype=np.float32)
     for box, part in _parts(mask):
         padded = np.pad(part, [(size, size) for size in margin])
-        filled = scipy.ndimage.binary_fill_holes(padded)
-        _refuse_open_line(filled, sizes)
+        filled = _filled(padded)
+        _refuse_open_line(filled, sizes, name)
         blurred = scipy.ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
         slope = -np.stack(np.gradient(blurred, *sizes), axis=-1)
         outline = filled & ~scipy.ndimage.binary_erosion(filled)
@@ -98,7 +88,9 @@ def _parts(
         yield box, numbered[box] == number
 
 
-def _refuse_open_line(filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float64]) -> None:
+def _refuse_open_line(
+    filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float64], name: str
+) -> None:
     area = float(filled.sum() * sizes.prod())
     deepest = float(scipy.ndimage.distance_transform_edt(filled, sampling=sizes).max())
     at_least = 2 * deepest - sizes.max()
@@ -109,7 +101,12 @@ def _refuse_open_line(filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float
     thickness = 2 * float(scipy.ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
     length = area / thickness
     if length > _LINE * thickness:
-        raise OpenLine(length, thickness)
+        raise ProblemError(
+            "observed",
+            f"lets {name} expand, but a part of it is an open line (about {length:.3g} long and "
+            f"{thickness:.3g} thick), which has no outside: it would be torn along its middle. "
+            "Close the line to a ring, or let it move by a vector instead ('moves by').",
+        )
 
 
 def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -125,13 +122,15 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         The pixels of each part beside what is around it, or at the edge of the image.
     """
     rim = mask & ~scipy.ndimage.binary_erosion(mask)
-    parts, _ = scipy.ndimage.label(mask, structure=_EIGHT)
-    for number, box in enumerate(scipy.ndimage.find_objects(parts), 1):
-        if parts[box].size <= _SPECK:
-            continue
-        part = np.pad(parts[box] == number, 1)
-        around, _ = scipy.ndimage.label(~part)
-        filled = around != around[0, 0]
-        inner = part & scipy.ndimage.binary_erosion(filled)
-        rim[box] &= ~inner[1:-1, 1:-1]
+    for box, part in _parts(mask):
+        if part.size > _SPECK:
+            part = np.pad(part, 1)
+            inner = part & scipy.ndimage.binary_erosion(_filled(part))
+            rim[box] &= ~inner[1:-1, 1:-1]
     return np.asarray(rim)
+
+
+def _filled(part: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """A part with its holes; outside of it at the corner of the box."""
+    around, _ = scipy.ndimage.label(~part)
+    return np.asarray(around != around[0, 0])

@@ -8,7 +8,7 @@ not change, so that it can be kept, compared and come back to. Nothing here need
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_one_of, shown
+from napari_hmrf.arguments import is_one_of, real, reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.surroundings import background_of, surrounds
@@ -34,6 +34,7 @@ STIFFNESSES = (10.0, 20.0, 40.0)
 _NODES = 64
 #: Integers of no more values than this are looked up, each value computed once.
 _TABLE = 2**16
+_TOO_LARGE = 2**62
 #: Stiffnesses are computed in single precision.
 _LARGEST = float(np.finfo(np.float32).max)
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
@@ -78,26 +79,23 @@ class StiffnessCurve:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        try:
-            points = tuple((float(intensity), float(stiff)) for intensity, stiff in self.points)
-            void_below = None if self.void_below is None else float(self.void_below)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise _bad("has points that are not pairs of numbers: intensity, stiffness") from error
+        given = self.points if isinstance(self.points, Iterable) else [self.points]
+        points = tuple(reals(point, 2) for point in given)
+        void_below = None if self.void_below is None else real(self.void_below)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "void_below", void_below)
+        if not all(math.isfinite(intensity) for intensity, _ in points):
+            raise _bad("has points that are not pairs of numbers: intensity, stiffness")
         if len(points) < 2:
             raise _bad(f"has {len(points)} points. Give two or more")
-        intensities, stiffnesses = zip(*points, strict=True)
-        if not all(math.isfinite(value) for value in intensities):
-            raise _bad(f"has an intensity that is no finite number, in {intensities}")
-        for before, after in pairwise(intensities):
+        for (before, _), (after, _) in pairwise(points):
             if not before < after:
                 raise _bad(
                     f"has intensity {after:g} after {before:g}. Give the points in rising order, "
                     "one for each intensity"
                 )
-        for stiffness in stiffnesses:
-            if not (math.isfinite(stiffness) and 0 < stiffness <= _LARGEST):
+        for _, stiffness in points:
+            if not 0 < stiffness <= _LARGEST:
                 raise _bad(
                     f"has a stiffness of {stiffness:g}. Give numbers above 0; what is no tissue is "
                     "said by void_below"
@@ -163,13 +161,10 @@ class StiffnessCurve:
         if not image.size:
             return np.zeros(image.shape, dtype=np.float32)
         lowest, highest = int(image.min()), int(image.max())
-        if highest - lowest >= min(_TABLE, image.size):
+        if highest - lowest >= min(_TABLE, image.size) or highest >= _TOO_LARGE:
             return self._at(image)
-        kind = image.dtype.type
-        table = self._at(np.arange(highest - lowest + 1).astype(kind) + kind(lowest))
-        # Differences wrap around in the image's own type; without a sign they are right again.
-        offsets = np.asarray(image - kind(lowest)).view(f"u{image.dtype.itemsize}")
-        taken: FloatArray = table[offsets]
+        table = self._at(np.arange(lowest, highest + 1))
+        taken: FloatArray = table[image.astype(np.int64) - lowest]
         return taken
 
     @property

@@ -49,11 +49,8 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     around = grey[found & np.isfinite(grey)].astype(np.float64)
     if around.size and around.min() < around.max():
         below = threshold_otsu(around)
-        air, rest, bright = (
-            around[around <= below],
-            around[around > below],
-            values[values > threshold],
-        )
+        air, rest = around[around <= below], around[around > below]
+        bright = values[values > threshold]
         apart = rest.mean() - air.mean() > _APART * (bright.mean() - air.mean())
         if apart and min(len(air), len(rest)) > _PART * len(around):
             found = _surroundings(grey, below)

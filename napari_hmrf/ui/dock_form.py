@@ -12,12 +12,12 @@ from napari_hmrf.study.study import Grid
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import put_scrolled, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
-from napari_hmrf.ui.material_table import POISSON
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
+from napari_hmrf.ui.tissue_tables import POISSON
 
 #: Of the dock, in pixels.
 _WIDTH = 336

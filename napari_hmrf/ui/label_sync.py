@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -73,8 +73,7 @@ class PaintedLabels:
         if self._layer is None:
             return
         self._loading = True
-        if hasattr(self._table, "unit"):
-            self._table.unit = str(known_of(self._layer).get("unit", ""))
+        self._table.unit = str(known_of(self._layer).get("unit", ""))
         self._table.rows = rows_of(self._layer, self._role) or ()
         self._look(quietly=True)
         self._loading = False
@@ -98,31 +97,25 @@ class PaintedLabels:
             self._look()
             self.changed.emit()
 
-    @contextmanager
-    def by_nobody(self) -> Iterator[None]:
-        """Rows that come meanwhile are no step of their own."""
-        before, self.by_itself = self.by_itself, True
-        try:
-            yield
-        finally:
-            self.by_itself = before
-
     def _look(self, quietly: bool = False) -> None:
         self._timer.stop()
         labels = {int(label) for label in labels_in(self._layer, self._view())}
         if self._role == BOUNDARY:
             labels = {label for label in labels if label > 0}
-        new = sorted(labels - set(self._table.labels))
-        with self.by_nobody():
-            self._table.ensure(new)
+        self.by_itself = True
+        try:
+            new = self._table.ensure(labels)
+        finally:
+            self.by_itself = False
         if new and not quietly:
-            said = " and ".join(f"label {label} ({self._table.words(label)})" for label in new[:3])
+            said = " and ".join(f"label {row.label} ({self._table.words(row)})" for row in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
-        colours = {label: self._layer.get_color(label) for label in self._table.labels if label}
-        seen = {
-            label: tuple(map(float, rgba)) for label, rgba in colours.items() if rgba is not None
+        colours = {
+            label: tuple(map(float, rgba))
+            for label in self._table.labels
+            if label and (rgba := self._layer.get_color(label)) is not None
         }
-        self._table.set_colours(seen)
+        self._table.set_colours(colours)
 
     def mark(self, active: Any) -> None:
         """Highlight the row that is painted with, if the layer is the active one; else none."""
@@ -145,8 +138,7 @@ class PaintedLabels:
     def _on_edited(self) -> None:
         if self._layer is None or self._loading:
             return
-        unit = str(getattr(self._table, "unit", ""))
-        self._layer.metadata.update(described(self._role, self._table.rows, unit))
+        self._layer.metadata.update(described(self._role, self._table.rows, self._table.unit))
         self._timer.start()
         self.changed.emit()
 

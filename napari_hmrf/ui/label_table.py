@@ -74,6 +74,8 @@ class LabelTable(QAbstractTableModel):
     picked = Signal(int)
     marked = Signal(object)
     refused = Signal(str)
+    #: Of stiffness, in a table that has it.
+    unit: str = ""
 
     def __init__(
         self,
@@ -107,8 +109,8 @@ class LabelTable(QAbstractTableModel):
         """The row of a label that was not there before."""
         raise NotImplementedError
 
-    def words(self, label: int) -> str:
-        """What a label's row says, in words."""
+    def words(self, row: Any) -> str:
+        """What a row says, in words."""
         raise NotImplementedError
 
     # What is in it
@@ -136,14 +138,17 @@ class LabelTable(QAbstractTableModel):
         return tuple(int(value.label) for value in self._rows)
 
     def show(self, table: Any) -> None:
-        """Show a table as a layer carries it, with `rows` and perhaps a `unit`."""
+        """Show a table as a layer carries it, with `rows` and a `unit`."""
+        self.unit = table.unit or self.unit
         if self.rows != table.rows:
             self.rows = table.rows
 
-    def ensure(self, labels: Iterable[int]) -> None:
-        """Give each label a row."""
-        if new := sorted(set(labels) - set(self.labels)):
-            self.rows = [*self._rows, *(self._default(label) for label in new)]
+    def ensure(self, labels: Iterable[int]) -> list[Any]:
+        """Give each label a row; those that are new."""
+        new = [self._default(label) for label in sorted(set(labels) - set(self.labels))]
+        if new:
+            self.rows = [*self._rows, *new]
+        return new
 
     def add(self, row: Callable[[int], Any] | None = None) -> int:
         """Add what `row` makes of the next free label; by default what a new label gets."""

@@ -17,7 +17,7 @@ from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.tissue.material_tables import ENDING, load_materials, save_materials
-from napari_hmrf.ui.material_table import MaterialTable
+from napari_hmrf.ui.tissue_tables import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"
 

@@ -13,8 +13,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import fits
 from napari_hmrf.layers.place import Frame, place_of
 from napari_hmrf.layers.slice_view import View, layer_extents
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.label_defaults import UNPAINTED
+from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step
 

@@ -13,14 +13,13 @@ from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.ui.boundary_table import BoundaryTable
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.label_sync import PaintedLabels
 from napari_hmrf.ui.label_table import LabelTable, LabelTableView
 from napari_hmrf.ui.landmark_choice import LandmarkChoice
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.material_menu import MaterialMenu
-from napari_hmrf.ui.material_table import MaterialTable
+from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]

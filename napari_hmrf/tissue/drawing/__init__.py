@@ -5,9 +5,8 @@ here needs Qt or napari.
 """
 
 from napari_hmrf.tissue.drawing.canvas import Canvas
-from napari_hmrf.tissue.drawing.drawing import Drawing, Hit
+from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, Rendering
 from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Stroke
-from napari_hmrf.tissue.drawing.rendering import Rendering
 
 __all__ = [
     "Arrow",

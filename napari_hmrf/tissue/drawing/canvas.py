@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -103,11 +104,15 @@ class Canvas:
         rows, cols = self.shape
         return 0, rows, 0, cols
 
+    @property
+    def images(self) -> list[npt.NDArray[Any]]:
+        """Those there are, always in one order."""
+        images = (self.observed, self.confidence, self.labels, self.kinds)
+        return [image for image in images if image is not None]
+
     def copy(self) -> Canvas:
         """The same images, to be drawn on."""
-        labels = None if self.labels is None else self.labels.copy()
-        kinds = None if self.kinds is None else self.kinds.copy()
-        return Canvas(self.observed.copy(), self.confidence.copy(), labels, self.spacing, kinds)
+        return deepcopy(self)
 
 
 def box_of(mark: Mark, canvas: Canvas) -> Box:
@@ -156,7 +161,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     reach = brush_reach(radius, canvas.spacing)
     where = distance <= reach
     at = (slice(box[0], box[1]), slice(box[2], box[3]))
-    which = _COMPONENTS["both" if mark.components == "both" else mark.components]
+    which = _COMPONENTS[mark.components]
     y, c = canvas.observed[at][..., which], canvas.confidence[at][..., which]
     if isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[which], mark.confidence
@@ -202,10 +207,17 @@ def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[
     _expanded_whole(stroke, spacing, shape)
 
 
+def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
+    """Whether a place, (row, col) in pixels, is under the brush of a stroke."""
+    lines = [np.array(line) - point for line in stroke.lines]
+    pixel = distance_to(lines, stroke.radius, spacing, (0, 1, 0, 1))
+    return bool(pixel[0, 0] <= stroke.radius)
+
+
 def distance_to(
-    lines: tuple[tuple[Point, ...], ...],
+    lines: Iterable[npt.ArrayLike],
     radius: float,
-    spacing: tuple[float, float],
+    spacing: Sequence[float],
     window: Box,
 ) -> FloatArray:
     """How far the pixels of a window are from lines; infinite well beyond a radius.
@@ -214,7 +226,7 @@ def distance_to(
 
     Parameters
     ----------
-    lines : tuple of tuple of (float, float)
+    lines : iterable of array_like, shape (N, 2)
         In pixels.
     radius : float
         In the unit of `spacing`.
@@ -231,7 +243,7 @@ def distance_to(
     size = np.array(spacing)
     reach = brush_reach(radius, spacing) / size + 1
     for line in lines:
-        points = np.array(line)
+        points = np.asarray(line)
         starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
         low = np.ceil(np.minimum(starts, ends) - reach).astype(np.int64)
         high = np.floor(np.maximum(starts, ends) + reach).astype(np.int64) + 1

@@ -1,4 +1,4 @@
-"""A drawing: marks in the order in which they were made."""
+"""A drawing: marks in the order in which they were made, and the images with them on top."""
 
 from __future__ import annotations
 
@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from napari_hmrf.tissue.drawing.canvas import Canvas, paint
+from napari_hmrf.tissue.drawing.canvas import (
+    Box,
+    Canvas,
+    box_of,
+    common,
+    covers,
+    is_empty,
+    paint,
+)
 from napari_hmrf.tissue.drawing.marks import (
     Arrow,
     Landmark,
@@ -86,7 +94,7 @@ class Drawing:
         """
         found: list[tuple[float, int, int]] = []
         for number, mark in enumerate(self.marks):
-            for order, end in enumerate(_ends(mark, spacing)):
+            for order, end in enumerate(ends_of(mark, spacing)):
                 away = math.hypot(
                     *((a - b) * size for a, b, size in zip(end, point, spacing, strict=True))
                 )
@@ -109,7 +117,7 @@ class Drawing:
         """
         for number in reversed(range(len(self.marks))):
             mark = self.marks[number]
-            if isinstance(mark, Stroke) and mark.distance(point, spacing) <= mark.radius:
+            if isinstance(mark, Stroke) and covers(mark, point, spacing):
                 return number
         return None
 
@@ -167,10 +175,100 @@ class Drawing:
             raise IndexError(f"there is no mark {number} of {len(self.marks)}")
 
 
-def _ends(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
+class Rendering:
+    """The images with a drawing on top; an edit rewrites only the pixels it may have changed.
+
+    Parameters
+    ----------
+    base : Canvas
+        What is beneath the drawing; not changed, and not to be changed meanwhile.
+
+    Attributes
+    ----------
+    canvas : Canvas
+        The images with the drawing; written to in place.
+    drawing : Drawing
+        The one shown.
+    """
+
+    def __init__(self, base: Canvas) -> None:
+        self._base = base
+        self.canvas = base.copy()
+        self.drawing = Drawing()
+
+    def show(self, drawing: Drawing) -> Box | None:
+        """Bring the images up to date.
+
+        Parameters
+        ----------
+        drawing : Drawing
+
+        Returns
+        -------
+        Box or None
+            The pixels that may have changed: (first row, row after the last, first column, column
+            after the last); None if none did.
+
+        Raises
+        ------
+        ProblemError
+            As `Drawing.render`; the images are then those of the drawing before.
+        """
+        window = self._changed(drawing)
+        if window is None:
+            self.drawing = drawing
+            return None
+        try:
+            self._redraw(drawing, window)
+        except Exception:
+            self._redraw(self.drawing, window)
+            raise
+        self.drawing = drawing
+        return window
+
+    def _redraw(self, drawing: Drawing, window: Box) -> None:
+        at = (slice(window[0], window[1]), slice(window[2], window[3]))
+        base, canvas = self._base, self.canvas
+        for image, beneath in zip(canvas.images, base.images, strict=True):
+            image[at] = beneath[at]
+        for mark in drawing.marks:
+            paint(mark, canvas, window)
+
+    def _changed(self, drawing: Drawing) -> Box | None:
+        """The box of all marks that are not in both drawings, at the same place in the order."""
+        old, new = self.drawing.marks, drawing.marks
+        shorter = min(len(old), len(new))
+        first = next((i for i in range(shorter) if old[i] != new[i]), shorter)
+        rest = shorter - first
+        last = next((i for i in range(rest) if old[-1 - i] != new[-1 - i]), rest)
+        gone, come = old[first : len(old) - last], new[first : len(new) - last]
+        boxes = [box_of(mark, self.canvas) for mark in _differing(gone, come)]
+        boxes = [box for box in boxes if not is_empty(box)]
+        if not boxes:
+            return None
+        around = (
+            min(box[0] for box in boxes),
+            max(box[1] for box in boxes),
+            min(box[2] for box in boxes),
+            max(box[3] for box in boxes),
+        )
+        return common(around, self.canvas.whole)
+
+
+def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
     """Head and base of what has them."""
     if isinstance(mark, Arrow):
         return mark.head(spacing), mark.at
     if isinstance(mark, Landmark):
         return mark.target, mark.source
     return ()
+
+
+def _differing(gone: tuple[Mark, ...], come: tuple[Mark, ...]) -> tuple[Mark, ...]:
+    """The marks that differ; of a stroke that only went on, the part that is new."""
+    match gone, come:
+        case (Stroke() as before,), (Stroke() as after,) if after.action != "expand":
+            added = after.added_to(before)
+            if added is not None:
+                return (added,)
+    return (*gone, *come)

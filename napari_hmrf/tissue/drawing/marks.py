@@ -8,12 +8,14 @@ X + by.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 
+from napari_hmrf.arguments import is_one_of, is_whole, real, reals, shown
 from napari_hmrf.errors import ProblemError
 
 Point = tuple[float, float]
@@ -23,8 +25,75 @@ Components = Literal["both", "row", "col"]
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 
 
+def _number(least: float, most: float) -> Callable[[Any], float | None]:
+    return lambda value: number if least <= (number := real(value)) <= most else None
+
+
+def _place(value: Any) -> Point | None:
+    row, col = reals(value, 2)
+    return (row, col) if math.isfinite(row) and math.isfinite(col) else None
+
+
+def _lines(values: Any) -> tuple[tuple[Point, ...], ...] | None:
+    try:  # a stroke has many places
+        lines = [np.asarray(line, dtype=float) for line in values]
+    except (TypeError, ValueError):
+        return None
+    right = (line.ndim == 2 and line.shape[1] == 2 and np.isfinite(line).all() for line in lines)
+    plain = tuple(tuple(map(tuple, line.tolist())) for line in lines)
+    return plain if plain and all(plain) and all(right) else None
+
+
+def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
+    return lambda value: value if is_one_of(value, words) else None, " or ".join(words)
+
+
+_LARGEST = sys.float_info.max
+_SHARE = (_number(0, 1), "a value from 0 to 1")
+_PLACE = (_place, "(row, col)")
+#: By its name how a value is made plain, None if it means nothing, and what to give.
+_VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "at": _PLACE,
+    "by": _PLACE,
+    "source": _PLACE,
+    "target": _PLACE,
+    "lines": (_lines, "the places of a brush, (row, col) each"),
+    "radius": (_number(sys.float_info.min, _LARGEST), "a length above 0"),
+    "amount": (_number(-_LARGEST, _LARGEST), "a number"),
+    "confidence": _SHARE,
+    "softness": _SHARE,
+    "label": (lambda value: int(value) if is_whole(value) else None, "a whole number"),
+    "action": _one_of(get_args(Action)),
+    "components": _one_of(get_args(Components)),
+}
+
+
+def _checked(name: str, value: Any) -> Any:
+    """A value in its plain type, so that equal marks are equal and go into files."""
+    make_plain, give = _VALUES[name]
+    plain = make_plain(value)
+    if plain is None:
+        field = "confidence" if name in ("confidence", "softness") else "observed"
+        raise ProblemError(field, f"has a mark with {name} {shown(value)}. Give {give}.")
+    return plain
+
+
+class _Checked:
+    """Refuses values that mean nothing."""
+
+    #: Whether a confidence of 0 says something: a stroke takes away what is beneath it.
+    _may_doubt = False
+    confidence: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, _checked(name, value))
+        if not (self.confidence or self._may_doubt):
+            raise ProblemError("confidence", "has a mark with a confidence of 0. Remove the mark.")
+
+
 @dataclass(frozen=True)
-class Arrow:
+class Arrow(_Checked):
     """A patch of tissue that is prescribed to move.
 
     Attributes
@@ -52,11 +121,6 @@ class Arrow:
     confidence: float = 1.0
     components: Components = "both"
 
-    def __post_init__(self) -> None:
-        _set(self, at=_point(self.at), by=_point(self.by, "observed"), radius=_radius(self.radius))
-        _set(self, confidence=_confidence(self.confidence))
-        _one_of("components", self.components, get_args(Components))
-
     def head(self, spacing: Iterable[float]) -> Point:
         """Where the middle of the patch goes, in pixels."""
         row, col = (at + by / size for at, by, size in zip(self.at, self.by, spacing, strict=True))
@@ -64,7 +128,7 @@ class Arrow:
 
 
 @dataclass(frozen=True)
-class Landmark:
+class Landmark(_Checked):
     """A place that was found again elsewhere.
 
     Attributes
@@ -85,10 +149,6 @@ class Landmark:
     radius: float
     confidence: float = 1.0
 
-    def __post_init__(self) -> None:
-        _set(self, source=_point(self.source), target=_point(self.target))
-        _set(self, radius=_radius(self.radius), confidence=_confidence(self.confidence))
-
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """The same as an arrow, whose length depends on the size of a pixel."""
         row, col = (
@@ -99,7 +159,7 @@ class Landmark:
 
 
 @dataclass(frozen=True)
-class Stroke:
+class Stroke(_Checked):
     """What was painted with a round brush.
 
     Attributes
@@ -132,6 +192,7 @@ class Stroke:
         If a value is not a number, or out of range.
     """
 
+    _may_doubt = True
     action: Action
     lines: tuple[tuple[Point, ...], ...]
     radius: float
@@ -142,19 +203,6 @@ class Stroke:
     label: int = 0
     components: Components = "both"
 
-    def __post_init__(self) -> None:
-        _one_of("action", self.action, get_args(Action))
-        _one_of("components", self.components, get_args(Components))
-        lines = tuple(tuple(_point(point) for point in line) for line in self.lines)
-        if not lines or not all(lines):
-            raise ProblemError(
-                "observed", "has a stroke of the brush without a place. Give it one."
-            )
-        _set(self, lines=lines, by=_point(self.by, "observed"), radius=_radius(self.radius))
-        _set(self, amount=_number("observed", "an amount", self.amount))
-        _set(self, confidence=_share("a confidence", self.confidence))
-        _set(self, softness=_share("a softness", self.softness), label=int(self.label))
-
     @property
     def moves_nowhere(self) -> bool:
         """Whether it says that tissue moves, by nothing."""
@@ -164,25 +212,11 @@ class Stroke:
     def onward(self, point: Point) -> Stroke:
         """The stroke, with the brush moved on to another place."""
         *before, line = self.lines
-        return _with_lines(self, (*before, (*line, _point(point))))
+        return _with_lines(self, (*before, (*line, _checked("at", point))))
 
     def again(self, point: Point) -> Stroke:
         """The stroke, with the brush put down once more, at another place."""
-        return _with_lines(self, (*self.lines, (_point(point),)))
-
-    def distance(self, point: Point, spacing: Iterable[float]) -> float:
-        """How far a place is from the way of the brush, in the unit of the pixel spacing."""
-        size = np.array(tuple(spacing))
-        to, nearest = np.array(point) * size, math.inf
-        for line in self.lines:
-            points = np.array(line) * size
-            starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
-            steps = ends - starts
-            squares = np.maximum((steps**2).sum(axis=1), 1e-300)
-            along = np.clip(((to - starts) * steps).sum(axis=1) / squares, 0, 1)
-            away = np.linalg.norm(starts + along[:, None] * steps - to, axis=1)
-            nearest = min(nearest, float(away.min()))
-        return nearest
+        return _with_lines(self, (*self.lines, (_checked("at", point),)))
 
     def added_to(self, earlier: Stroke) -> Stroke | None:
         """What the brush did since it was `earlier`; None if this is not a continuation of it."""
@@ -226,65 +260,3 @@ def _with_lines(stroke: Stroke, lines: tuple[tuple[Point, ...], ...]) -> Stroke:
     other = object.__new__(Stroke)
     other.__dict__.update(stroke.__dict__, lines=lines)
     return other
-
-
-def _set(mark: Mark, **values: Any) -> None:
-    """Store values in their plain types: equal marks are equal, and go into files."""
-    for name, value in values.items():
-        object.__setattr__(mark, name, value)
-
-
-def _number(field: str, what: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise ProblemError(field, f"has a mark with {what} of {value!r}. Give a number.")
-    return number
-
-
-def _point(value: Any, field: str = "") -> Point:
-    what = "a displacement" if field else "a place"
-    try:
-        row, col = value
-    except (TypeError, ValueError):
-        raise ProblemError(
-            "observed", f"has a mark with {what} {value!r}. Give (row, col)."
-        ) from None
-    return _number("observed", what, row), _number("observed", what, col)
-
-
-def _radius(value: Any) -> float:
-    radius = _number("observed", "a radius", value)
-    if radius <= 0:
-        raise ProblemError(
-            "observed", f"has a mark with a radius of {radius:g}. Give a length above 0."
-        )
-    return radius
-
-
-def _share(what: str, value: Any) -> float:
-    share = _number("confidence", what, value)
-    if not 0 <= share <= 1:
-        raise ProblemError(
-            "confidence", f"has a mark with {what} of {share:g}. Give a value from 0 to 1."
-        )
-    return share
-
-
-def _confidence(value: Any) -> float:
-    confidence = _share("a confidence", value)
-    if confidence == 0:
-        raise ProblemError(
-            "confidence", "has a mark with a confidence of 0, which says nothing. Remove the mark."
-        )
-    return confidence
-
-
-def _one_of(what: str, value: Any, known: tuple[str, ...]) -> None:
-    if value not in known:
-        listed = ", ".join(f'"{each}"' for each in known)
-        raise ProblemError(
-            "observed", f"has a mark with the {what} {value!r}. Take one of {listed}."
-        )

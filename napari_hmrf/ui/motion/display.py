@@ -18,8 +18,8 @@ from napari_hmrf.layers.viewer_shared import shared
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
 from napari_hmrf.ui.motion.strokes import ConfidenceLayer, PaintedLayer

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -15,8 +14,8 @@ from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.tissue.drawing.tool import Hand
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
@@ -353,9 +352,9 @@ class Pointer:
     # What follows
 
     def _show_how(self) -> None:
-        how = self.hand.how
-        if how is not None:
-            self._fields.show_how(how)
+        mark = self.hand.mark
+        if mark is not None:
+            self._fields.show_how(mark)
 
     def _on_drawn(self, _: Drawing) -> None:
         self.drawn.emit()
@@ -372,7 +371,7 @@ class Pointer:
         if self.tool.name == "tissue" and not self._picked:
             return
         try:
-            self.hand.change(**asdict(how))
+            self.hand.change(how)
         except HmrfError as error:
             self.said.emit(in_short(error))
 

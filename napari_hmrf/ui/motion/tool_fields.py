@@ -8,9 +8,8 @@ from magicgui.widgets import ComboBox, Container
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
-from napari_hmrf.tissue.drawing.brush import Paint
+from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
-from napari_hmrf.tissue.drawing.pull import Grip
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.palette import Palette
 from napari_hmrf.ui.forms import LEAST_CONFIDENCE, confidence_slider, length, narrow, share
@@ -88,12 +87,13 @@ class ToolFields(Container):
         self.show_place("px", self._ways)
 
     @property
-    def how(self) -> Grip | Paint:
-        """How the tool that is shown draws."""
-        tool = self._tool
+    def how(self) -> Arrow | Stroke:
+        """A mark as the tool that is shown makes it; where it lies does not count."""
+        tool, somewhere = self._tool, (0.0, 0.0)
         if not tool.is_brush:
             components: Any = self.components.value if "components" in tool.fields else "both"
-            return Grip(self.radius.value, self.confidence.value, components)
+            radius, confidence = self.radius.value, self.confidence.value
+            return Arrow(somewhere, somewhere, radius, confidence, components)
         values: dict[str, Any] = {}
         if "by_row" in tool.fields:
             values["by"] = (self.by_row.value, self.by_col.value)
@@ -104,7 +104,7 @@ class ToolFields(Container):
         for name in ("amount", "confidence", "softness", "components"):
             if name in tool.fields:
                 values[name] = getattr(self, name).value
-        return Paint(cast(Action, tool.name), self.radius.value, **values)
+        return Stroke(cast(Action, tool.name), ((somewhere,),), self.radius.value, **values)
 
     @property
     def words(self) -> str:
@@ -140,14 +140,14 @@ class ToolFields(Container):
             getattr(self, name).visible = name in tool.fields
         self.preset.visible = "material" in tool.fields and not self._own_table
 
-    def show_how(self, how: Grip | Paint) -> None:
+    def show_how(self, how: Mark) -> None:
         """Show how the selected mark was made, without changing it."""
         values: dict[str, Any] = {
             "confidence": max(how.confidence, LEAST_CONFIDENCE),
             "sure": how.confidence,
-            "components": how.components,
+            "components": "both" if isinstance(how, Landmark) else how.components,
         }
-        if isinstance(how, Paint):
+        if isinstance(how, Stroke):
             values["by_row"], values["by_col"] = how.by
             values["amount"], values["softness"] = how.amount, how.softness
             values["material"] = how.label

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from napari_hmrf.tissue.drawing.brush import Brush
-from napari_hmrf.tissue.drawing.landmark_pairs import Pairs
+from napari_hmrf.tissue.drawing.hands import Hand, History, Pairs, Pull
 from napari_hmrf.tissue.drawing.marks import Arrow, Landmark
-from napari_hmrf.tissue.drawing.pull import Pull
-from napari_hmrf.tissue.drawing.tool import Hand, History
 from napari_hmrf.ui.motion.tools import BY_NAME, Tool
 
 

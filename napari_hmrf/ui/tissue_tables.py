@@ -1,0 +1,200 @@
+"""The tables of tissues and of boundaries: what each label means."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.tissue.boundary_rules import (
+    LARGEST_STIFFNESS,
+    RIGID,
+    Action,
+    BoundaryRule,
+    Material,
+    default_material,
+    default_rule,
+    read_stiffness,
+    stiffness_in_words,
+)
+from napari_hmrf.tissue.material_presets import Preset, take_over
+from napari_hmrf.ui.label_table import Column, LabelTable, number
+from napari_hmrf.ui.messages import ABOUT_POISSON
+
+_STIFFNESS, POISSON = range(2, 4)
+
+
+class MaterialTable(LabelTable):
+    """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "Tissue",
+            [
+                Column("", "", lambda row: stiffness_in_words(row.stiffness), _stiffness, _about),
+                Column(
+                    "Poisson's\nratio",
+                    ABOUT_POISSON,
+                    lambda row: f"{row.poisson:g}" if row.is_deformable else "",
+                    _poisson,
+                    _about,
+                ),
+            ],
+            about=_of_unpainted,
+        )
+        self.unit = ""
+
+    @property
+    def unit(self) -> str:
+        """The unit of stiffness, shown only, for ratios are what matters; "" if none is known."""
+        return self._unit
+
+    @unit.setter
+    def unit(self, unit: str) -> None:
+        self._unit = unit
+        self.set_head(
+            _STIFFNESS,
+            f"Stiffness ({unit})" if unit else "Relative\nstiffness",
+            "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
+            "matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone or an "
+            "implant; the elastic model has that, the paper's has not.",
+        )
+
+    @property
+    def contents(self) -> Preset:
+        """All that the table says, as one value that does not change."""
+        return Preset("", self.unit, "", self.rows)
+
+    def apply_preset(self, preset: Preset) -> str:
+        """Take over a preset's tissues; what became of others, in words, as of `take_over`."""
+        materials, words = take_over(preset, self.rows)
+        self.unit, self.rows = preset.unit, materials
+        return words
+
+    def add_rigid(self) -> int:
+        """Add a row for bone or an implant, which moves as one, to paint with; its label."""
+        return self.add(lambda label: Material(label, "bone or implant", RIGID))
+
+    def _default(self, label: int) -> Material:
+        return default_material(label, self.rows)
+
+    def words(self, row: Material) -> str:
+        """What a row says, in words."""
+        amount = stiffness_in_words(row.stiffness)
+        return amount if row.is_rigid else f"stiffness {amount}"
+
+
+def _stiffness(material: Material, text: str) -> Material:
+    if text.casefold() == "inf" or read_stiffness(text) == RIGID:
+        return replace(material, stiffness=RIGID)
+    stiffness = number(text)
+    if not 0 <= stiffness <= LARGEST_STIFFNESS:
+        raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
+    return replace(material, stiffness=stiffness)
+
+
+def _poisson(material: Material, text: str) -> Material:
+    poisson, (low, high) = number(text), POISSON_RANGE
+    if not low <= poisson <= high:
+        raise ValueError(f"Poisson's ratio must be a number from {low:g} to {high:g}")
+    return replace(material, poisson=poisson)
+
+
+def _of_unpainted(material: Material) -> str:
+    unpainted = "Every pixel you do not paint has this stiffness; with 0 it is no tissue"
+    return unpainted if material.label == 0 else ""
+
+
+def _about(material: Material) -> str:
+    if material.is_rigid:
+        return "Moves and turns as one, such as bone or an implant, without changing its shape"
+    return _of_unpainted(material) if material.is_deformable else "No tissue, such as air"
+
+
+#: How the table calls what a boundary does.
+_ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
+_BY_WORD = {word: action for action, word in _ACTIONS.items()}
+_ROWS, _COLS, _OUTWARD = range(3, 6)
+
+
+class BoundaryTable(LabelTable):
+    """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "Boundary",
+            [
+                Column(
+                    "Action",
+                    "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
+                    "Expands: so far outward, along the normal of its outline",
+                    lambda row: _ACTIONS[row.action],
+                    lambda row, text: replace(row, action=_BY_WORD[text]),
+                    lambda row: (
+                        "Expanding regions must be closed rings or filled: they move along the "
+                        "outward normal of their outline"
+                    ),
+                    tuple(_BY_WORD),
+                ),
+                *(
+                    Column(
+                        "",
+                        "",
+                        partial(_amount, column),
+                        partial(self._typed, column),
+                        lambda row: f"in {self._unit}",
+                    )
+                    for column in (_ROWS, _COLS, _OUTWARD)
+                ),
+                Column(
+                    "confi-\ndence",
+                    "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
+                    "1 / 0.5, for rows and columns apart",
+                    lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
+                    _sure,
+                ),
+            ],
+        )
+        self.show_place("px", Directions())
+
+    def show_place(self, unit: str, ways: Directions) -> None:
+        """Say in which unit amounts are, and which way rows and columns run on the screen."""
+        self._unit = unit
+        for column, title, about in (
+            (_ROWS, ways.label(0), ways.about(0)),
+            (_COLS, ways.label(1), ways.about(1)),
+            (_OUTWARD, "out", "How far outward; negative: inward"),
+        ):
+            words = title.replace(" ", "\n")  # the dock is narrow
+            self.set_head(column, f"{words}\n{unit}", f"{about}, in {unit}")
+
+    def _default(self, label: int) -> BoundaryRule:
+        return default_rule(label)
+
+    def words(self, row: BoundaryRule) -> str:
+        """What a row says, in words."""
+        return _ACTIONS[row.action]
+
+    def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
+        amount = number(text)
+        if not math.isfinite(amount):
+            raise ValueError(f"A distance must be a number, in {self._unit}")
+        if column == _OUTWARD:
+            return replace(rule, amount=amount)
+        rows, cols = rule.vector
+        return replace(rule, vector=(amount, cols) if column == _ROWS else (rows, amount))
+
+
+def _amount(column: int, rule: BoundaryRule) -> str:
+    if rule.action != ("expand" if column == _OUTWARD else "move"):
+        return ""
+    return f"{rule.amount if column == _OUTWARD else rule.vector[column - _ROWS]:g}"
+
+
+def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
+    parts = [number(part) for part in text.split("/")]
+    if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
+        raise ValueError("Confidence must be a number from 0 to 1, or two: 1 / 0.5")
+    return replace(rule, confidence=(parts[0], parts[-1]))
