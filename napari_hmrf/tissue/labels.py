@@ -37,4 +37,8 @@ def values_at(
     image: npt.NDArray[Any], present: npt.NDArray[Any], values: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.float32]:
     """Give every pixel the value of its label, one of those `present`, which are in order."""
+    if image.dtype.kind in "iu" and len(present) and present[0] >= 0 and present[-1] < _TABLE:
+        table = np.zeros(int(present[-1]) + 1, dtype=np.float32)
+        table[present] = values
+        return np.asarray(table[image])
     return np.asarray(values[np.searchsorted(present, image)])

@@ -139,7 +139,7 @@ class LabelTable(QAbstractTableModel):
 
     def show(self, table: Any) -> None:
         """Show a table as a layer carries it, with `rows` and a `unit`."""
-        self.unit = table.unit or self.unit
+        self.unit = table.unit
         if self.rows != table.rows:
             self.rows = table.rows
 
