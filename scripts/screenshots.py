@@ -1,31 +1,56 @@
-"""Take the README's pictures, from a real napari window: ``make screenshots``."""
+"""Take the README's four pictures, from a real napari window: ``make screenshots``."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from window import ROOT, Person, save, wait_until
 
 FOLDER = ROOT / "docs" / "images"
 SAMPLE = "mass-effect"
 SIZE = (1400, 900)
+#: Steps of a drag: the tissue follows each.
+_STEPS = 10
 
 
 def main() -> None:
-    """Open the sample, dock the widget, press Deform; a picture of each."""
+    """Open the sample; a picture of tissue, of a drag, of its result, and of a warning."""
     person = Person(SIZE)
     viewer = person.viewer
     viewer.open_sample("napari-hmrf", SAMPLE)
-    wait_until(lambda: True)
-    save(person.sight(), FOLDER / "sample.png")
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
     viewer.reset_view()
-    wait_until(lambda: widget.solution is not None and not widget.busy)
-    save(person.sight(), FOLDER / "widget.png")
-    widget.deform()
-    wait_until(lambda: widget.idle)
-    if widget.solution is None:
-        raise RuntimeError(f"there is no result: {widget.status}")
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    dock.hand_brush(viewer.layers["Tissue"])
+    wait_until(lambda: not dock.busy)
+    save(person.sight(), FOLDER / "tissue.png")
+    dock.start()
+    wait_until(lambda: not dock.busy)
+    begin, end = (140, 92), (122, 108)
+    drag(person, dock, begin, end)
+    save(person.sight(pointer=True), FOLDER / "motion.png")
+    person.release(*end)
+    dock.overlay = "equivalent"
+    wait_until(lambda: not dock.busy)
     save(person.sight(), FOLDER / "result.png")
+    drag(person, dock, end, (76, 132))
+    person.release(76, 132)
+    wait_until(lambda: not dock.busy)
+    person.click(dock._form.footer.chip)
+    wait_until(lambda: not dock.busy)
+    if "folds" not in dock.warning:
+        raise RuntimeError(f"nothing folds: {dock.warning}")
+    save(person.sight(), FOLDER / "warning.png")
     viewer.close()
+
+
+def drag(person: Person, dock: Any, begin: tuple[int, int], end: tuple[int, int]) -> None:
+    """Press on tissue and drag it, the tissue following; the button stays down."""
+    person.press(*begin)
+    for step in range(1, _STEPS + 1):
+        part = step / _STEPS
+        person.move(*(a + (b - a) * part for a, b in zip(begin, end, strict=True)))
+        wait_until(lambda: not dock._live_study._follower.busy, rest=0.05)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.step_buttons import StepButtons
 
 #: Lines of the status that are seen; its tooltip has all of it.
-_LINES = 4
+_LINES = 5
 #: Work shorter than this is over before anybody has looked at napari's activity panel, in seconds.
 _SHORT = 1.0
 #: How often that panel is told: it has the whole window drawn each time.
