@@ -17,10 +17,9 @@ from napari_hmrf.layers.points_state import placed_in
 from napari_hmrf.layers.table_state import Table, change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.footer import StepKeys
 from napari_hmrf.ui.messages import WELCOME
-from napari_hmrf.ui.step_buttons import StepKeys
-from napari_hmrf.ui.timers import single_shot
 
 #: How long points must rest until a drag of them is over, in milliseconds.
 _REST = 200

@@ -14,9 +14,9 @@ from napari_hmrf.layers.landmarks import LandmarkLayers
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.tissue.usual_lengths import usual_radius
+from napari_hmrf.ui.events import Pixels
 from napari_hmrf.ui.forms import align_labels, confidence_slider, length
 from napari_hmrf.ui.layer_choice import LayerChoice
-from napari_hmrf.ui.pixels import Pixels
 
 _RADIUS = "radius"
 
