@@ -160,9 +160,7 @@ MUTATIONS = (
         "test_widgets_look.py",
     ),
     Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),
-    Mutation(
-        "ui/live_choice.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"
-    ),
+    Mutation("ui/footer.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"),
     Mutation(
         "ui/result/player.py",
         "part = along if along <= 1 else 2 - along",

@@ -8,7 +8,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.ui import timers
+from napari_hmrf.ui import events
 
 #: A timer that is started again so often waits for something else: somebody's mouse, a thread.
 _OFTEN = 5
@@ -23,7 +23,7 @@ class _Noted(QTimer):
         _made.add(self)
 
 
-timers.QTimer = _Noted
+events.QTimer = _Noted
 
 
 class AtRest:
@@ -66,7 +66,7 @@ class AtRest:
         """Have all be answered that Qt and the window system have been told by now."""
         QApplication.sync()
         with self._qtbot.waitCallback(timeout=LONG_MS) as idle:
-            last = timers.single_shot(None, 0, idle)
+            last = events.single_shot(None, 0, idle)
             _made.discard(last)
             last.start()
 

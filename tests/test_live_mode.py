@@ -13,7 +13,6 @@ from napari_hmrf import Multigrid, solve
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.ui import live_choice
 from napari_hmrf.ui.messages import STILL
 
 
@@ -261,8 +260,8 @@ def test_another_image_is_followed_as_soon_as_it_is_chosen(living, small_sample,
 def test_for_a_large_image_it_is_off_and_the_reason_is_shown(
     widget, small_sample, monkeypatch, at_rest
 ):
-    monkeypatch.setattr(live_choice, "LARGEST", 300)
-    widget._live_study.live._wanted = None
+    monkeypatch.setattr("napari_hmrf.ui.footer.LARGEST", 300)
+    widget._form.footer.live._decided = False
     small_sample(viewer_of(widget))
     at_rest()
     check = widget._form.footer.live
@@ -276,7 +275,7 @@ def test_for_a_large_image_it_is_off_and_the_reason_is_shown(
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
 def test_up_to_twelve_hundred_pixels_along_each_side_it_is_on(widget, at_rest, size, followed):
-    widget._live_study.live._wanted = None
+    widget._form.footer.live._decided = False
     widget.image = viewer_of(widget).add_image(np.zeros(size, np.uint8))
     at_rest()
     assert widget.live is followed

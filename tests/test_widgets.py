@@ -815,25 +815,6 @@ def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_
     assert not any("arrows" in name for name in names(viewer))
 
 
-def test_a_layer_removed_while_napari_draws_the_progress_ends_the_work(
-    widget, small_sample, busy_thread, wait_for, monkeypatch
-):
-    viewer = viewer_of(widget)
-    image, _, _ = small_sample(viewer)
-    viewer.add_image(np.zeros((20, 24)), name="another")
-    widget.image = image
-
-    def remove(_):
-        if "Boundary" in viewer.layers:
-            viewer.layers.remove("Boundary")
-
-    monkeypatch.setattr(widget._form.footer, "progress", remove)
-    widget.deform()
-    wait_for(lambda: widget.idle)
-    assert widget.status == "Cancelled: 'Boundary' was removed."
-    assert widget.image is image
-
-
 def test_closing_the_viewer_while_working_is_quick_and_quiet(
     make_napari_viewer, small_sample, busy_thread, at_rest
 ):

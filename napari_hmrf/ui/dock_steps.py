@@ -10,9 +10,9 @@ from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.footer import StepKeys
 from napari_hmrf.ui.messages import WELCOME
-from napari_hmrf.ui.step_buttons import StepKeys
 
 
 class DockSteps:

@@ -6,7 +6,7 @@ from typing import Any
 
 from qtpy.compat import isalive
 
-from napari_hmrf.ui.timers import single_shot
+from napari_hmrf.ui.events import single_shot
 
 
 def figure_canvas(layout: Any = "constrained") -> Any:

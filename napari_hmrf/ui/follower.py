@@ -24,7 +24,7 @@ from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
 from napari_hmrf.ui.handover import Newest, Repainted
-from napari_hmrf.ui.rehearsal import rehearse, rehearse_the_rest
+from napari_hmrf.ui.rehearsal import rehearse
 
 _log = logging.getLogger("napari_hmrf")
 # What those who wait for it are told.
@@ -167,7 +167,7 @@ class Follower:
             self._rehearsed = True
             engine = self._engine
             self._ask(lambda _: rehearse(study, engine.report, engine.closed))
-            self._ask(lambda _: rehearse_the_rest(study, engine.closed))
+            self._ask(lambda _: rehearse(study, engine.report, engine.closed, more=True))
 
     # In the window's thread
 

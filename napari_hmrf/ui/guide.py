@@ -12,7 +12,7 @@ from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.pointer import Pointer
@@ -90,7 +90,7 @@ class Guide:
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or motion_messages.FLAT
         begun = boundary.choice.value is not None
-        how = motion_messages.START if self._live.live.on or not begun else messages.READY
+        how = motion_messages.START if form.footer.live.on or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how
         return self._paused or form.model.objection or how

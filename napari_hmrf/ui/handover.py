@@ -12,7 +12,7 @@ from typing import Any
 from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.ui.timers import single_shot
+from napari_hmrf.ui.events import single_shot
 
 _log = logging.getLogger("napari_hmrf")
 _Work = Callable[[], Any]

@@ -17,9 +17,8 @@ from napari_hmrf.layers.pixel_copy import copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.labels import labels_present
-from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.label_table import LabelTable
-from napari_hmrf.ui.timers import single_shot
 
 #: How long after the last brush stroke the labels are looked at, in milliseconds.
 _PAUSE = 150

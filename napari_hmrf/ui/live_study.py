@@ -27,10 +27,9 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.events import repeating, single_shot
 from napari_hmrf.ui.follower import Done, Follower, Seen
-from napari_hmrf.ui.live_choice import LiveChoice
 from napari_hmrf.ui.motion.pointer import Pointer
-from napari_hmrf.ui.timers import repeating, single_shot
 
 _log = logging.getLogger("napari_hmrf")
 #: How often it is asked how far a solve is, in milliseconds.
@@ -63,8 +62,6 @@ class LiveStudy:
         The latest result that has come to rest.
     settling : bool
         Whether a study is solved from nothing.
-    live : LiveChoice
-        Whether every edit is followed.
     curve_layer : CurveLayer
         Shows the curve by which tissue is made, if it is.
     note : str
@@ -110,7 +107,7 @@ class LiveStudy:
         self._resting = single_shot(native, _REST, self.complete)
         self._poll = repeating(native, _POLL, self._on_poll)
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
-        self.live = LiveChoice(form.footer.live, self.touch)
+        form.footer.live.changed.connect(self.touch)
         pointer.drawn.connect(self._on_drawn)
         form.footer.chip.clicked.connect(self._on_chip)
 
@@ -184,7 +181,7 @@ class LiveStudy:
             self._cannot(error)
             return False
         study = self._stand_on(study, request.layers[0])
-        if self.live.on or self._pointer.active:
+        if self._form.footer.live.on or self._pointer.active:
             self._follow(study)
         else:
             self._compare(study)
@@ -288,7 +285,7 @@ class LiveStudy:
             self._pointer.stand_on(study, source)
             self._form.footer.warn("")
             rows, cols = study.grid.shape
-            self.live.judge((rows, cols))
+            self._form.footer.live.judge((rows, cols))
             self._follower.rehearse(study)
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
@@ -378,7 +375,7 @@ class LiveStudy:
             self.said.emit(f"{messages.report(done)} {self.note}".rstrip())
         elif failed:
             self.said.emit("")
-        if self.study is not None and self._outdated and not self.live.on:
+        if self.study is not None and self._outdated and not self._form.footer.live.on:
             self._compare(self.study)
         self.note = ""
         self.followed.emit(done.outputs)
@@ -394,8 +391,7 @@ class LiveStudy:
         waited, monitor = time.monotonic() - self._since, self._follower.monitor
         if self.settling:
             self._form.footer.progress(monitor.fraction)
-            if self.settling:  # Qt may have answered whatever waited, Cancel among it
-                self._say_progress(messages.progress(monitor, waited))
+            self._say_progress(messages.progress(monitor, waited))
         elif waited > _PATIENCE:
             self._form.footer.following(True)
             self._say_progress(messages.progress(monitor, waited, "Following the last edit"))

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,66 +19,52 @@ from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
 from napari_hmrf.study.study import Study
 
 _SIZE = 24
 _log = logging.getLogger("napari_hmrf")
-#: Of this process.
-_moved: set[str] = set()
-_solved: set[tuple[str, bool]] = set()
+#: What was rehearsed in this process.
+_known: set[tuple[Any, ...]] = set()
 
 
-def rehearse(study: Study, report: Progress | None, left: CancelFlag) -> None:
-    """Solve something small, and move a corner of the picture; on the compute thread only."""
-    picture = study.pictures.image
-    _solve(study, study.prior, report, left)
-    if left.is_set() or picture is None:
+def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = False) -> None:
+    """Solve something small, and move a corner of a picture; on the compute thread only.
+
+    With `more` that is what not every drawing needs: holds that may slip, and paint.
+    """
+    prior, image = study.prior, study.pictures.image
+    if left.is_set() or image is None:
         return
-    _move(Picture(picture[:_SIZE, :_SIZE], fill=emptiness(picture)))
-
-
-def rehearse_the_rest(study: Study, left: CancelFlag) -> None:
-    """The same with what not every drawing needs: holds that may slip, paint, and confidence."""
-    if left.is_set():
-        return
-    prior = study.prior
-    if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
-        _solve(study, replace(prior, penalty=1.0), None, left)
-    for kind in (np.uint8, np.float32):
-        _move(Picture(np.zeros((_SIZE, _SIZE), kind), order=0))
-
-
-def _solve(study: Study, prior: Prior, report: Progress | None, left: CancelFlag) -> None:
+    picture = Picture(image[:_SIZE, :_SIZE], fill=emptiness(image))
+    if more:
+        picture = Picture(np.zeros((_SIZE, _SIZE), np.uint8), order=0)
+        if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+            prior = replace(prior, penalty=1.0)
     spacing = study.grid.spacing
-    key = (prior.kernels, len(set(spacing)) == 1)
-    if key in _solved:
-        return
     y, c = np.zeros((2, _SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
     problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
-    small = prior.rehearsal(problem.shape)
-    try:
-        run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
-    except Cancelled:
-        return
-    except Exception:  # noqa: BLE001 - whoever draws is told of it
-        _log.debug("a rehearsal failed", exc_info=True)
-    _solved.add(key)
-
-
-def _move(picture: Picture) -> None:
-    image = np.asarray(picture.image)
-    key = f"{image.dtype.str} {picture.order}"
-    if key in _moved:
-        return
-    try:
-        tissue = np.ones(image.shape[:2], dtype=bool)
-        tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
-        Warper(picture)(np.zeros((*tissue.shape, 2), np.float32), tissue)
-    except Exception:  # noqa: BLE001 - whoever draws is told of it
-        _log.debug("a rehearsal failed", exc_info=True)
-    _moved.add(key)
+    small, corner = prior.rehearsal(problem.shape), np.asarray(picture.image)
+    tissue = np.ones(corner.shape[:2], dtype=bool)
+    tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
+    still = np.zeros((*tissue.shape, 2), np.float32)
+    parts: dict[tuple[Any, ...], Callable[[], object]] = {
+        (prior.kernels, len(set(spacing)) == 1): lambda: run_here(
+            problem, small, Multigrid(TOLERANCE), "auto", report, left
+        ),
+        (corner.dtype.str, picture.order): lambda: Warper(picture)(still, tissue),
+    }
+    for key, part in parts.items():
+        if key in _known:
+            continue
+        try:
+            part()
+        except Cancelled:
+            return
+        except Exception:  # noqa: BLE001 - whoever draws is told of it
+            _log.debug("a rehearsal failed", exc_info=True)
+        _known.add(key)

@@ -137,7 +137,7 @@ class SoftTissue(Dock):
     arrows = Part[bool]("_form.result.arrows.value")
     overlay = Part[str]("_form.result.overlay.value")
     saved = Part[Any]("_view.saved")
-    live = Part[bool]("_live_study.live.on")
+    live = Part[bool]("_form.footer.live.on")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")

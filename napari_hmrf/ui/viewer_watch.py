@@ -15,12 +15,10 @@ from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.events import Listening, Pixels, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
-from napari_hmrf.ui.pixels import Pixels
-from napari_hmrf.ui.timers import single_shot
 
 #: What napari paints with.
 _BRUSHES = ("paint", "erase", "fill", "polygon")

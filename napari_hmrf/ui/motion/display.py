@@ -20,10 +20,10 @@ from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
 from napari_hmrf.ui.motion.strokes import ConfidenceLayer, PaintedLayer
-from napari_hmrf.ui.timers import single_shot
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.

@@ -16,6 +16,7 @@ from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
@@ -24,7 +25,6 @@ from napari_hmrf.ui.motion.display import Display
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tool_hands import Hands
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool
-from napari_hmrf.ui.timers import single_shot
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.

@@ -13,8 +13,8 @@ from napari_hmrf.layers.read import look_of
 from napari_hmrf.layers.result_layers import picture_layer
 from napari_hmrf.layers.result_lookup import FoundResult, picture_of
 from napari_hmrf.study.study import Pictures
+from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.result.result_messages import FULL
-from napari_hmrf.ui.timers import single_shot
 
 #: Between drawing pictures and drawing lines, in milliseconds: napari paints meanwhile.
 _TURN = 10

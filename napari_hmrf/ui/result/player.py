@@ -12,8 +12,8 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.layers.animation import Moment, Motion
+from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands
-from napari_hmrf.ui.timers import repeating
 
 #: All of the deformation in one direction, in seconds.
 SECONDS = 2.0

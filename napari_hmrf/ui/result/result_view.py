@@ -25,7 +25,7 @@ from napari_hmrf.layers.result_lookup import (
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Points
-from napari_hmrf.ui.event_wait import Listening
+from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import LookedAt, MovingLayers
