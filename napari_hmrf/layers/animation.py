@@ -80,15 +80,10 @@ class Motion:
         if self.grid:
             displacement = solution.displacement * np.float32(fraction)
             every = pixels_between(LINES, solution.tissue.shape, solution.spacing)
+            shown: dict[str, Any] = {"spacing": solution.spacing, "tissue": solution.tissue}
             # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
             pieces = 5 if fraction == 1 else 2
-            grid = deformation_grid(
-                displacement,
-                spacing=solution.spacing,
-                every=every,
-                tissue=solution.tissue,
-                pieces=pieces,
-            )
+            grid = deformation_grid(displacement, every=every, pieces=pieces, **shown)
         return Moment(**parts, grid=grid)
 
     @cached_property

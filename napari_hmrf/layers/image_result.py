@@ -41,8 +41,7 @@ class _Held:
     taken: bool = False
     #: Its data, if nobody else holds them: they can be written to.
     own: Any = None
-    #: Its data while it shows a part of the deformation, and those of all of it.
-    part: Any = None
+    #: The data of all of the deformation, while it shows a part.
     whole: Any = None
 
 
@@ -88,8 +87,7 @@ class Result:
     def wants(self, part: Part) -> bool:
         """Whether a part is seen, or will be with what comes next."""
         layer = self.layer(part)
-        shown = layer is not None and layer.visible
-        return shown or (layer is not None and self._held[part].stale)
+        return layer is not None and (layer.visible or self._held[part].stale)
 
     def is_added(self, part: Part) -> bool:
         """Whether a part was put there to be looked at."""
@@ -146,14 +144,9 @@ class Result:
                 self._hide(held)
         shown: dict[Kind, Any] = {}
         for kind, made in layers.items():
-            before, layer = self._held.get(kind), self.layer(kind)
-            known = layer is not None and before is not None
-            if before is None or not (quick and known and _same(before, made)):
-                held = self._put(kind, made)
-            else:
-                held = before
-                if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
-                    layer.data = held.own = np.array(made.data)
+            if not (quick and self._overwrite(kind, made)):
+                self._put(kind, made)
+            held = self._held[kind]
             layer = shown[kind] = held.layer()
             if held.stale:
                 layer.visible, held.stale = True, False
@@ -169,21 +162,18 @@ class Result:
             held = self._held[part]
             if _percent_of(layer) == _WHOLE:
                 held.whole = layer.data
-            layer.data = held.part = data
-            held.own = None
+            layer.data, held.own = data, None
             # Whoever saves the layer now can tell what it is.
             _know(layer, percent=percent)
 
     def show_whole(self) -> None:
-        """Put back what was there before a part was shown, where nobody else has drawn since."""
+        """Put back what was there before a part was shown."""
         for layer, held in self._there():
-            if held.part is not None and layer.data is held.part:
-                if held.whole is not None:
-                    layer.data = held.whole
-                    _know(layer)
-                elif _percent_of(layer) != _WHOLE:
-                    layer.visible = False
-            held.part = held.whole = None
+            if held.whole is not None:
+                layer.data, held.whole = held.whole, None
+                _know(layer)
+            elif _percent_of(layer) != _WHOLE:
+                layer.visible = False
 
     # What is hidden
 
@@ -257,6 +247,16 @@ class Result:
             if (layer := self.layer(part)) is not None:
                 yield layer, held
 
+    def _overwrite(self, part: Part, made: LayerData) -> bool:
+        """Give a layer other pixels where nothing else of it is another; whether that is so."""
+        layer, held = self.layer(part), self._held.get(part)
+        whole = layer is not None and _percent_of(layer) == _WHOLE
+        if held is None or not (whole and _fits(layer, made)):
+            return False
+        if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
+            layer.data = held.own = np.array(made.data)
+        return True
+
     def _put(self, part: Part, made: LayerData, source: Any = None) -> _Held:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
@@ -278,7 +278,7 @@ class Result:
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
-        held.added, held.own, held.part, held.whole = False, None, None, None
+        held.added, held.own, held.whole = False, None, None
         return held
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
@@ -316,11 +316,6 @@ def _fits(layer: Any, made: LayerData) -> bool:
     same = made.kind == "image" or known_of(layer).get("kind") == kind
     same = same and made.kind == type(layer).__name__.lower()
     return bool(same and layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
-
-
-def _same(held: _Held, made: LayerData) -> bool:
-    """Whether nothing but the pixels of a layer is another."""
-    return held.part is None and _fits(held.layer(), made)
 
 
 def _is_moved(layer: Any, where: str) -> bool:

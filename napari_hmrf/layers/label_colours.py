@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from napari.utils import colormaps
+from napari.utils.colormaps.standardize_color import transform_color
 
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, RISING, opacity
 
@@ -25,16 +27,14 @@ _BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")
 
 def boundary_colours() -> Any:
     """The colormap of a Labels layer of boundaries."""
-    from napari.utils.colormaps import CyclicLabelColormap
-
-    return CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
+    return colormaps.CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
 
 
 def fold_colours() -> Any:
     """The colormap of a Labels layer of folds."""
-    from napari.utils.colormaps import DirectLabelColormap
-
-    return DirectLabelColormap(color_dict={None: "transparent", 0: "transparent", 1: "red"})
+    return colormaps.DirectLabelColormap(
+        color_dict={None: "transparent", 0: "transparent", 1: "red"}
+    )
 
 
 def quantity_colours(signed: bool, folds: bool = False) -> Any:
@@ -47,20 +47,15 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
     folds : bool
         Whether what reaches the lower limit is folded.
     """
-    from napari.utils.colormaps import Colormap, ensure_colormap
-    from napari.utils.colormaps.standardize_color import transform_color
-
     name = DIVERGING if signed else RISING
     part = np.linspace(0, 1, 256)
-    colours = np.array(ensure_colormap(name).map(part))
+    colours = np.array(colormaps.ensure_colormap(name).map(part))
     colours[:, 3] = opacity(part, signed)
     low = transform_color(FOLDED)[0] if folds else None
-    return Colormap(colours, name=f"{name}, clear", low_color=low)
+    return colormaps.Colormap(colours, name=f"{name}, clear", low_color=low)
 
 
 def stiffness_colours() -> Any:
     """The colormap of an Image layer of stiffness; what is no tissue lets the image through."""
-    from napari.utils.colormaps import Colormap, ensure_colormap
-
-    colours = np.array(ensure_colormap(_STIFF).map(np.linspace(0, 1, 256)))
-    return Colormap(colours, name=f"{_STIFF}, clear", low_color=(0.0, 0.0, 0.0, 0.0))
+    colours = np.array(colormaps.ensure_colormap(_STIFF).map(np.linspace(0, 1, 256)))
+    return colormaps.Colormap(colours, name=f"{_STIFF}, clear", low_color=(0.0, 0.0, 0.0, 0.0))

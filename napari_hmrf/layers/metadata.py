@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, fields
 from typing import Any, Literal, NamedTuple
 
+from pydantic import TypeAdapter
+
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
 
 #: Where a layer's metadata hold what this package knows of it.
@@ -22,6 +24,8 @@ _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
     TISSUE: ("materials", Material.of_row),
     BOUNDARY: ("rules", BoundaryRule),
 }
+#: Checks the types of what a file holds.
+_MATERIALS = TypeAdapter(tuple[Material, ...])
 #: What is changed in a row.
 _WORDS = {
     "name": "the name",
@@ -82,16 +86,10 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
     """The table of materials that the solution in a result's layer was made with, and its unit."""
     try:
         record = known_of(layer)["solution"].provenance.parameters["tissue"]
-        rows = tuple(
-            Material(
-                int(row["label"]),
-                str(row["name"]),
-                float(read_stiffness(row["stiffness"])),
-                float(row["poisson"]),
-            )
-            for row in record["materials"]
-        )
-        return rows, str(record.get("unit", ""))
+        rows = [
+            {**row, "stiffness": read_stiffness(row["stiffness"])} for row in record["materials"]
+        ]
+        return _MATERIALS.validate_python(rows), str(record.get("unit", ""))
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
         return None, ""
 

@@ -16,8 +16,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.layers.animation import Motion
 from napari_hmrf.layers.label_colours import quantity_colours
-from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.result_layers import LayerData, result_layers, result_name
+from napari_hmrf.layers.result_layers import LayerData, pixel_layer, result_layers, result_name
 from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.tissue_point import area_change
 
@@ -99,24 +98,21 @@ def quantity_layer(
         least = SMALLEST * (_PER_CENT if QUANTITIES[quantity][1] == "%" else 1)
         reach = reach_of(values, signed, least)
         limits = (-reach if signed else 0.0, reach)
-    attributes = {
-        **result.frame.placement(image=True),
-        "name": _name(result, quantity),
-        "rgb": False,
+    look = {
         "colormap": quantity_colours(signed, folded),
         "contrast_limits": limits,
         "blending": "translucent",
         "opacity": OPACITY,
-        "metadata": {METADATA: {"kind": quantity, **result.facts}},
     }
-    return LayerData(result.frame.put_image(values), attributes, "image")
+    known = {"kind": quantity, **result.facts}
+    return pixel_layer(result.frame, values, _name(result, quantity), known, look)
 
 
 def _name(result: FoundResult, quantity: Quantity) -> str:
     title, unit = QUANTITIES[quantity]
-    what = f"{title} ({unit or result.unit})"
-    where = str(result.facts.get("slice_seen") or result.facts.get("slice") or "")
-    return result_name(result.source, what, result.solution.provenance.parameters, where)
+    where = str(result.facts.get("slice_seen", ""))
+    parameters = result.solution.provenance.parameters
+    return result_name(result.source, f"{title} ({unit or result.unit})", parameters, where)
 
 
 Given = Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]

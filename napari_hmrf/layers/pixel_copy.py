@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -18,7 +19,7 @@ from napari_hmrf.study.layer_names import LayerError, full_resolution
 from napari_hmrf.study.study import is_same
 
 T = TypeVar("T")
-#: Of each slice so many copies are known: what is painted and taken back is the same as it was.
+#: Of each layer so many copies are kept: what is painted and taken back is the same as it was.
 _KEPT = 4
 #: The events after which a layer's data may be others. A layer draws itself anew for many other
 #: reasons, too, but a script that has changed its array in place can say so in no other way.
@@ -174,9 +175,7 @@ class _Copies:
     """The copies of one layer."""
 
     def __init__(self, layer: Any) -> None:
-        # What is shown is kept; of all else what somebody else has kept.
-        self._newest: dict[Any, npt.NDArray[Any]] = {}
-        self._known: dict[Any, list[weakref.ref[npt.NDArray[Any]]]] = {}
+        self._known: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_KEPT)
         self._fresh: set[Any] = set()
         self.made: tuple[tuple[Any, ...], Any] | None = None
         for name in _EVENTS:
@@ -185,15 +184,14 @@ class _Copies:
 
     def slice(self, layer: Any, own: Frame | None) -> npt.NDArray[Any]:
         key = None if own is None else (own.plane, own.index)
-        if key in self._fresh and key in self._newest:
-            return self._newest[key]
+        known = [copy for at, copy in self._known if at == key]
+        if known and key in self._fresh:
+            return known[-1]
         now = np.array(layer.data) if own is None else copy_slice(layer, own)
         now.setflags(write=False)
-        known = [copy for each in self._known.get(key, ()) if (copy := each()) is not None]
         found = next((each for each in known if _same(each, now)), now)
-        self._newest = {key: found}
-        others = [each for each in known if each is not found]
-        self._known[key] = [weakref.ref(each) for each in (found, *others)][:_KEPT]
+        others = [each for each in self._known if each[1] is not found]
+        self._known = deque([*others, (key, found)], maxlen=_KEPT)
         self._fresh.add(key)
         return found
 

@@ -34,6 +34,9 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.models import in_words, short_name
 from napari_hmrf.study.study import Pictures
 
+Array = npt.NDArray[Any]
+#: What is known of something, or how it looks, by name.
+Facts = Mapping[str, Any]
 Kind = Literal["image", "labels", "stiffness", "confidence", "folds", "observed", "grid", "arrows"]
 #: The layers there can be, in the order they are stacked, lowest first. What was given, m, y and c
 #: of the problem, lies where tissue was before it moved.
@@ -159,9 +162,9 @@ def _arrows_apart(solution: Solution) -> tuple[npt.NDArray[np.float32], float]:
 def picture_layer(
     frame: Frame,
     pictures: Pictures,
-    picture: npt.NDArray[Any],
-    parameters: Mapping[str, Any],
-    facts: Mapping[str, Any] | None = None,
+    picture: Array,
+    parameters: Facts,
+    facts: Facts | None = None,
 ) -> LayerData:
     """An image as it is while its tissue is on its way.
 
@@ -178,14 +181,19 @@ def picture_layer(
         What the layer is to know of its result; by default where it comes from.
     """
     known = {**(facts or _whence(frame, pictures)), "kind": "image"}
-    attributes = {
-        **pictures.look,
-        **frame.placement(image=True),
-        "rgb": picture.ndim == 3,
-        "name": result_name(pictures.name, "deformed", parameters, frame.slice_seen),
-        "metadata": {METADATA: known},
-    }
-    return LayerData(frame.put_image(picture), attributes, "image")
+    name = result_name(pictures.name, "deformed", parameters, frame.slice_seen)
+    return pixel_layer(frame, picture, name, known, pictures.look)
+
+
+def pixel_layer(
+    frame: Frame, pixels: Array, name: str, known: Facts, look: Facts, sort: str = "image"
+) -> LayerData:
+    """Pixels of a slice as a layer that lies there, with what it is to know of itself."""
+    attributes = {**look, **frame.placement(image=True), "name": name}
+    attributes["metadata"] = {METADATA: dict(known)}
+    if sort == "image":
+        attributes["rgb"] = pixels.ndim == 3
+    return LayerData(frame.put_image(pixels), attributes, sort)
 
 
 def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
@@ -198,7 +206,7 @@ def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
     }
 
 
-def result_name(source: str, what: str, parameters: Mapping[str, Any], where: str) -> str:
+def result_name(source: str, what: str, parameters: Facts, where: str) -> str:
     """Name a layer after the image it was made of, what it shows, the model and the slice."""
     model = short_name(parameters)
     name = f"{source} {what}".strip() + (f", {model}" if model else "")
@@ -248,8 +256,8 @@ class _Maker:
         if labels is None:
             return None
         moved = resample(labels, *self._inverted[:2], order=0)
-        look = {**self._pictures.labels_look, "name": self._name("deformed", labels=True)}
-        return self._picture("labels", moved, "deformed", look)._replace(kind="labels")
+        look, source = self._pictures.labels_look, self._pictures.labels_name
+        return self._pixels("labels", moved, self._name("deformed", source), look, "labels")
 
     def stiffness(self) -> LayerData:
         """How stiff tissue was taken to be: m."""
@@ -257,13 +265,13 @@ class _Maker:
         finite = m[np.isfinite(m)]
         most = float(finite.max(initial=0.0)) or 1.0
         look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **_OVER}
-        return self._picture("stiffness", m, "stiffness", look)
+        return self._pixels("stiffness", m, self._name("stiffness"), look)
 
     def confidence(self) -> LayerData:
         """How sure it was how tissue moves: c, the larger of its components."""
         look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **_OVER}
         c = self._problem.confidence.max(axis=-1)
-        return self._picture("confidence", c, "confidence", look)
+        return self._pixels("confidence", c, self._name("confidence"), look)
 
     def observed(self) -> LayerData:
         """How tissue was to move where that was known: y; what was held has a dot."""
@@ -295,7 +303,7 @@ class _Maker:
             return None
         look = {"colormap": fold_colours(), "opacity": 1.0}
         folded = self._folded.astype(np.uint8)
-        return self._picture("folds", folded, "folds", look)._replace(kind="labels")
+        return self._pixels("folds", folded, self._name("folds"), look, "labels")
 
     def arrows(self) -> LayerData:
         """Where the tissue goes."""
@@ -313,35 +321,21 @@ class _Maker:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         return inverse_map_and_overlaps(*self._field, self._solution.tissue)
 
-    def _picture(
-        self, kind: Kind, picture: npt.NDArray[Any], what: str, look: dict[str, Any]
+    def _pixels(
+        self, kind: Kind, pixels: Array, name: str, look: Facts, sort: str = "image"
     ) -> LayerData:
-        attributes = {
-            "name": self._name(what),
-            **look,
-            **self._frame.placement(image=True),
-            "metadata": {METADATA: {"kind": kind, **self._facts}},
-        }
-        return LayerData(self._frame.put_image(picture), attributes, "image")
+        known = {"kind": kind, **self._facts}
+        return pixel_layer(self._frame, pixels, name, known, look, sort)
 
-    def _vectors(
-        self, kind: Kind, segments: npt.NDArray[Any], what: str, look: dict[str, Any]
-    ) -> LayerData:
-        facts = {"kind": kind, **self._facts, "solution": self._solution}
-        attributes = {
-            **look,
-            **self._frame.placement(),
-            "length": 1.0,
-            "opacity": 1.0,
-            "name": self._name(what),
-            "metadata": {METADATA: facts},
-        }
+    def _vectors(self, kind: Kind, segments: Array, what: str, look: Facts) -> LayerData:
+        known = {"kind": kind, **self._facts, "solution": self._solution}
+        attributes = {**look, **self._frame.placement(), "length": 1.0, "opacity": 1.0}
+        attributes.update(name=self._name(what), metadata={METADATA: known})
         return LayerData(self._frame.put_vectors(segments), attributes, "vectors")
 
-    def _name(self, what: str, labels: bool = False) -> str:
-        source = self._pictures.labels_name if labels else self._pictures.name
-        parameters = self._solution.provenance.parameters
-        return result_name(source, what, parameters, self._frame.slice_seen)
+    def _name(self, what: str, source: str | None = None) -> str:
+        of = self._pictures.name if source is None else source
+        return result_name(of, what, self._solution.provenance.parameters, self._frame.slice_seen)
 
 
 def apart(

@@ -96,13 +96,9 @@ def tissue_of(layers: Iterable[Any], result: FoundResult) -> Any:
 
     That is one of labels with a table, or one of stiffness.
     """
-    for layer in reversed(list(layers)):
-        if role_of(layer) != TISSUE:
-            continue
-        described = isinstance(layer, Image) or rows_of(layer, TISSUE)
-        if described and frame_in(layer, result) is not None:
-            return layer
-    return None
+    tissues = [layer for layer in layers if role_of(layer) == TISSUE]
+    described = [each for each in tissues if isinstance(each, Image) or rows_of(each, TISSUE)]
+    return next((each for each in reversed(described) if frame_in(each, result)), None)
 
 
 def frame_in(layer: Any, result: FoundResult) -> Frame | None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pint
 
 from napari_hmrf.study.layer_names import LayerError, full_resolution
 
@@ -110,11 +111,8 @@ def unit_factor(unit: str, to: str) -> float:
     """How many `to` make one `unit`; NaN if they measure different things."""
     if unit == to:
         return 1.0
-    import pint
-
-    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
     try:
-        return float(registry.Quantity(1, unit).to(to).magnitude)
+        return float(_units().Quantity(1, unit).to(to).magnitude)
     except pint.errors.PintError:
         return float("nan")
 
@@ -123,11 +121,8 @@ def is_unit(unit: str) -> bool:
     """Whether layers know a unit of that name."""
     if not _UNIT.fullmatch(unit):
         return False
-    import pint
-
-    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
     try:
-        registry.Unit(unit)
+        _units().Unit(unit)
     except Exception:  # noqa: BLE001 - parsing text of others raises what it likes
         return False
     return True
@@ -137,10 +132,12 @@ def unit_symbol(unit: str) -> str:
     """A unit of length as tables show it: "px", "mm"."""
     if unit == "pixel":
         return "px"
-    import pint
-
-    registry = pint.get_application_registry()  # type: ignore[no-untyped-call]
     try:
-        return f"{registry.Unit(unit):~}" or unit
+        return f"{_units().Unit(unit):~}" or unit
     except (pint.errors.PintError, ValueError):
         return unit
+
+
+def _units() -> Any:
+    """The units that layers know; asked for anew, as an application may set others."""
+    return pint.get_application_registry()  # type: ignore[no-untyped-call]

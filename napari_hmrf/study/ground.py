@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,10 +18,11 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.layer_names import Named
-from napari_hmrf.study.reading_warnings import caveats, lacks
 from napari_hmrf.study.refusals import (
+    caveats,
     digit_notes,
     image_notes,
+    lacks,
     no_tissue,
     refuse_nothing,
     refuse_rigid,
@@ -29,6 +30,7 @@ from napari_hmrf.study.refusals import (
 )
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
+    BoundaryRule,
     Material,
     boundary_images,
     default_material,
@@ -36,7 +38,7 @@ from napari_hmrf.tissue.boundary_rules import (
     poisson_image,
     stiffness_image,
 )
-from napari_hmrf.tissue.drawing import Canvas, Drawing
+from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.labels import labels_present
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.palette import OTHER, Palette
@@ -150,7 +152,7 @@ class Ground:
         """Rows and columns."""
         return self.base.shape
 
-    def statement(self, drawn: Drawing | Canvas | None = None) -> Statement:
+    def statement(self, drawn: Canvas | None = None) -> Statement:
         """State the problem of a drawing on this ground.
 
         Tissue that too little holds stays out of it, and where it is. What is certain is held
@@ -158,16 +160,15 @@ class Ground:
 
         Parameters
         ----------
-        drawn : Drawing or Canvas, optional
-            A drawing, or `base` with one on top of it; by default the study's own.
+        drawn : Canvas, optional
+            `base` with a drawing on top of it; by default the study's own.
 
         Raises
         ------
         ProblemError
             Naming the part, what is wrong with it and what to do.
         """
-        drawing = self.study.motion.drawing if drawn is None else drawn
-        canvas = drawing.render(self.base) if isinstance(drawing, Drawing) else drawing
+        canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.stiffness, self.prior
         if canvas is not self.base and canvas.labels is not None and self.base.labels is not None:
             m, prior = self.palette.painted(canvas.labels, self.base.labels, m, prior)
@@ -261,6 +262,8 @@ class _Where:
         self.notes: tuple[str, ...] = ()
         shape = study.grid.shape
         around = np.zeros(shape, dtype=bool)
+        self.palette = Palette.of_preset(tissue.preset, relative=False)
+        self.labels = np.full(shape, OTHER, dtype=np.int32)
         if tissue.labels is not None:
             rows, self.notes = _completed(study, tissue.materials, tissue.labels)
             self.m = stiffness_image(tissue.labels, rows)
@@ -275,12 +278,8 @@ class _Where:
         elif tissue.stiffness is not None:
             self.notes = digit_notes(study, tissue.stiffness)
             self.m = as_stiffness(tissue.stiffness)
-            self.palette = Palette.of_preset(tissue.preset, relative=False)
-            self.labels = np.full(shape, OTHER, dtype=np.int32)
         elif tissue.curve and (intensities := study.pictures.intensities) is not None:
             self.m = tissue.curve(intensities)
-            self.palette = Palette.of_preset(tissue.preset, relative=False)
-            self.labels = np.full(shape, OTHER, dtype=np.int32)
         else:
             if study.pictures.image is not None:
                 dark = dark_border(study.pictures.image)
@@ -295,16 +294,20 @@ def _completed(
     study: Study, known: tuple[Material, ...], labels: npt.NDArray[Any]
 ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
     """Give labels that no table mentions a usual row, and say so."""
-    rows, notes = list(known), []
-    listed = {row.label for row in known}
-    for label in labels_present(labels):
-        if int(label) not in listed:
-            rows.append(default_material(int(label), known))
-            notes.append(
-                f"label {label} of '{tissue_name(study).name}' is not in the table and got "
-                f"stiffness {rows[-1].stiffness:g}"
-            )
-    return tuple(rows), tuple(notes)
+    rows = [default_material(label, known) for label in _unlisted(labels, known)]
+    notes = [
+        f"label {row.label} of '{tissue_name(study).name}' is not in the table and got "
+        f"stiffness {row.stiffness:g}"
+        for row in rows
+    ]
+    return (*known, *rows), tuple(notes)
+
+
+def _unlisted(
+    labels: npt.NDArray[Any], rows: Sequence[Material] | Sequence[BoundaryRule]
+) -> list[int]:
+    """The labels that are somewhere, and in no row of a table."""
+    return sorted({int(label) for label in labels_present(labels)} - {row.label for row in rows})
 
 
 def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
@@ -316,14 +319,12 @@ def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
         named = study.names.get("boundary", Named("boundary", "of the study"))
-        rules = list(motion.rules)
-        listed = {0, *(rule.label for rule in rules)}
-        for label in labels_present(motion.labels):
-            if int(label) not in listed:
-                rules.append(default_rule(int(label)))
-                notes.append(
-                    f"label {label} of '{named.name}' is not in the table and was held fixed"
-                )
+        unlisted = [each for each in _unlisted(motion.labels, motion.rules) if each != 0]
+        rules = [*motion.rules, *map(default_rule, unlisted)]
+        notes = [
+            f"label {label} of '{named.name}' is not in the table and was held fixed"
+            for label in unlisted
+        ]
         with study.naming(drawn=False):
             y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0

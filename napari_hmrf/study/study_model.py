@@ -54,9 +54,6 @@ class StudyModel:
 
     # What there is
 
-    def __contains__(self, slot: Hashable) -> bool:
-        return slot in self._now
-
     def get(self, slot: Hashable, default: Any = None) -> Any:
         """What a slot holds now, an edit in progress included."""
         return self._now.get(slot, default)
@@ -214,8 +211,6 @@ class History:
 
     Parameters
     ----------
-    drawing : Drawing, optional
-        To begin with.
     edits : StudyModel, optional
         The steps of all that is edited; by default the drawing is all.
     slot : hashable
@@ -229,28 +224,22 @@ class History:
 
     changed = Signal(Drawing)
 
-    def __init__(
-        self,
-        drawing: Drawing | None = None,
-        edits: StudyModel | None = None,
-        slot: Hashable = "drawing",
-    ) -> None:
+    def __init__(self, edits: StudyModel | None = None, slot: Hashable = "drawing") -> None:
         self.edits = StudyModel() if edits is None else edits
         self.slot = slot
-        self._first = drawing or Drawing()
-        self.edits.open(slot, self._first)
+        self.edits.open(slot, Drawing())
         self.edits.changed.connect(self._on_changed)
 
     @property
     def drawing(self) -> Drawing:
         """As it is now, an edit in progress included."""
-        drawing: Drawing = self.edits.get(self.slot, self._first)
+        drawing: Drawing = self.edits.get(self.slot, Drawing())
         return drawing
 
     @property
     def in_progress(self) -> bool:
         """Whether an edit of this drawing was begun and not ended."""
-        return self.slot in self.edits and self.edits.in_progress == self.slot
+        return self.edits.in_progress == self.slot
 
     @property
     def undo_word(self) -> str:
@@ -274,7 +263,7 @@ class History:
 
     def begin(self, word: str) -> None:
         """Begin an edit that takes a while, as a drag does: however it goes on, it is one step."""
-        self.edits.open(self.slot, self._first)
+        self.edits.open(self.slot, Drawing())
         self.edits.begin(self.slot, word)
 
     def update(self, drawing: Drawing) -> None:

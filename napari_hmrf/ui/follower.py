@@ -17,10 +17,9 @@ from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.engine import Engine, Pictures
+from napari_hmrf.study.engine import Deformation, Engine, Pictures
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_deformation import Deformation
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
 from napari_hmrf.ui.handover import Newest, Repainted
