@@ -7,8 +7,8 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
+from qtpy.QtCore import QEvent, QObject
+from qtpy.QtWidgets import QSizePolicy
 
 T = TypeVar("T")
 #: The lowest confidence that is asked for; below, it says nothing.
@@ -105,25 +105,3 @@ def align_labels(form: Container) -> None:
     """Give a form's labels one width: magicgui does so only when one of them changes."""
     first = form[0]
     first.label = first.label
-
-
-def put_scrolled(outer: Container, body: Container, width: int) -> None:
-    """Put a form into a dock widget that may be lower than the form is, but no narrower.
-
-    Parameters
-    ----------
-    outer : Container
-        The dock widget.
-    body : Container
-        The form; the dock widget has to keep it.
-    width : int
-        The least width, in pixels.
-    """
-    scroll = QScrollArea()
-    scroll.setWidgetResizable(True)
-    scroll.setFrameShape(QFrame.Shape.NoFrame)
-    scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    scroll.setWidget(body.native)
-    scroll.setMinimumWidth(width)
-    scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-    outer.native.layout().addWidget(scroll)
