@@ -22,13 +22,13 @@ from typing import Any
 
 import napari
 import numpy as np
+from napari_hmrf.layers.viewer_results import ResultLayers
 from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
 from napari_hmrf.field.live_warp import Warper
-from napari_hmrf.layers.viewer_results import ResultLayers
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
 

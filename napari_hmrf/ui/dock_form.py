@@ -5,12 +5,14 @@ from __future__ import annotations
 from magicgui.widgets import Container, PushButton
 from napari.layers import Labels
 from psygnal import Signal
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.study.study import Grid
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import put_scrolled, row
+from napari_hmrf.ui.forms import Narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
@@ -102,13 +104,14 @@ class DockForm:
         ways = row(self.make, self.intensity)
         body = Container(widgets=[first, ways], labels=False)
         layout = body.native.layout()
-        for title, part, open_ in (
+        steps: list[tuple[str, Container, bool]] = [
             ("1  Tissue", self.tissue, True),
             ("2  Motion", self.motion, True),
             ("3  Result", self.result, True),
             ("Model", self.model, False),
             ("Advanced", self.model.in_detail, False),
-        ):
+        ]
+        for title, part, open_ in steps:
             step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
             for inner in (step.layout(), step.content().layout()):
                 inner.setSpacing(2)
@@ -119,19 +122,18 @@ class DockForm:
             layout.addWidget(step)
         layout.setSpacing(4)
         layout.addStretch()
-        put_scrolled(outer, body, _WIDTH)
+        # The dock may be lower than the form is, but no narrower.
+        scroll = Narrow()
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setWidget(body.native)
+        scroll.setMinimumWidth(_WIDTH)
+        scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer.build())
-        for container in (
-            outer,
-            body,
-            first,
-            ways,
-            self.tissue,
-            self.motion,
-            self.result,
-            self.model,
-        ):
+        for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 
     def _on_tissue(self) -> None:

@@ -32,13 +32,7 @@ class DockSteps:
         Who may be in the middle of something.
     """
 
-    def __init__(
-        self,
-        native: Any,
-        form: DockForm,
-        steps: ViewerSteps,
-        owner: Owner,
-    ) -> None:
+    def __init__(self, native: Any, form: DockForm, steps: ViewerSteps, owner: Owner) -> None:
         self._form, self._steps, self._owner = form, steps, owner
         self._model = steps.edits
         self._undoing = False

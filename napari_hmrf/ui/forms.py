@@ -7,8 +7,8 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, QSize, Qt
-from qtpy.QtWidgets import QFrame, QScrollArea, QSizePolicy
+from qtpy.QtCore import QEvent, QObject, QSize
+from qtpy.QtWidgets import QScrollArea, QSizePolicy
 
 T = TypeVar("T")
 #: The lowest confidence that is asked for; below, it says nothing.
@@ -109,30 +109,9 @@ def align_labels(form: Container) -> None:
     first.label = first.label
 
 
-class _Narrow(QScrollArea):
+class Narrow(QScrollArea):
     """Asks for no more width than it needs: the rest is the canvas'."""
 
     def sizeHint(self) -> QSize:
+        """As narrow as may be."""
         return QSize(self.minimumWidth(), super().sizeHint().height())
-
-
-def put_scrolled(outer: Container, body: Container, width: int) -> None:
-    """Put a form into a dock widget that may be lower than the form is, but no narrower.
-
-    Parameters
-    ----------
-    outer : Container
-        The dock widget.
-    body : Container
-        The form; the dock widget has to keep it.
-    width : int
-        The least width, in pixels.
-    """
-    scroll = _Narrow()
-    scroll.setWidgetResizable(True)
-    scroll.setFrameShape(QFrame.Shape.NoFrame)
-    scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    scroll.setWidget(body.native)
-    scroll.setMinimumWidth(width)
-    scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-    outer.native.layout().addWidget(scroll)

@@ -48,12 +48,7 @@ class Guide:
     """
 
     def __init__(
-        self,
-        viewer: Any,
-        form: DockForm,
-        pointer: Pointer,
-        live: LiveStudy,
-        steps: ViewerSteps,
+        self, viewer: Any, form: DockForm, pointer: Pointer, live: LiveStudy, steps: ViewerSteps
     ) -> None:
         self._viewer, self._form, self._pointer, self._live = viewer, form, pointer, live
         self._said = self._doing = ""

@@ -82,12 +82,7 @@ class LiveStudy:
     moved_on = Signal()
 
     def __init__(
-        self,
-        native: Any,
-        viewer: Any,
-        form: DockForm,
-        choices: Choices,
-        pointer: Pointer,
+        self, native: Any, viewer: Any, form: DockForm, choices: Choices, pointer: Pointer
     ) -> None:
         self._viewer, self._form, self._choices, self._pointer = viewer, form, choices, pointer
         self._over = False
@@ -383,22 +378,22 @@ class LiveStudy:
             self.finished.emit(done.outputs)
 
     def _on_poll(self) -> None:
+        footer, monitor = self._form.footer, self._follower.monitor
+        waited, what = time.monotonic() - self._since, "Following the last edit"
         if not (self._follower.busy or self.settling):
             self._poll.stop()
-            self._form.footer.following(False)
+            footer.following(False)
             self.doing.emit("")
             return
-        waited, monitor = time.monotonic() - self._since, self._follower.monitor
         if self.settling:
-            self._form.footer.progress(monitor.fraction)
-            self._say_progress(messages.progress(monitor, waited))
+            footer.progress(monitor.fraction)
+            what = "Deforming"
         elif waited > _PATIENCE:
-            self._form.footer.following(True)
-            self._say_progress(messages.progress(monitor, waited, "Following the last edit"))
-
-    def _say_progress(self, sentence: str) -> None:
-        self.doing.emit(sentence)
-        self._form.footer.explain(self._follower.monitor.message)
+            footer.following(True)
+        else:
+            return
+        self.doing.emit(messages.progress(monitor, waited, what))
+        footer.explain(monitor.message)
 
     def _cannot(self, error: Exception) -> None:
         """Say why the tissue does not follow, once; the last result stays."""

@@ -24,15 +24,8 @@ from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
-from napari_hmrf.ui.messages import (
-    ABOUT_POISSON,
-    ELASTIC,
-    MODELS,
-    PLANES,
-    cannot_be_rigid,
-    when_to_take,
-)
 
 #: Of the picture of a plane, in pixels.
 _PICTURE = QSize(64, 32)
@@ -70,7 +63,7 @@ class _PlaneChoice(RadioButtons):
     def reset_choices(self, *_: Any) -> None:
         super().reset_choices()
         buttons = self.native.findChildren(QRadioButton)
-        for button, plane in zip(buttons, PLANES, strict=True):
+        for button, plane in zip(buttons, messages.PLANES, strict=True):
             button.setIcon(QIcon(str(Path(__file__).with_name(f"plane-{plane}.svg"))))
             button.setIconSize(_PICTURE)
 
@@ -96,7 +89,7 @@ class ModelForm(Container):
         low, high = POISSON_RANGE
         self.model = menu(
             "model",
-            MODELS,
+            messages.MODELS,
             "What tissue is taken to be. The paper's brings its own numbers back under Advanced",
             name="model",
         )
@@ -104,7 +97,7 @@ class ModelForm(Container):
         self.plane = _PlaneChoice(
             name="plane",
             label="slice is",
-            choices=[(words, plane) for plane, words in PLANES.items()],
+            choices=[(words, plane) for plane, words in messages.PLANES.items()],
             value="stress",
             tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
             "it; plane strain: tissue that lets nothing through",
@@ -116,11 +109,13 @@ class ModelForm(Container):
             max=high,
             step=0.05,
             value=USUAL_POISSON,
-            tooltip=ABOUT_POISSON,
+            tooltip=messages.ABOUT_POISSON,
         )
         self._when = Prose()
         self._against = Prose()
-        self.elastic = PushButton(text=ELASTIC, tooltip="In which bone and implants move as one")
+        self.elastic = PushButton(
+            text=messages.ELASTIC, tooltip="In which bone and implants move as one"
+        )
         self._form = form = Container(widgets=[self.model, self.plane, self.poisson])
         super().__init__(widgets=[form, self._when, self._against, self.elastic], labels=False)
         form.margins = (0, 0, 0, 0)
@@ -166,7 +161,7 @@ class ModelForm(Container):
     @property
     def objection(self) -> str:
         """Why this model does not go with what the table of tissues says; "" if it does."""
-        return "" if self.is_elastic else cannot_be_rigid(self._rigid)
+        return "" if self.is_elastic else messages.cannot_be_rigid(self._rigid)
 
     def tissue_is(self, layer: Any, materials: Iterable[Material] = ()) -> None:
         """Tell what the tissue is read from.
@@ -192,7 +187,7 @@ class ModelForm(Container):
     def _show(self, *_: Any) -> None:
         """Show what applies."""
         model = self.model.value
-        self._when.say(when_to_take(model, self.plane.value))
+        self._when.say(messages.when_to_take(model, self.plane.value))
         self._against.say(self.objection)
         self.plane.visible = self.is_elastic
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)

@@ -17,11 +17,9 @@ from napari_hmrf.ui.model import ModelForm
 _DEVICE = "deform/device"
 
 
-class _Kept(dict[str, Any]):
+def _kept(_: Any) -> dict[str, Any]:
     """What was chosen last in a viewer."""
-
-    def __init__(self, _: Any) -> None:
-        super().__init__()
+    return {}
 
 
 def remember(viewer: Any, form: ModelForm) -> None:
@@ -29,7 +27,7 @@ def remember(viewer: Any, form: ModelForm) -> None:
     store = QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )
-    kept, device = shared(viewer, _Kept), form.in_detail["device"]
+    kept, device = shared(viewer, _kept), form.in_detail["device"]
     with suppress(ValueError):  # another version's, or written by hand
         device.value = store.value(_DEVICE, device.value)
     form.values = kept

@@ -160,13 +160,7 @@ class SoftTissue(Dock):
         remember(viewer, form.model)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
-            self.native,
-            viewer,
-            form,
-            self._choices,
-            self._pointer,
-            self._live_study,
-            self._guide,
+            self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
         self._connect()
         self._choices.look()

@@ -27,22 +27,11 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.tissue_point import Points
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
+from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import LookedAt, MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
-from napari_hmrf.ui.result.result_messages import (
-    FULL,
-    LACKING,
-    LOST,
-    NO_IMAGE,
-    NO_RESULT,
-    NOTHING,
-    SAVING,
-    how_far,
-    overlay_choices,
-    saved,
-)
 
 _BEFORE = coerce_keybinding(BEFORE_KEY)
 
@@ -138,21 +127,17 @@ class ResultView:
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
-        if self.shown.result is None:
-            self.said.emit(NO_RESULT)
-        elif self._ready_to_move():
+        if self._can_move():
             self.player.play()
-        else:
-            self.said.emit(NO_IMAGE)
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
         """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
         result = self.shown.result
         if result is None:
-            self.said.emit(NO_RESULT)
+            self.said.emit(words.NO_RESULT)
             return
         image = None if self.player.motion is None else self.player.motion.image
-        self.said.emit(SAVING)
+        self.said.emit(words.SAVING)
         work = partial(_figures_of, result, image, folder, own_folder)
         self._errands.send("pictures", work, self._on_saved)
 
@@ -201,16 +186,16 @@ class ResultView:
         there = layers.layer("overlay")
         with form.overlay.changed.blocked():
             name = form.overlay.value
-            if name == NOTHING and there is not None and there.visible:
+            if name == words.NOTHING and there is not None and there.visible:
                 name = known_of(there)["kind"]  # of a dock that was closed
             ways = Directions.of(result.frame, self._viewer)
-            form.overlay.choices = overlay_choices(result.unit, ways)
+            form.overlay.choices = words.overlay_choices(result.unit, ways)
             form.overlay.value = name
         self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
         self._on_eye()
         self._say_how_far()
         self.player.motion = self._moving.motion()
-        if form.overlay.value != NOTHING:
+        if form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
 
     def _on_changed(self, result: Result) -> None:
@@ -264,10 +249,10 @@ class ResultView:
             return
         if event.value is self._arrows:
             if self.shown.source in self._viewer.layers and not layers.leaving:
-                self.said.emit(LOST.format(layer=event.value.name))
+                self.said.emit(words.LOST.format(layer=event.value.name))
             self._look_at(None)
         elif not layers.leaving and layers.part_of(event.value) == "overlay":
-            self._form.overlay.value = NOTHING
+            self._form.overlay.value = words.NOTHING
 
     # What lies over the image
 
@@ -276,7 +261,7 @@ class ResultView:
         result, layers, name = self.shown.result, self.shown.layers, self._form.overlay.value
         if result is None or layers is None:
             return
-        if name == NOTHING:
+        if name == words.NOTHING:
             self._errands.forget("overlay")
             layers.drop("overlay")
             self._move_with(None)
@@ -293,11 +278,11 @@ class ResultView:
         if made is None:
             layers.drop("overlay")
             if chosen:
-                self.said.emit(LACKING[name])
+                self.said.emit(words.LACKING[name])
         else:
             layers.put("overlay", made.layer, self.shown.source, chosen)
         self._move_with(made)
-        if percent != FULL:
+        if percent != words.FULL:
             self.player.show(percent)
 
     def _move_with(self, overlay: Overlay | None) -> None:
@@ -309,9 +294,16 @@ class ResultView:
 
     # How much is seen
 
-    def _ready_to_move(self) -> bool:
-        """Have a layer that can be moved; whether there is one."""
-        return self.player.motion is not None and self._moving.ready(self.player.motion)
+    def _can_move(self) -> bool:
+        """Have a layer that can be moved; whether there is one, or else why not is said."""
+        motion = self.player.motion
+        if self.shown.result is None:
+            self.said.emit(words.NO_RESULT)
+        elif motion is None or not self._moving.ready(motion):
+            self.said.emit(words.NO_IMAGE)
+        else:
+            return True
+        return False
 
     def _put_back(self) -> None:
         """Leave the layers as they were before they were moved."""
@@ -324,7 +316,7 @@ class ResultView:
     def _interrupt(self) -> None:
         """What was moved is all there again, by another's doing."""
         moving = self.player.playing or self._errands.busy("moment")
-        if moving or self._form.slider.value != FULL:
+        if moving or self._form.slider.value != words.FULL:
             self._draw_whole()
 
     def _draw_whole(self) -> None:
@@ -332,8 +324,8 @@ class ResultView:
         self.player.stop()
         self._errands.forget("moment")
         self._moving.draw_whole()
-        self.player.percent = FULL
-        self._set_slider(FULL)
+        self.player.percent = words.FULL
+        self._set_slider(words.FULL)
 
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():
@@ -346,17 +338,14 @@ class ResultView:
         shown.percent, arrows = self._form.slider.value, shown.layer("arrows")
         if shown.result is not None:
             apart = None if arrows is None else slices_apart(arrows, shown.result, view)
-            self._form.how_far.say(how_far(shown.result, self._longest, shown.percent, apart))
+            self._form.how_far.say(words.how_far(shown.result, self._longest, shown.percent, apart))
 
     # What is pressed
 
     def _on_slider(self, percent: int) -> None:
-        if self.shown.result is not None:
-            self.player.stop()
-            if self._ready_to_move():
-                self._on_moved(percent)
-            else:
-                self.said.emit(NO_IMAGE)
+        self.player.stop()
+        if self._can_move():
+            self._on_moved(percent)
 
     def _on_moved(self, percent: int) -> None:
         self._set_slider(percent)
@@ -375,7 +364,7 @@ class ResultView:
             self.save(Path(chosen), own_folder=True)
 
     def _on_saved(self, paths: list[Path]) -> None:
-        self.said.emit(saved(paths))
+        self.said.emit(words.saved(paths))
         self.saved.emit(paths)
 
     def _while_key_is_held(self, _: Any) -> Any:
