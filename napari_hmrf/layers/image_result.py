@@ -126,7 +126,8 @@ class Result:
         held = self._put(part, made, source)
         layer, held.added = held.layer(), True
         layer.visible, held.stale = seen, False
-        self._keep_before()
+        if self._before:  # what comes meanwhile is seen later
+            self._put_aside()
         return layer
 
     def show(
@@ -146,7 +147,8 @@ class Result:
             layer = shown[kind] = held.layer()
             if held.stale:
                 layer.visible, held.stale = True, False
-        self._keep_before()
+        if self._before:  # what comes meanwhile is seen later
+            self._put_aside()
         return shown
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
@@ -195,12 +197,10 @@ class Result:
 
     def hold_before(self, source: Any) -> None:
         """Show the image as it was, and nothing of the result, until `release`."""
-        if self._before or not self.visible:
+        if self._before:
             return
-        self._before = [(weakref.ref(layer), layer.visible) for layer, _ in self._there()]
-        for layer, _ in self._there():
-            layer.visible = False
-        if still_there(self._viewer, source) is not None:
+        self._put_aside()
+        if self._before and still_there(self._viewer, source) is not None:
             self._before.append((weakref.ref(source), source.visible))
             source.visible = True
 
@@ -229,13 +229,12 @@ class Result:
         self._viewer.layers.remove(layer)
         self.leaving = False
 
-    def _keep_before(self) -> None:
-        """What comes while the image is seen as it was is seen later."""
-        if self._before:
-            for layer, _ in self._there():
-                if layer.visible:
-                    self._before.append((weakref.ref(layer), True))
-                    layer.visible = False
+    def _put_aside(self) -> None:
+        """Hide what is seen, until `release`."""
+        for layer, _ in self._there():
+            if layer.visible:
+                self._before.append((weakref.ref(layer), True))
+                layer.visible = False
 
     def _there(self) -> Iterator[tuple[Any, _Held]]:
         """The layers that are in the viewer."""
