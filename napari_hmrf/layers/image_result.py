@@ -38,7 +38,8 @@ class _Held:
     added: bool = False
     #: Its data, if nobody else holds them: they can be written to.
     own: Any = None
-    #: The data of all of the deformation, while it shows a part.
+    #: Its data while it shows a part of the deformation, and those of all of it.
+    part: Any = None
     whole: Any = None
 
 
@@ -160,18 +161,21 @@ class Result:
             held = self._held[part]
             if _percent_of(layer) == _WHOLE:
                 held.whole = layer.data
-            layer.data, held.own = data, None
+            layer.data = held.part = data
+            held.own = None
             # Whoever saves the layer now can tell what it is.
             _know(layer, percent=percent)
 
     def show_whole(self) -> None:
-        """Put back what was there before a part was shown."""
+        """Put back what was there before a part was shown, where nobody else has drawn since."""
         for layer, held in self._there():
-            if held.whole is not None:
-                layer.data, held.whole = held.whole, None
-                _know(layer)
-            elif _percent_of(layer) != _WHOLE:
-                layer.visible = False
+            if held.part is not None and layer.data is held.part:
+                if held.whole is not None:
+                    layer.data = held.whole
+                    _know(layer)
+                elif _percent_of(layer) != _WHOLE:
+                    layer.visible = False
+            held.part = held.whole = None
 
     # What is hidden
 
@@ -245,8 +249,7 @@ class Result:
     def _overwrite(self, part: Part, made: LayerData) -> bool:
         """Give a layer other pixels where nothing else of it is another; whether that is so."""
         layer, held = self.layer(part), self._held.get(part)
-        whole = layer is not None and _percent_of(layer) == _WHOLE
-        if held is None or not (whole and _fits(layer, made)):
+        if layer is None or held is None or held.part is not None or not _fits(layer, made):
             return False
         if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
             layer.data = held.own = np.array(made.data)
@@ -273,7 +276,7 @@ class Result:
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
-        held.added, held.own, held.whole = False, None, None
+        held.added, held.own, held.part, held.whole = False, None, None, None
         return held
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
