@@ -218,8 +218,7 @@ class UndoKeys:
         self._layer: weakref.ref[Any] | None = None
         #: Whether what was done last was an edit of ours.
         self._ours = False
-        for key, name in KEYS.items():
-            self._bind(viewer, key, name)
+        self._bind(viewer)
         self._edits.moved.connect(self._on_moved)
         self._viewer = weakref.ref(viewer)
         viewer.layers.selection.events.active.connect(self._on_active)
@@ -232,19 +231,19 @@ class UndoKeys:
         viewer = self._viewer()
         if viewer is not None:
             viewer.layers.selection.events.active.disconnect(self._on_active)
-        for owner, key in self._bound:
-            owner.bind_key(key, None)
-        self._bound.clear()
+            self._unbind(viewer)
 
-    def _bind(self, owner: Any, key: str, name: str) -> None:
-        def answer(owner: Any) -> None:
-            self._choose(owner, name)
+    def _bind(self, owner: Any) -> None:
+        for key, name in KEYS.items():
+            with suppress(ValueError):  # somebody else's
+                owner.bind_key(key, lambda each, name=name: self._choose(each, name))
+                self._bound.append((owner, key))
 
-        try:
-            owner.bind_key(key, answer)
-        except ValueError:  # somebody else's
-            return
-        self._bound.append((owner, key))
+    def _unbind(self, owner: Any) -> None:
+        for each, key in self._bound:
+            if each is owner:
+                owner.bind_key(key, None)
+        self._bound = [bound for bound in self._bound if bound[0] is not owner]
 
     def _on_active(self, *_: Any) -> None:
         viewer = self._viewer()
@@ -255,19 +254,14 @@ class UndoKeys:
             return
         self._layer = weakref.ref(active)
         active.events.paint.connect(self._on_paint)
-        for key, name in KEYS.items():
-            self._bind(active, key, name)
+        self._bind(active)
 
     def _leave(self) -> None:
         """Let go of the layer that was the active one."""
         layer, self._layer = None if self._layer is None else self._layer(), None
-        if layer is None:
-            return
-        layer.events.paint.disconnect(self._on_paint)
-        for owner, key in self._bound:
-            if owner is layer:
-                layer.bind_key(key, None)
-        self._bound = [each for each in self._bound if each[0] is not layer]
+        if layer is not None:
+            layer.events.paint.disconnect(self._on_paint)
+            self._unbind(layer)
 
     def _choose(self, owner: Any, name: str) -> None:
         """Take back, or do again, what is ours, or a layer's paint."""

@@ -41,7 +41,8 @@ class _Held:
     taken: bool = False
     #: Its data, if nobody else holds them: they can be written to.
     own: Any = None
-    #: The data of all of the deformation, while it shows a part.
+    #: Its data while it shows a part of the deformation, and those of all of it.
+    part: Any = None
     whole: Any = None
 
 
@@ -130,7 +131,8 @@ class Result:
         held = self._put(part, made, source)
         layer, held.added = held.layer(), True
         layer.visible, held.stale = seen, False
-        self._keep_before()
+        if self._before:  # what comes meanwhile is seen later
+            self._put_aside()
         return layer
 
     def show(
@@ -150,7 +152,8 @@ class Result:
             layer = shown[kind] = held.layer()
             if held.stale:
                 layer.visible, held.stale = True, False
-        self._keep_before()
+        if self._before:  # what comes meanwhile is seen later
+            self._put_aside()
         return shown
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
@@ -162,18 +165,21 @@ class Result:
             held = self._held[part]
             if _percent_of(layer) == _WHOLE:
                 held.whole = layer.data
-            layer.data, held.own = data, None
+            layer.data = held.part = data
+            held.own = None
             # Whoever saves the layer now can tell what it is.
             _know(layer, percent=percent)
 
     def show_whole(self) -> None:
-        """Put back what was there before a part was shown."""
+        """Put back what was there before a part was shown, where nobody else has drawn since."""
         for layer, held in self._there():
-            if held.whole is not None:
-                layer.data, held.whole = held.whole, None
-                _know(layer)
-            elif _percent_of(layer) != _WHOLE:
-                layer.visible = False
+            if held.part is not None and layer.data is held.part:
+                if held.whole is not None:
+                    layer.data = held.whole
+                    _know(layer)
+                elif _percent_of(layer) != _WHOLE:
+                    layer.visible = False
+            held.part = held.whole = None
 
     # What is hidden
 
@@ -199,12 +205,10 @@ class Result:
 
     def hold_before(self, source: Any) -> None:
         """Show the image as it was, and nothing of the result, until `release`."""
-        if self._before or not self.visible:
+        if self._before:
             return
-        self._before = [(weakref.ref(layer), layer.visible) for layer, _ in self._there()]
-        for layer, _ in self._there():
-            layer.visible = False
-        if still_there(self._viewer, source) is not None:
+        self._put_aside()
+        if self._before and still_there(self._viewer, source) is not None:
             self._before.append((weakref.ref(source), source.visible))
             source.visible = True
 
@@ -233,13 +237,12 @@ class Result:
         self._viewer.layers.remove(layer)
         self.leaving = False
 
-    def _keep_before(self) -> None:
-        """What comes while the image is seen as it was is seen later."""
-        if self._before:
-            for layer, _ in self._there():
-                if layer.visible:
-                    self._before.append((weakref.ref(layer), True))
-                    layer.visible = False
+    def _put_aside(self) -> None:
+        """Hide what is seen, until `release`."""
+        for layer, _ in self._there():
+            if layer.visible:
+                self._before.append((weakref.ref(layer), True))
+                layer.visible = False
 
     def _there(self) -> Iterator[tuple[Any, _Held]]:
         """The layers that are in the viewer."""
@@ -250,8 +253,7 @@ class Result:
     def _overwrite(self, part: Part, made: LayerData) -> bool:
         """Give a layer other pixels where nothing else of it is another; whether that is so."""
         layer, held = self.layer(part), self._held.get(part)
-        whole = layer is not None and _percent_of(layer) == _WHOLE
-        if held is None or not (whole and _fits(layer, made)):
+        if layer is None or held is None or held.part is not None or not _fits(layer, made):
             return False
         if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
             layer.data = held.own = np.array(made.data)
@@ -278,7 +280,7 @@ class Result:
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
-        held.added, held.own, held.whole = False, None, None
+        held.added, held.own, held.part, held.whole = False, None, None, None
         return held
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.colormaps import OPACITY, SMALLEST, area_limits, reach_of
+from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
 from napari_hmrf.field.strain import (
     equivalent_strain,
     green_lagrange_strain,
@@ -16,7 +16,13 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.layers.animation import Motion
 from napari_hmrf.layers.label_colours import quantity_colours
-from napari_hmrf.layers.result_layers import LayerData, pixel_layer, result_layers, result_name
+from napari_hmrf.layers.result_layers import (
+    OVER,
+    LayerData,
+    pixel_layer,
+    result_layers,
+    result_name,
+)
 from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.tissue_point import area_change
 
@@ -98,12 +104,7 @@ def quantity_layer(
         least = SMALLEST * (_PER_CENT if QUANTITIES[quantity][1] == "%" else 1)
         reach = reach_of(values, signed, least)
         limits = (-reach if signed else 0.0, reach)
-    look = {
-        "colormap": quantity_colours(signed, folded),
-        "contrast_limits": limits,
-        "blending": "translucent",
-        "opacity": OPACITY,
-    }
+    look = {"colormap": quantity_colours(signed, folded), "contrast_limits": limits, **OVER}
     known = {"kind": quantity, **result.facts}
     return pixel_layer(result.frame, values, _name(result, quantity), known, look)
 

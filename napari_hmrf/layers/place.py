@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from napari_hmrf.layers.slice_view import View, is_unit, slice_shown, unit_factor
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.layer_names import LayerError
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -334,9 +335,17 @@ class Frame:
             raise ValueError(f"its units are {self.units}")
 
     @classmethod
-    def of_pixels(cls, spacing: tuple[float, ...]) -> Frame:
-        """A two-dimensional frame at the origin, for a solution that came from no layer."""
-        scale = _as_tuples(spacing)
+    def of_solution(cls, solution: Solution) -> Frame:
+        """Where a solution lies: as its `frame` says, or at the origin if it came from no layer.
+
+        Raises
+        ------
+        ValueError
+            As of `from_dict`.
+        """
+        if solution.frame:
+            return cls.from_dict(solution.frame)
+        scale = _as_tuples(solution.spacing)
         return cls(
             plane=(0, 1),
             index=(0, 0),

@@ -275,12 +275,10 @@ def _refuse_unpainted(boundary: Any, own: Frame) -> None:
 
 def look_of(layer: Any) -> dict[str, Any]:
     """How an Image or Labels layer is drawn, as a new layer takes it."""
-    if layer is None:
+    if layer is None or getattr(layer, "rgb", False):
         return {}
     if isinstance(layer, Labels):
         return {"colormap": layer.colormap, "opacity": layer.opacity}
-    if layer.rgb:
-        return {}
     return {
         "colormap": layer.colormap,
         "contrast_limits": tuple(layer.contrast_limits),

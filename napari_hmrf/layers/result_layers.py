@@ -51,7 +51,7 @@ _LEAST = 0.1
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
 #: How quantities lie over the image.
-_OVER = {"blending": "translucent", "opacity": OPACITY}
+OVER = {"blending": "translucent", "opacity": OPACITY}
 #: Lines of the deformation grid across the longer side.
 LINES = 30
 
@@ -123,9 +123,7 @@ def result_layers(
     ValueError
         If the solution's frame is not one that layers have.
     """
-    if frame is None:
-        stored = solution.frame
-        frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
+    frame = Frame.of_solution(solution) if frame is None else frame
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     checkpoint()
     smallest = smallest_determinant(solution.displacement, solution.spacing, solution.tissue)
@@ -264,12 +262,12 @@ class _Maker:
         m = self._problem.stiffness
         finite = m[np.isfinite(m)]
         most = float(finite.max(initial=0.0)) or 1.0
-        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **_OVER}
+        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **OVER}
         return self._pixels("stiffness", m, self._name("stiffness"), look)
 
     def confidence(self) -> LayerData:
         """How sure it was how tissue moves: c, the larger of its components."""
-        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **_OVER}
+        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **OVER}
         c = self._problem.confidence.max(axis=-1)
         return self._pixels("confidence", c, self._name("confidence"), look)
 

@@ -66,9 +66,8 @@ def result_of(layer: Any) -> FoundResult | None:
     solution = known.get("solution")
     if known.get("kind") != "arrows" or not isinstance(solution, Solution):
         return None
-    stored = solution.frame
     try:
-        frame = Frame.from_dict(stored) if stored else Frame.of_pixels(solution.spacing)
+        frame = Frame.of_solution(solution)
     except ValueError:
         return None
     held = ("solution", "kind", "pictures", "problem")

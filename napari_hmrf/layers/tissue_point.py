@@ -45,8 +45,6 @@ class Points:
     def __init__(self, solution: Solution) -> None:
         self._solution = solution
         self._jacobian = area_change(solution)
-        #: Sites at which the tissue folds over itself.
-        self.folds = int((self._jacobian <= 0).sum())
         self._farthest = farthest_of(solution.displacement)
 
     def at(self, place: tuple[float, float], fraction: float = 0.0) -> Probe | None:
