@@ -16,7 +16,7 @@ from napari_hmrf.layers.compat import paint_steps, unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study_model import Step, StudyModel
 
 #: Keys, and what they do.

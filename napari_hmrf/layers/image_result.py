@@ -113,7 +113,8 @@ class Result:
     def take(self, part: Part, layer: Any) -> None:
         """Have a layer that somebody else made."""
         self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name, taken=True)
-        self._keep_before()
+        if self._before:  # what comes meanwhile is seen later
+            self._put_aside()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> Any:
         """Have one more layer of the result there is; returns it.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -79,3 +80,23 @@ def same_selection(viewer: Any) -> Iterator[None]:
 def is_selection_kept(viewer: Any) -> bool:
     """Whether the selection changes only until a layer of ours is added."""
     return any(each is viewer for each in _kept)
+
+
+_Shared = TypeVar("_Shared")
+_shared: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def shared(viewer: Any, kind: Callable[[Any], _Shared]) -> _Shared:
+    """The one object of a kind in a viewer, for a dock that is closed and for the next that comes.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    kind : type
+        Made of the viewer; must not keep it alive.
+    """
+    known = _shared.setdefault(viewer, {})
+    if kind not in known:
+        known[kind] = kind(viewer)
+    found: _Shared = known[kind]
+    return found

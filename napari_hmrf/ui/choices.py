@@ -15,7 +15,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.messages import CHOOSE, WELCOME

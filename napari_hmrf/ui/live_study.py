@@ -16,7 +16,7 @@ from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import unit_symbol
-from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.refusals import refuse_rigid

@@ -11,7 +11,7 @@ from typing import Any
 
 from qtpy.QtCore import QSettings
 
-from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.model import ModelForm
 
 _DEVICE = "deform/device"

@@ -12,7 +12,7 @@ from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.compat import camera_of, clear_middle, unwrapped
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.events import single_shot
 
 #: Until the canvas has the size that a new dock leaves it, in milliseconds.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from qtpy.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve, with_point
-from napari_hmrf.ui.figure_canvas import emptied, figure_canvas
+from napari_hmrf.ui.events import single_shot
 
 _HEIGHT, _BINS = 170, 128
 #: Of a large image so many pixels are counted.
@@ -110,7 +111,7 @@ class CurvePlot(QWidget):
     def canvas(self) -> Any:
         """What the curve is drawn on, and feels the mouse; made when it is first asked for."""
         if self._canvas is None:
-            self._canvas = canvas = figure_canvas("none")
+            self._canvas = canvas = _figure_canvas()
             canvas.figure.subplots_adjust(0.13, 0.13, 0.97, 0.95)
             self.layout().addWidget(canvas)
             canvas.mpl_connect("button_press_event", self._on_press)
@@ -268,7 +269,7 @@ class CurvePlot(QWidget):
         if self._canvas is None:
             return
         curve, ink = self._curve, self.palette().windowText().color().name()
-        axes, points = emptied(self._canvas, ink), np.array(curve.points)
+        axes, points = _emptied(self._canvas, ink), np.array(curve.points)
         # While something is dragged, the numbers stay under the mouse.
         if self._held is None:
             self._ends = self._around(curve)
@@ -307,3 +308,37 @@ class CurvePlot(QWidget):
         marks += [] if curve.void_below is None else [curve.void_below]
         (softest, stiffest), room = curve.range, _ROOM if curve.logarithmic else _ROOM / 2
         return (min(marks), max(marks)), (softest / room * curve.logarithmic, stiffest * room)
+
+
+def _figure_canvas() -> Any:
+    """Make a matplotlib canvas that is a Qt widget, with axes; matplotlib is imported only now."""
+    from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(3.2, 1.7))
+    figure.patch.set_alpha(0)
+    figure.add_subplot()
+    canvas = FigureCanvasQTAgg(figure)
+    canvas.setStyleSheet("background: transparent")
+    canvas.setMinimumWidth(50)
+
+    def draw() -> None:
+        # Python may take the window apart in the middle of it.
+        with suppress(RuntimeError):
+            canvas.draw()
+
+    # Matplotlib's own timer would ring though the canvas is gone.
+    canvas.draw_idle = single_shot(canvas, 0, draw).start
+    return canvas
+
+
+def _emptied(canvas: Any, ink: str) -> Any:
+    """Take away what is on the axes of a canvas, and return them."""
+    (axes,) = canvas.figure.axes
+    axes.clear()
+    axes.patch.set_alpha(0)
+    axes.tick_params(labelsize=6, colors=ink, which="both")
+    for spine in axes.spines.values():
+        spine.set(color=ink, alpha=0.4)
+    canvas.draw_idle()
+    return axes

@@ -13,8 +13,7 @@ from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.paint_layer import outline_of, touches
 from napari_hmrf.layers.result_layers import picture_layer
-from napari_hmrf.layers.viewer_layers import still_there
-from napari_hmrf.layers.viewer_shared import shared
+from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
