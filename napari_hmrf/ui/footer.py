@@ -82,7 +82,7 @@ class Footer:
             kept.setSizePolicy(policy)
             kept.hide()
             layout.addWidget(kept)
-        for label, lines, more in ((self._status, _LINES, 4), (self._details, 1, 10)):
+        for label, lines, more in ((self._status, _LINES, 10), (self._details, 1, 10)):
             label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
