@@ -127,6 +127,7 @@ def test_eyes_stay_as_somebody_left_them(at_hand, settle):
 def test_what_was_deformed_is_pulled_on_with_the_value_of_what_is_seen(at_hand, run, settle):
     person, dock = at_hand
     run(dock)
+    settle(dock)
     assert dock.at((24.0, 40.0)).displacement[0] == pytest.approx(0, abs=0.05)
     drag_a_patch(person, dock, settle)
     assert dock.result is person.viewer.layers["MR arrows, elastic"]
