@@ -22,7 +22,6 @@ from typing import Any
 
 import napari
 import numpy as np
-from napari_hmrf.layers.viewer_results import ResultLayers
 from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
@@ -34,6 +33,11 @@ from napari_hmrf.tissue.drawing import Rendering
 
 #: What is painted with a brush, instead of pulled.
 BRUSHES = ("pin", "move", "tissue")
+try:
+    from napari_hmrf.layers.image_result import ResultLayers
+except ImportError:  # of a checkout that this one is compared with
+    from napari_hmrf.layers.viewer_results import ResultLayers
+
 #: What the pictures are: grey, in colours, or a slice of a stack; what is painted is grey.
 KINDS = ("grey", "colour", "stack", *BRUSHES)
 _WINDOW = (1500, 950)

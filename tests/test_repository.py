@@ -1,6 +1,7 @@
 """Claims about the repository: what it says is true, and its parts know only what they should."""
 
 import ast
+import importlib.util
 import re
 import subprocess
 import sys
@@ -197,6 +198,15 @@ def test_tests_wait_for_events_and_never_for_a_time(file):
     names = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
     timed = [name for name in names if name.endswith(("sleep", "bot.wait", "qWait"))]
     assert timed == [], "at_rest(), waitUntil and waitSignal wait for what is to come"
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "scripts", "examples"])
+def test_what_is_imported_from_the_package_is_there(folder):
+    for file in ROOT.glob(f"{folder}/**/*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        modules = {node.module for node in tree.body if isinstance(node, ast.ImportFrom)}
+        for module in {each for each in modules if each and each.startswith("napari_hmrf")}:
+            assert importlib.util.find_spec(module), f"{file.name} imports {module}"
 
 
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
