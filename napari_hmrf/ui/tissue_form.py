@@ -19,7 +19,7 @@ from napari_hmrf.ui.label_table import LabelTable, LabelTableView
 from napari_hmrf.ui.landmark_choice import LandmarkChoice
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.material_menu import MaterialMenu
-from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
+from napari_hmrf.ui.tissue_tables import AMOUNTS, BoundaryTable, MaterialTable
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
@@ -173,6 +173,14 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         self.landmarks.margins = (0, 0, 0, 0)
         self.native.layout().addWidget(self.landmarks.native)
         self.confidence.changed.connect(lambda _: self.edited.emit())
+        self.table.edited.connect(self._show_amounts)
+        self._show_amounts()
+
+    def _show_amounts(self) -> None:
+        """Show the columns that say something of any row: the dock is narrow."""
+        actions = {rule.action for rule in self.table.rows}
+        for column, action in AMOUNTS.items():
+            self.seen.setColumnHidden(column, action not in actions)
 
     def _on_choice(self, layer: Any) -> None:
         self.confidence.visible = isinstance(layer, Vectors)

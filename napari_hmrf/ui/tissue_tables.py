@@ -117,6 +117,8 @@ def _about(material: Material) -> str:
 _ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _ROWS, _COLS, _OUTWARD = range(3, 6)
+#: Columns, and the only action that they say something of.
+AMOUNTS: dict[int, Action] = {_ROWS: "move", _COLS: "move", _OUTWARD: "expand"}
 
 
 class BoundaryTable(LabelTable):
@@ -146,7 +148,7 @@ class BoundaryTable(LabelTable):
                         partial(self._typed, column),
                         lambda row: f"in {self._unit}",
                     )
-                    for column in (_ROWS, _COLS, _OUTWARD)
+                    for column in AMOUNTS
                 ),
                 Column(
                     "confi-\ndence",
@@ -188,7 +190,7 @@ class BoundaryTable(LabelTable):
 
 
 def _amount(column: int, rule: BoundaryRule) -> str:
-    if rule.action != ("expand" if column == _OUTWARD else "move"):
+    if rule.action != AMOUNTS[column]:
         return ""
     return f"{rule.amount if column == _OUTWARD else rule.vector[column - _ROWS]:g}"
 

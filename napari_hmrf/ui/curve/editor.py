@@ -52,7 +52,7 @@ class CurveEditor(QtWidgets.QWidget):
         self.void = QtWidgets.QCheckBox("no tissue below", toolTip=tip)
         self.void_below = _Number(-_FAR, "Intensity, in the image's own unit")
         tip = "How the points are joined; the smooth line overshoots none"
-        self.between = menu("between points", {each: each for each in get_args(Between)}, tip)
+        self.between = menu("joined", {each: each for each in get_args(Between)}, tip)
         tip = (
             "Of stiffness. Logarithmic: by equal factors, as tissues differ; linear: by equal "
             "amounts. It counts between the points, too"
@@ -93,8 +93,8 @@ class CurveEditor(QtWidgets.QWidget):
         wide = QtWidgets.QComboBox | QtWidgets.QDoubleSpinBox
         for row in (
             [label("intensity"), self.intensity, label("stiffness"), self.stiffness, self.unit],
-            [self.void, self.void_below, self.add, self.remove, self.anew],
-            [label("between points"), self.between.native, label("axis"), self.scale.native],
+            [self.void, self.void_below, self.add, self.remove],
+            [label("joined"), self.between.native, label("axis"), self.scale.native, self.anew],
         ):
             line = QtWidgets.QHBoxLayout()
             for widget in row:
