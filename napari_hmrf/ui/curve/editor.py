@@ -93,8 +93,8 @@ class CurveEditor(QtWidgets.QWidget):
         wide = QtWidgets.QComboBox | QtWidgets.QDoubleSpinBox
         for row in (
             [label("intensity"), self.intensity, label("stiffness"), self.stiffness, self.unit],
-            [self.void, self.void_below, self.add, self.remove],
-            [label("joined"), self.between.native, label("axis"), self.scale.native, self.anew],
+            [self.void, self.void_below, self.add, self.remove, self.anew],
+            [label("joined"), self.between.native, label("axis"), self.scale.native],
         ):
             line = QtWidgets.QHBoxLayout()
             for widget in row:
@@ -169,7 +169,8 @@ class _Number(QtWidgets.QDoubleSpinBox):
     """A number without the zeros behind it."""
 
     def __init__(self, least: float, tooltip: str) -> None:
-        super().__init__(keyboardTracking=False, toolTip=tooltip, minimumWidth=50)
+        super().__init__(keyboardTracking=False, toolTip=tooltip)
+        self.setStyleSheet("min-width: 50px")  # napari's are wider, and the dock is narrow
         self.setRange(least, _FAR)
         self.setButtonSymbols(self.ButtonSymbols.NoButtons)
 
