@@ -59,7 +59,7 @@ class CurveEditor(QtWidgets.QWidget):
         )
         self.scale = menu("axis", {True: "logarithmic", False: "linear"}, tip)
         tip = "The first guess again, from the slice that is shown: the brighter, the stiffer"
-        self.anew = QtWidgets.QPushButton("Start anew", toolTip=tip)
+        self.anew = QtWidgets.QPushButton("Anew", toolTip=tip)
         self._showing = False
         self._assemble()
         self._connect()
