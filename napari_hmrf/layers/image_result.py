@@ -113,8 +113,7 @@ class Result:
     def take(self, part: Part, layer: Any) -> None:
         """Have a layer that somebody else made."""
         self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name, taken=True)
-        if self._before:  # what comes meanwhile is seen later
-            self._put_aside()
+        self._keep_before()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> Any:
         """Have one more layer of the result there is; returns it.
@@ -132,8 +131,7 @@ class Result:
         held = self._put(part, made, source)
         layer, held.added = held.layer(), True
         layer.visible, held.stale = seen, False
-        if self._before:  # what comes meanwhile is seen later
-            self._put_aside()
+        self._keep_before()
         return layer
 
     def show(
@@ -153,8 +151,7 @@ class Result:
             layer = shown[kind] = held.layer()
             if held.stale:
                 layer.visible, held.stale = True, False
-        if self._before:  # what comes meanwhile is seen later
-            self._put_aside()
+        self._keep_before()
         return shown
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
@@ -237,6 +234,11 @@ class Result:
         self.leaving = True
         self._viewer.layers.remove(layer)
         self.leaving = False
+
+    def _keep_before(self) -> None:
+        """What comes while the image is seen as it was is seen later."""
+        if self._before:
+            self._put_aside()
 
     def _put_aside(self) -> None:
         """Hide what is seen, until `release`."""

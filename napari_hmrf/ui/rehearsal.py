@@ -10,6 +10,7 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,14 +34,15 @@ _known: set[tuple[Any, ...]] = set()
 def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = False) -> None:
     """Solve something small, and move a corner of a picture; on the compute thread only.
 
-    With `more` that is what not every drawing needs: holds that may slip, and paint.
+    With `more` that is what not every drawing needs: holds that may slip, paint, and confidence.
     """
     prior, image = study.prior, study.pictures.image
     if left.is_set() or image is None:
         return
-    picture = Picture(image[:_SIZE, :_SIZE], fill=emptiness(image))
+    pictures = [Picture(image[:_SIZE, :_SIZE], fill=emptiness(image))]
     if more:
-        picture = Picture(np.zeros((_SIZE, _SIZE), np.uint8), order=0)
+        kinds = (np.uint8, np.float32)
+        pictures = [Picture(np.zeros((_SIZE, _SIZE), kind), order=0) for kind in kinds]
         if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
             prior = replace(prior, penalty=1.0)
     spacing = study.grid.spacing
@@ -48,16 +50,18 @@ def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = Fals
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
     problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
-    small, corner = prior.rehearsal(problem.shape), np.asarray(picture.image)
-    tissue = np.ones(corner.shape[:2], dtype=bool)
+    small = prior.rehearsal(problem.shape)
+    tissue = np.ones(np.shape(pictures[0].image)[:2], dtype=bool)
     tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
     still = np.zeros((*tissue.shape, 2), np.float32)
     parts: dict[tuple[Any, ...], Callable[[], object]] = {
         (prior.kernels, len(set(spacing)) == 1): lambda: run_here(
             problem, small, Multigrid(TOLERANCE), "auto", report, left
         ),
-        (corner.dtype.str, picture.order): lambda: Warper(picture)(still, tissue),
     }
+    for picture in pictures:
+        key = (np.asarray(picture.image).dtype.str, picture.order)
+        parts[key] = partial(_move, picture, still, tissue)
     for key, part in parts.items():
         if key in _known:
             continue
@@ -68,3 +72,7 @@ def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = Fals
         except Exception:  # noqa: BLE001 - whoever draws is told of it
             _log.debug("a rehearsal failed", exc_info=True)
         _known.add(key)
+
+
+def _move(picture: Picture, still: Any, tissue: Any) -> None:
+    Warper(picture)(still, tissue)
