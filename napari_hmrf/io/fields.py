@@ -1,0 +1,258 @@
+"""Displacement fields in files that other tools read: NIfTI, MetaImage, NRRD, and ITK's HDF5.
+
+All of them have ITK's meaning: at each point P of the image as it is seen after the motion, the
+vector u(P) leads to P + u(P), where what is seen there came from. It is in millimetres along the
+physical axes left, posterior, superior (LPS), not along the image's own. Outside of a field's grid
+ITK's tools take nothing to move.
+
+SimpleITK reads and writes them; it comes with ``pip install "napari-hmrf[medical]"``.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import checked_path, shown
+from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.solver.problem import as_numbers
+
+#: What a field can be written as.
+FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
+#: Slicer's key, and what it says of a field that leads back or forth.
+_SLICER, _BACK, _FORTH = "displacement field type", "resampling", "modeling"
+#: How far a direction may be from a rotation.
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A displacement field and where its grid lies.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
+        Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
+        them.
+    spacing : tuple of float, shape (n,)
+        Size of a pixel along each axis, in mm; [z,] y, x.
+    origin : tuple of float, shape (n,)
+        Of the first pixel's middle, in mm, as ITK states it: x, y[, z] in LPS.
+    direction : ndarray, shape (n, n)
+        As ITK states it: its columns are the directions of the image's x, y[ and z].
+    residual : float
+        How far, in pixels, it is from the inverse of what the file says at the worst site; 0 if the
+        file says where tissue goes.
+    """
+
+    displacement: npt.NDArray[np.float64]
+    spacing: tuple[float, ...]
+    origin: tuple[float, ...]
+    direction: npt.NDArray[np.float64]
+    residual: float = 0.0
+
+
+def write_field(
+    path: str | os.PathLike[str],
+    displacement: npt.ArrayLike,
+    *,
+    spacing: Sequence[float],
+    origin: Sequence[float] | None = None,
+    direction: npt.ArrayLike | None = None,
+    forward: bool = False,
+    tissue: npt.ArrayLike | None = None,
+) -> float:
+    """Write a displacement field that ITK, SimpleITK, ANTs, elastix and Slicer read.
+
+    A field of one slice with three spacings lies in a volume. As .nii.gz it is written three times,
+    one above the other, for no tool reads a NIfTI field of one slice rightly; the other formats hold
+    the one.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Ends in one of `FIELD_SUFFIXES`. A file that is there stays until the new one is complete.
+    displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
+        Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
+        them, as `Solution.displacement` has them.
+    spacing : sequence of float, shape (n,), or of 3 for a slice of a volume
+        In mm; [z,] y, x.
+    origin : sequence of float, optional
+        Of the first pixel's middle, as ITK states it: x, y[, z] in LPS. By default 0.
+    direction : array_like, shape (n, n), optional
+        As ITK states it. By default along the axes.
+    forward : bool
+        Whether the file is to say where tissue goes, as transforms of points do, and not where what
+        is seen came from, which moves images.
+    tissue : array_like of bool, shape (H, W), optional
+        What moves, where a field is inverted; `Solution.tissue`.
+
+    Returns
+    -------
+    float
+        How far, in pixels, the inverse that is written is from an inverse at the worst site; 0 if
+        `forward`.
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    FileFormatError
+        If no field is written as a file of such a name.
+    HmrfError
+        If SimpleITK is not installed.
+    OSError
+        If the file cannot be written.
+    """
+    target = Path(checked_path(path))
+    suffix = next((each for each in FIELD_SUFFIXES if target.name.lower().endswith(each)), "")
+    if not suffix:
+        raise FileFormatError(
+            f"{target.name}: no field is written as such a file. End its name in one of "
+            f"{', '.join(FIELD_SUFFIXES)}."
+        )
+    _refuse_beside(target, suffix)
+    sitk = simpleitk()
+    d = as_numbers("displacement", displacement).astype(np.float64)
+    n = d.ndim - 1
+    if n not in (2, 3) or d.shape[-1] != n:
+        raise ProblemError(
+            "displacement", f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) of a volume."
+        )
+    size = _lengths("spacing", spacing, (n, 3))
+    if not (size > 0).all():
+        raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Give lengths above 0.")
+    back, residual = d, 0.0
+    if not forward:
+        back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
+    if len(size) > n:  # a slice in a volume, along whose third axis nothing moves
+        back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
+    start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
+    turn = np.eye(len(size)) if direction is None else _rotation(direction, len(size))
+    if suffix in (".nii", ".nii.gz") and len(back) == 1 and len(size) == 3:
+        back = np.repeat(back, 3, axis=0)
+        start = start - turn[:, 2] * size[0]
+    image = sitk.GetImageFromArray(back[..., ::-1] @ turn.T, isVector=True)
+    image.SetSpacing(size[::-1].tolist())
+    image.SetOrigin(start.tolist())
+    image.SetDirection(turn.ravel().tolist())
+    if suffix == ".nrrd":
+        image.SetMetaData(_SLICER, _FORTH if forward else _BACK)
+    with tempfile.TemporaryDirectory() as folder:
+        whole = os.path.join(folder, f"field{suffix}")
+        if suffix == ".h5":
+            sitk.WriteTransform(sitk.DisplacementFieldTransform(image), whole)
+        else:
+            sitk.WriteImage(image, whole, useCompression=True)
+        write_whole(target, Path(whole).read_bytes())
+    return residual
+
+
+def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
+    """Read a displacement field that this package, ITK, ANTs or elastix wrote.
+
+    Parameters
+    ----------
+    path : str or path-like
+        A file of vectors: .nii.gz, .mha, .mhd, .nrrd; or a transform of ITK that holds a field.
+    forward : bool
+        Whether the file says where tissue goes. By default it says where what is seen came from,
+        as all registrations do, and is inverted. Slicer's own key in a .nrrd is believed.
+
+    Raises
+    ------
+    FileFormatError
+        If it is no displacement field, or damaged.
+    HmrfError
+        If SimpleITK is not installed.
+    OSError
+        If it cannot be opened.
+    """
+    source, sitk = Path(checked_path(path)), simpleitk()
+    with open(source, "rb"):
+        pass  # one error, of the system's words, for what is not there
+    image = _image_in(sitk, source)
+    n = image.GetDimension()
+    if n not in (2, 3) or image.GetNumberOfComponentsPerPixel() != n:
+        raise FileFormatError(
+            f"{source.name}: not a displacement field: {n} axes and "
+            f"{image.GetNumberOfComponentsPerPixel()} components. A field has a component for each "
+            "axis."
+        )
+    turn = np.array(image.GetDirection()).reshape(n, n)
+    vectors = sitk.GetArrayFromImage(image).astype(np.float64)
+    if not np.isfinite(vectors).all():
+        raise FileFormatError(f"{source.name}: it holds values that are not numbers.")
+    along = (vectors @ turn)[..., ::-1]
+    spacing = tuple(image.GetSpacing()[::-1])
+    if image.HasMetaDataKey(_SLICER):
+        forward = image.GetMetaData(_SLICER) == _FORTH
+    d, residual = (along, 0.0) if forward else inverse_displacement(along, spacing=spacing)
+    return Field(d, spacing, tuple(image.GetOrigin()), turn, residual)
+
+
+def simpleitk() -> Any:
+    """SimpleITK, or the error that says how to get it."""
+    try:
+        import SimpleITK
+    except ImportError as error:
+        raise HmrfError(
+            "medical files are read and written by SimpleITK, which is not installed. Run: "
+            'pip install "napari-hmrf[medical]"'
+        ) from error
+    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
+    return SimpleITK
+
+
+def _image_in(sitk: Any, source: Path) -> Any:
+    """The vectors of a file, as an image."""
+    try:
+        if source.suffix.lower() not in (".h5", ".hdf5", ".tfm", ".txt"):
+            return sitk.ReadImage(str(source))
+        transform = sitk.ReadTransform(str(source))
+        if transform.GetName() == "CompositeTransform":
+            transform = sitk.CompositeTransform(transform).GetNthTransform(0)
+        return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
+    except RuntimeError as error:
+        raise FileFormatError(f"{source.name}: not a displacement field that can be read.") from error
+
+
+def _refuse_beside(target: Path, suffix: str) -> None:
+    """Refuse a name under which ITK's NIfTI reader takes the vectors of another file."""
+    other = {".nii": ".nii.gz", ".nii.gz": ".nii"}.get(suffix)
+    if other is None:
+        return
+    beside = target.with_name(target.name[: -len(suffix)] + other)
+    if beside.exists():
+        raise FileFormatError(
+            f"{target.name}: {beside.name} lies beside it, and ITK's tools would mistake the one for "
+            "the other. Take another name, or remove that file."
+        )
+
+
+def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt.NDArray[Any]:
+    given = as_numbers(name, values).astype(np.float64)
+    if given.ndim != 1 or len(given) not in counts or not np.isfinite(given).all():
+        raise ProblemError(name, f"is {shown(values)}. Give {' or '.join(map(str, counts))} lengths.")
+    return given
+
+
+def _rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
+    turn = as_numbers("direction", direction).astype(np.float64)
+    turn = turn.reshape(n, n) if turn.size == n * n else turn
+    if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):
+        raise ProblemError(
+            "direction",
+            f"is {shown(direction)}. Give {n} x {n} numbers whose columns are the directions of the "
+            "image's axes, at right angles and of length 1.",
+        )
+    return turn
