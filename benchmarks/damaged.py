@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -95,24 +95,36 @@ def damaged(content: bytes, count: int, seed: int = 0) -> Iterator[Damaged]:
         yield Damaged(make.__name__.strip("_").replace("_", " "), make(content, dice), sealed)
 
 
-def look(path: Path, version: Damaged, original: Solution) -> str:
+class Kept(NamedTuple):
+    """A kind of file: how it is known, read and written, and all that is read, to be compared."""
+
+    is_one: Callable[[Path], bool]
+    load: Callable[[Path], Any]
+    save: Callable[[Path, Any], Path]
+    told: Callable[[Any], Any]
+
+
+def look(path: Path, version: Damaged, original: Any, kept: Kept | None = None) -> str:
     """Read a version, which was put into a file: "refused", "the same" or "another".
+
+    By default it is of a solution.
 
     Raises
     ------
     AssertionError
         If it is read as what was not saved, or as what cannot be saved.
     """
-    ours = is_solution_file(path)
+    is_one, load, save, told = kept or SOLUTIONS
+    ours = is_one(path)
     try:
-        found = Solution.load(path)
+        found = load(path)
     except FileFormatError:
         return "refused"
     assert ours, f"{version.kind}: read, but not taken for a result"
     if told(found) == told(original):
         return "the same"
     assert version.sealed, f"{version.kind}: read as something else"
-    again = Solution.load(found.save(path.with_name("again.npz")))
+    again = load(save(path.with_name(f"again{path.suffix}"), found))
     assert told(again) == told(found), f"{version.kind}: not the same when saved again"
     return "another"
 
@@ -122,6 +134,9 @@ def told(solution: Solution) -> tuple[Any, ...]:
     arrays = (solution.displacement, solution.energy, solution.tissue)
     rest = asdict(solution) | dict.fromkeys(("displacement", "energy", "tissue"))
     return *(array.tobytes() for array in arrays), json.dumps(rest, sort_keys=True)
+
+
+SOLUTIONS = Kept(is_solution_file, Solution.load, lambda path, it: it.save(path), told)
 
 
 def _flipped(content: bytes, dice: random.Random) -> bytes:

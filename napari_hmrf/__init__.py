@@ -38,6 +38,8 @@ from napari_hmrf.field.strain import (
     strain_through_slice,
 )
 from napari_hmrf.field.warp import inverse_map, warp
+from napari_hmrf.io.fields import Field, read_field, write_field
+from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
     Phantom,
@@ -78,6 +80,7 @@ __all__ = [
     "ConvergenceError",
     "Drawing",
     "ElasticPrior",
+    "Field",
     "FileFormatError",
     "Grid",
     "HmrfError",
@@ -111,15 +114,20 @@ __all__ = [
     "green_lagrange_strain",
     "inverse_map",
     "is_solution_file",
+    "is_study_file",
     "jacobian_determinant",
+    "load_study",
     "luminance",
     "magnitude",
     "phantom",
     "poisson_image",
     "principal_strains",
+    "read_field",
     "reference_displacement",
+    "replay",
     "resample",
     "sample",
+    "save_study",
     "small_strain",
     "solve",
     "solve_study",
@@ -127,4 +135,5 @@ __all__ = [
     "stiffness_image",
     "strain_through_slice",
     "warp",
+    "write_field",
 ]

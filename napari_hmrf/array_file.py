@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Generic, Literal, TypeVar
+from typing import IO, Any, BinaryIO, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,29 @@ MAX_BYTES = 2 * 16384**2 * 4
 _HARMLESS_BYTES = 256 * 2**20
 _MAX_RATIO = 100
 
+
+class Kind(NamedTuple):
+    """Which arrays may stand under a name.
+
+    Attributes
+    ----------
+    dtypes : tuple of str
+        As NumPy writes them, little-endian. An array that is saved becomes one of the only dtype;
+        where there are several, it keeps its own.
+    axes : tuple of int
+        How many it may have.
+    optional : bool
+        Whether it may be missing.
+    """
+
+    dtypes: tuple[str, ...]
+    axes: tuple[int, ...]
+    optional: bool = False
+
+
 _HEADER = "header"
+#: Of the header: one text, of at most a mebibyte.
+_TEXT = Kind(("U",), (0,))
 _HEADER_BYTES = 2**20
 _DEEPEST = 32
 
@@ -84,8 +106,10 @@ class Format(Generic[T]):
         Raised when a file could be misread by an older version; older files stay valid.
     what : str
         What it is to its user, for errors: "<file>: not a valid <what>: <reason>".
-    arrays : mapping of str to (dtype, int)
-        The dtype and number of axes of each array; no other may be there.
+    arrays : mapping of str to Kind
+        No other may be there.
+    describe : callable
+        Makes header, of JSON types, and arrays of the object.
     parse : callable
         Makes the object of header and arrays; raises `Invalid` for what cannot be one.
     """
@@ -93,11 +117,12 @@ class Format(Generic[T]):
     name: str
     schema: int
     what: str
-    arrays: Mapping[str, tuple[np.dtype[Any], int]]
+    arrays: Mapping[str, Kind]
+    describe: Callable[[T], tuple[Header, Arrays]]
     parse: Callable[[Header, Arrays], T]
 
 
-def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays: Arrays) -> Path:
+def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
     """Write a file that is complete or not there.
 
     As by `write_whole`: a file that was there before survives until the new one is complete.
@@ -107,10 +132,8 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
     path : str or path-like
         Taken as it is; ".npz" is added only if the name has no suffix, and is no FIFO or device.
     form : Format
-    header : mapping
-        Of JSON types; name and schema of the format are added.
-    arrays : mapping
-        Converted to the dtypes of the format.
+    value : object
+        Of the kind that the format holds.
 
     Returns
     -------
@@ -131,7 +154,7 @@ def write(path: str | os.PathLike[str], form: Format[T], header: Header, arrays:
         target = Path(os.path.realpath(target))
         if not target.suffix:
             target = target.with_name(target.name + ".npz")
-    write_whole(target, _packed(form, header, arrays))
+    write_whole(target, _packed(form, value))
     return target
 
 
@@ -180,10 +203,11 @@ def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
         return False
 
 
-def _packed(form: Format[Any], header: Header, arrays: Arrays) -> bytes:
+def _packed(form: Format[T], value: T) -> bytes:
+    header, arrays = form.describe(value)
     whole = {"format": form.name, "schema": form.schema, **header}
     members: dict[str, Any] = {
-        name: np.asarray(arrays[name]).astype(kind) for name, (kind, _) in form.arrays.items()
+        name: _as_written(np.asarray(array), form.arrays[name]) for name, array in arrays.items()
     }
     file = io.BytesIO()
     np.savez_compressed(file, header=np.array(json.dumps(whole, ensure_ascii=False)), **members)
@@ -193,6 +217,11 @@ def _packed(form: Format[Any], header: Header, arrays: Arrays) -> bytes:
     except Invalid as error:  # what could not be read back must not replace what could
         raise ValueError(f"this {form.what} cannot be saved: {error}") from None
     return content
+
+
+def _as_written(array: npt.NDArray[Any], kind: Kind) -> npt.NDArray[Any]:
+    only = len(kind.dtypes) == 1
+    return array.astype(kind.dtypes[0] if only else array.dtype.newbyteorder("<"))
 
 
 def _unpacked(file: BinaryIO, form: Format[T]) -> T:
@@ -209,7 +238,12 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
                 f"{form.schema}); update napari-hmrf"
             )
         _check_members(archive, form)
-        arrays = {name: _array(archive, name, *kind) for name, kind in form.arrays.items()}
+        there = archive.namelist()
+        arrays = {
+            name: _array(archive, name, kind)
+            for name, kind in form.arrays.items()
+            if f"{name}.npy" in there
+        }
     return form.parse(header, arrays)
 
 
@@ -217,7 +251,7 @@ def _header(archive: zipfile.ZipFile) -> Header:
     """What the file says about itself: the one member that tells a foreign file from a damaged."""
     if f"{_HEADER}.npy" not in archive.namelist():
         raise Invalid("it is another kind of file")
-    header = json.loads(_array(archive, _HEADER, None, 0).item())
+    header = json.loads(_array(archive, _HEADER, _TEXT).item())
     if not isinstance(header, dict) or "format" not in header:
         raise Invalid("it is another kind of file")
     if _is_deep(header):  # it could not be copied or saved again
@@ -232,22 +266,20 @@ def _is_deep(value: Any, levels: int = _DEEPEST) -> bool:
 
 def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
     """No member may lack, be there twice, or be one that the format does not have."""
-    names = sorted(archive.namelist())
-    expected = sorted(f"{member}.npy" for member in (_HEADER, *form.arrays))
-    if names != expected:
-        missing, odd = set(expected) - set(names), set(names) - set(expected)
+    names = archive.namelist()
+    known = {f"{name}.npy": kind.optional for name, kind in form.arrays.items()}
+    needed = {f"{_HEADER}.npy", *(name for name, optional in known.items() if not optional)}
+    missing, odd = needed - set(names), set(names) - {f"{_HEADER}.npy", *known}
+    if missing or odd or len(names) != len(set(names)):
         what = [f"lacks {name!r}" for name in sorted(missing)]
         what += [f"holds {name!r}, which no {form.what} does" for name in sorted(odd)]
         raise Invalid(f"it {what[0]}" if what else "it holds one thing twice")
 
 
-def _array(
-    archive: zipfile.ZipFile, member: str, dtype: np.dtype[Any] | None, ndim: int
-) -> npt.NDArray[Any]:
+def _array(archive: zipfile.ZipFile, member: str, kind: Kind) -> npt.NDArray[Any]:
     """One array, read only after its header said that it is what the format holds."""
-    # Without a `dtype` it must be text, of at most a mebibyte.
     info = archive.getinfo(f"{member}.npy")
-    cap = MAX_BYTES if dtype is not None else _HEADER_BYTES
+    cap = _HEADER_BYTES if kind is _TEXT else MAX_BYTES
     ratio = info.file_size / max(1, info.compress_size)
     if info.file_size > cap or (info.file_size > _HARMLESS_BYTES and ratio > _MAX_RATIO):
         raise Invalid(
@@ -261,9 +293,10 @@ def _array(
         raise Invalid(f"its {member} is packed in a way that only other programs do")
     with archive.open(info) as stream:
         found, order, shape, offset = _peek(stream)
-    right = found.kind == "U" if dtype is None else found == dtype
-    if not right or found.hasobject or len(shape) != ndim:
-        wanted = "text" if dtype is None else f"{dtype} on {ndim} axes"
+    right = found.kind == "U" if kind is _TEXT else found in map(np.dtype, kind.dtypes)
+    if not right or found.hasobject or len(shape) not in kind.axes:
+        axes = " or ".join(map(str, kind.axes))
+        wanted = "text" if kind is _TEXT else f"{' or '.join(kind.dtypes)} on {axes} axes"
         raise Invalid(f"its {member} is {found} of shape {shape}, not {wanted}"[:200])
     if found.itemsize * math.prod(shape) + offset != info.file_size:
         raise Invalid(f"its {member} claims a shape of {shape}, which is not what it holds")

@@ -132,6 +132,8 @@ def _extended(values: Float64Array, known: npt.NDArray[np.bool_]) -> Float64Arra
     """Give sites that are not known the value of the nearest that is; 0 if none is."""
     if not known.any():
         return np.zeros_like(values)
-    nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(
+        ~known, return_distances=False, return_indices=True
+    )
     extended: Float64Array = values[tuple(nearest)]
     return extended

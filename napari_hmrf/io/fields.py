@@ -74,8 +74,8 @@ def write_field(
     """Write a displacement field that ITK, SimpleITK, ANTs, elastix and Slicer read.
 
     A field of one slice with three spacings lies in a volume. As .nii.gz it is written three times,
-    one above the other, for no tool reads a NIfTI field of one slice rightly; the other formats hold
-    the one.
+    one above the other, for no tool reads a NIfTI field of one slice rightly; the other formats
+    hold the one.
 
     Parameters
     ----------
@@ -209,8 +209,9 @@ def simpleitk() -> Any:
             "medical files are read and written by SimpleITK, which is not installed. Run: "
             'pip install "napari-hmrf[medical]"'
         ) from error
-    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
-    return SimpleITK
+    sitk: Any = SimpleITK
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    return sitk
 
 
 def _image_in(sitk: Any, source: Path) -> Any:
@@ -223,7 +224,9 @@ def _image_in(sitk: Any, source: Path) -> Any:
             transform = sitk.CompositeTransform(transform).GetNthTransform(0)
         return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
     except RuntimeError as error:
-        raise FileFormatError(f"{source.name}: not a displacement field that can be read.") from error
+        raise FileFormatError(
+            f"{source.name}: not a displacement field that can be read."
+        ) from error
 
 
 def _refuse_beside(target: Path, suffix: str) -> None:
@@ -234,15 +237,17 @@ def _refuse_beside(target: Path, suffix: str) -> None:
     beside = target.with_name(target.name[: -len(suffix)] + other)
     if beside.exists():
         raise FileFormatError(
-            f"{target.name}: {beside.name} lies beside it, and ITK's tools would mistake the one for "
-            "the other. Take another name, or remove that file."
+            f"{target.name}: {beside.name} lies beside it, and ITK's tools would mistake the one "
+            "for the other. Take another name, or remove that file."
         )
 
 
 def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt.NDArray[Any]:
     given = as_numbers(name, values).astype(np.float64)
     if given.ndim != 1 or len(given) not in counts or not np.isfinite(given).all():
-        raise ProblemError(name, f"is {shown(values)}. Give {' or '.join(map(str, counts))} lengths.")
+        raise ProblemError(
+            name, f"is {shown(values)}. Give {' or '.join(map(str, counts))} lengths."
+        )
     return given
 
 
@@ -252,7 +257,7 @@ def _rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
     if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):
         raise ProblemError(
             "direction",
-            f"is {shown(direction)}. Give {n} x {n} numbers whose columns are the directions of the "
-            "image's axes, at right angles and of length 1.",
+            f"is {shown(direction)}. Give {n} x {n} numbers whose columns are the directions of "
+            "the image's axes, at right angles and of length 1.",
         )
     return turn

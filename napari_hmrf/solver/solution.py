@@ -136,15 +136,7 @@ class Solution:
         TypeError, ValueError
             If frame or parameters hold something that is not of a JSON type, or parts disagree.
         """
-        header = {
-            "spacing": [float(size) for size in self.spacing],
-            "levels": [asdict(run) for run in self.levels],
-            "provenance": asdict(self.provenance),
-            "frame": self.frame,
-            "convergence": None if self.convergence is None else asdict(self.convergence),
-        }
-        arrays = {name: getattr(self, name) for name in SOLUTION_FORMAT.arrays}
-        return array_file.write(path, SOLUTION_FORMAT, header, arrays)
+        return array_file.write(path, SOLUTION_FORMAT, self)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
@@ -168,6 +160,18 @@ class Solution:
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
     """Tell, by reading little of it, whether a file says that it is a saved solution."""
     return array_file.claims_to_be(path, SOLUTION_FORMAT)
+
+
+def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]:
+    reached = solution.convergence
+    header = {
+        "spacing": [float(size) for size in solution.spacing],
+        "levels": [asdict(run) for run in solution.levels],
+        "provenance": asdict(solution.provenance),
+        "frame": solution.frame,
+        "convergence": None if reached is None else asdict(reached),
+    }
+    return header, {name: getattr(solution, name) for name in SOLUTION_FORMAT.arrays}
 
 
 def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
@@ -216,9 +220,10 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     schema=1,
     what="napari-hmrf result",
     arrays={
-        "displacement": (np.dtype("<f4"), 3),
-        "energy": (np.dtype("<f8"), 1),
-        "tissue": (np.dtype("?"), 2),
+        "displacement": array_file.Kind(("<f4",), (3,)),
+        "energy": array_file.Kind(("<f8",), (1,)),
+        "tissue": array_file.Kind(("|b1",), (2,)),
     },
+    describe=_describe,
     parse=_parse,
 )

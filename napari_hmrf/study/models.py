@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.model_names import ModelName, converged, model_name, parts
@@ -14,6 +14,8 @@ from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
+
+_Kind = TypeVar("_Kind")
 
 
 def _words(label: str, tooltip: str, **options: Any) -> dict[str, Any]:
@@ -171,6 +173,44 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
         listed = ", ".join(f'"{each}"' for each in known)
         raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
     return prior_of(known[name]), optimizer_of(known[name])
+
+
+def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior:
+    """The prior of these `parameters`; a map of Poisson's ratios is given beside them.
+
+    Raises
+    ------
+    ArgumentError
+        If there is none of that name or with such parameters.
+    """
+    kinds: dict[str, type[Prior]] = {"ElasticPrior": ElasticPrior, "SeilerPrior": SeilerPrior}
+    more: dict[str, Any] = {} if poisson is None else {"poisson": poisson}
+    if parameters.get("penalty") == "inf":
+        more["penalty"] = math.inf
+    return _made(kinds, {**parameters, **more})
+
+
+def optimizer_from_dict(parameters: Mapping[str, Any]) -> Optimizer:
+    """The optimizer of these `parameters`.
+
+    Raises
+    ------
+    ArgumentError
+        As of `prior_from_dict`.
+    """
+    kinds: dict[str, type[Optimizer]] = {"ICM": ICM, "Multigrid": Multigrid}
+    return _made(kinds, parameters)
+
+
+def _made(kinds: Mapping[str, type[_Kind]], parameters: Mapping[str, Any]) -> _Kind:
+    values = dict(parameters)
+    name = values.pop("name", None)
+    if name not in kinds:
+        raise ArgumentError(f"there is no {name!r}. Take one of {', '.join(kinds)}.")
+    try:
+        return kinds[name](**values)
+    except TypeError as error:
+        raise ArgumentError(f"{name} cannot have been made of {values}") from error
 
 
 def converges(optimizer: Optimizer) -> bool:

@@ -1,0 +1,322 @@
+"""The study's file: all that a field is computed from, and the field, to be made again.
+
+It is an archive of plain arrays and one text (`napari_hmrf.array_file`): nothing in it can run
+code, and it is written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import TypeAdapter
+
+from napari_hmrf import array_file
+from napari_hmrf.array_file import Invalid, Kind
+from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
+from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.layer_names import Named
+from napari_hmrf.study.models import optimizer_from_dict, prior_from_dict
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+
+#: How the names of studies' files end.
+SUFFIX = ".study"
+#: Types of labels, of numbers of any kind, and of what is measured.
+_LABELS = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
+_NUMBERS = ("|b1", *_LABELS, "<f2", "<f4", "<f8")
+_MEASURED = ("<f4", "<f8")
+_OF_SOLUTION = "solution_"
+#: Check the types of what a file holds.
+_MATERIALS = TypeAdapter(tuple[Material, ...])
+_RULES = TypeAdapter(tuple[BoundaryRule, ...])
+_GRID = TypeAdapter(Grid)
+_NAMES = TypeAdapter(dict[str, Named])
+
+
+class Saved(NamedTuple):
+    """What a study's file holds.
+
+    Attributes
+    ----------
+    study : Study
+        With its place as JSON types, for whoever opens it as layers.
+    solution : Solution or None
+        The field, if it was saved with it.
+    """
+
+    study: Study
+    solution: Solution | None = None
+
+
+def save_study(
+    path: str | os.PathLike[str],
+    study: Study,
+    solution: Solution | None = None,
+    *,
+    image: bool = True,
+) -> Path:
+    """Save a study, and its field if there is one, to one file, whole or not at all.
+
+    How layers are drawn, such as their colormaps, is not kept.
+
+    Parameters
+    ----------
+    path : str or path-like
+        ".study" is added if the name has no suffix. A file of that name is replaced in the moment
+        the new one is complete.
+    study : Study
+    solution : Solution, optional
+    image : bool
+        Whether the image itself is saved. Otherwise its name and digest are, and whoever loads the
+        study gives the image.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    OSError
+        If the folder is missing or the file cannot be written; the message names the file.
+    TypeError, ValueError
+        If a part of the study cannot be saved, such as an image of complex numbers.
+    """
+    target = Path(path)
+    if not target.suffix:
+        target = target.with_name(target.name + SUFFIX)
+    return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image))
+
+
+def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Saved:
+    """Read a study back, in this or an earlier version of the format.
+
+    Parameters
+    ----------
+    path : str or path-like
+    image : ndarray, optional
+        The image, if the file only refers to it.
+
+    Raises
+    ------
+    FileFormatError
+        If it is no study's file, or damaged; or if it refers to another image than the one given.
+    OSError
+        If it cannot be opened.
+    """
+    content = array_file.read(path, STUDY_FORMAT)
+    study = content.study
+    if content.digest and study.pictures.image is None and image is not None:
+        if _digest(image) != content.digest:
+            raise FileFormatError(
+                f"{Path(path).name}: it was made from another image than the one given. Give "
+                f"'{study.pictures.name}' as it was."
+            )
+        study = replace(study, pictures=replace(study.pictures, image=image))
+    return Saved(study, content.solution)
+
+
+def is_study_file(path: str | os.PathLike[str]) -> bool:
+    """Tell, by reading little of it, whether a file says that it is a study's."""
+    return array_file.claims_to_be(path, STUDY_FORMAT)
+
+
+def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Solution:
+    """Solve a saved study again, on the backend that its field came from.
+
+    On the same machine and version the field is the same bit by bit, with any number of threads.
+
+    Parameters
+    ----------
+    path, image
+        As of `load_study`.
+
+    Raises
+    ------
+    HmrfError
+        As of `load_study` and `solve_study`; or if the file only refers to its image, the tissue is
+        told from it, and it is not given.
+    """
+    study, solution = load_study(path, image=image)
+    tissue = study.tissue
+    if (
+        study.pictures.image is None
+        and study.pictures.name
+        and (tissue.curve is not None or tissue.without_border or _is_of_image(tissue))
+    ):
+        raise HmrfError(
+            f"{Path(path).name}: its tissue is told from '{study.pictures.name}', which is not in "
+            "the file. Give the image."
+        )
+    backend = "auto" if solution is None else solution.provenance.backend
+    return solve_study(study, backend=backend)
+
+
+class _Content(NamedTuple):
+    """What a file holds: the study, its field, whether the image is in it, else its digest."""
+
+    study: Study
+    solution: Solution | None = None
+    image: bool = True
+    digest: str = ""
+
+
+def _is_of_image(tissue: Tissue) -> bool:
+    return tissue.labels is None and tissue.stiffness is None
+
+
+def _digest(image: npt.NDArray[Any]) -> str:
+    plain = np.ascontiguousarray(image, dtype=np.asarray(image).dtype.newbyteorder("<"))
+    return hashlib.sha256(f"{plain.dtype.str} {plain.shape}".encode() + plain.tobytes()).hexdigest()
+
+
+def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
+    study, tissue, motion = content.study, content.study.tissue, content.study.motion
+    pictures, place = study.pictures, study.grid.place
+    curve, preset, image = tissue.curve, tissue.preset, pictures.image
+    header: dict[str, Any] = {
+        "grid": {
+            "shape": list(study.grid.shape),
+            "spacing": list(study.grid.spacing),
+            "unit": study.grid.unit,
+            "place": place.as_dict() if hasattr(place, "as_dict") else place,
+        },
+        "tissue": {
+            "materials": [row.as_row() for row in tissue.materials],
+            "curve": None if curve is None else curve.as_dict(),
+            "preset": None if preset is None else _preset_as_dict(preset),
+            "unit": tissue.unit,
+            "record": dict(tissue.record),
+            "without_border": tissue.without_border,
+        },
+        "motion": {
+            "hold_edge": motion.hold_edge,
+            "rules": [asdict(row) for row in motion.rules],
+            "drawing": motion.drawing.as_dict(),
+        },
+        "prior": study.prior.parameters,
+        "optimizer": study.optimizer.parameters,
+        "pictures": {
+            "name": pictures.name,
+            "labels_name": pictures.labels_name,
+            "level": pictures.level,
+            "digest": "" if image is None else _digest(image),
+        },
+        "names": {part: asdict(name) for part, name in study.names.items()},
+        "notes": list(study.notes),
+        "solution": None,
+    }
+    poisson = study.prior.poisson if isinstance(study.prior, ElasticPrior) else 0.0
+    arrays: dict[str, Any] = {
+        "tissue_labels": tissue.labels,
+        "stiffness": tissue.stiffness,
+        "poisson": poisson if np.ndim(poisson) else None,
+        "boundary_labels": motion.labels,
+        "observed": motion.observed,
+        "counts": motion.counts,
+        "image": image if content.image else None,
+        "labels": pictures.labels,
+    }
+    if content.solution is not None:
+        header["solution"], of_solution = SOLUTION_FORMAT.describe(content.solution)
+        arrays |= {_OF_SOLUTION + name: array for name, array in of_solution.items()}
+    return header, {name: array for name, array in arrays.items() if array is not None}
+
+
+def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
+    tissue, motion = header["tissue"], header["motion"]
+    pictures, curve, preset = header["pictures"], tissue["curve"], tissue["preset"]
+    try:
+        study = Study(
+            _GRID.validate_python(header["grid"]),
+            Tissue(
+                labels=arrays.get("tissue_labels"),
+                materials=_materials(tissue["materials"]),
+                stiffness=arrays.get("stiffness"),
+                curve=None if curve is None else StiffnessCurve.from_dict(curve),
+                preset=None if preset is None else _preset_from_dict(preset),
+                unit=str(tissue["unit"]),
+                record=dict(tissue["record"]),
+                without_border=bool(tissue["without_border"]),
+            ),
+            Motion(
+                hold_edge=bool(motion["hold_edge"]),
+                labels=arrays.get("boundary_labels"),
+                rules=_RULES.validate_python(motion["rules"]),
+                observed=arrays.get("observed"),
+                counts=arrays.get("counts"),
+                drawing=Drawing.from_dict(motion["drawing"]),
+            ),
+            prior=prior_from_dict(header["prior"], arrays.get("poisson")),
+            optimizer=optimizer_from_dict(header["optimizer"]),
+            pictures=Pictures(
+                image=arrays.get("image"),
+                labels=arrays.get("labels"),
+                name=str(pictures["name"]),
+                labels_name=str(pictures["labels_name"]),
+                level=pictures["level"],
+            ),
+            names=_NAMES.validate_python(header["names"]),
+            notes=tuple(str(note) for note in header["notes"]),
+        )
+    except HmrfError as error:
+        raise Invalid(str(error)) from None
+    if not all(0 < size < float("inf") for size in study.grid.spacing):
+        raise Invalid(f"its pixel spacing is {study.grid.spacing}")
+    solution, count = None, len(_OF_SOLUTION)
+    if header["solution"] is not None:
+        of_solution = {
+            name[count:]: array for name, array in arrays.items() if name.startswith(_OF_SOLUTION)
+        }
+        solution = SOLUTION_FORMAT.parse(header["solution"], of_solution)
+        if solution.tissue.shape != study.grid.shape:
+            raise Invalid("its study and its field are of different size")
+    return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
+
+
+def _preset_as_dict(preset: Preset) -> dict[str, Any]:
+    return {**asdict(preset), "materials": [row.as_row() for row in preset.materials]}
+
+
+def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
+    return Preset(**{**values, "materials": _materials(values["materials"])})
+
+
+def _materials(rows: Any) -> tuple[Material, ...]:
+    return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
+
+
+#: The file that `save_study` writes.
+STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
+    name="napari-hmrf study",
+    schema=1,
+    what="napari-hmrf study",
+    arrays={
+        "tissue_labels": Kind(_LABELS, (2, 3), optional=True),
+        "stiffness": Kind(_MEASURED, (2, 3), optional=True),
+        "poisson": Kind(("<f4",), (2, 3), optional=True),
+        "boundary_labels": Kind(_LABELS, (2, 3), optional=True),
+        "observed": Kind(_MEASURED, (3, 4), optional=True),
+        "counts": Kind(_MEASURED, (2, 3, 4), optional=True),
+        "image": Kind(_NUMBERS, (2, 3, 4), optional=True),
+        "labels": Kind(_LABELS, (2, 3), optional=True),
+    }
+    | {
+        _OF_SOLUTION + name: kind._replace(optional=True)
+        for name, kind in SOLUTION_FORMAT.arrays.items()
+    },
+    describe=_describe,
+    parse=_parse,
+)

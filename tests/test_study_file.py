@@ -1,0 +1,212 @@
+"""A saved study comes back, its field is made again bit by bit, and anything else is refused."""
+
+import dataclasses
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+from damaged import MOST_BYTES, Kept, damaged, look
+
+from napari_hmrf import (
+    ICM,
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    ElasticPrior,
+    FileFormatError,
+    Grid,
+    HmrfError,
+    Landmark,
+    Material,
+    Motion,
+    Multigrid,
+    Pictures,
+    SeilerPrior,
+    StiffnessCurve,
+    Stroke,
+    Study,
+    Tissue,
+    is_study_file,
+    load_study,
+    replay,
+    save_study,
+    solve_study,
+)
+from napari_hmrf.study.layer_names import Named
+
+SHAPE = (20, 24)
+GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", {"plane": [0, 1], "index": [0, 0]})
+PULL = Drawing(
+    (
+        Arrow(at=(10, 12), by=(0.5, 1), radius=2, components="row"),
+        Landmark((4, 5), (4.5, 6), 1.5, confidence=0.5),
+        Stroke("pin", (((2, 3), (2, 8)),), 1.0),
+    )
+)
+
+
+def picture(seed=3):
+    return np.random.default_rng(seed).integers(1, 255, SHAPE, dtype=np.uint8)
+
+
+def labels():
+    found = np.ones(SHAPE, np.uint8)
+    found[8:12, 8:16] = 2
+    return found
+
+
+def painted():
+    rim = np.zeros(SHAPE, np.int32)
+    rim[0], rim[-1] = 1, 2
+    return rim
+
+
+def by_labels():
+    rows = (Material(1, "liver", 5.0, 0.49), Material(2, "bone", np.inf))
+    rules = (
+        BoundaryRule(1, "fixed", name="holds"),
+        BoundaryRule(2, "move", vector=(0.5, 0.0), confidence=(1.0, 0.25)),
+    )
+    return Study(
+        GRID,
+        Tissue(labels=labels(), materials=rows, unit="kPa", record={"layer": "Tissue"}),
+        Motion(labels=painted(), rules=rules, drawing=PULL),
+        prior=ElasticPrior(plane="strain"),
+        optimizer=Multigrid(1e-2),
+        pictures=Pictures(picture(), labels(), "t1", "Tissue", 0),
+        names={"image": Named("t1", "Image layer, uint8, 20 x 24")},
+        notes=("its first note",),
+    )
+
+
+def by_curve():
+    curve = StiffnessCurve(((0.0, 1.0), (255.0, 10.0)), void_below=0.5)
+    motion = Motion(hold_edge=True, drawing=PULL)
+    return Study(GRID, Tissue(curve=curve), motion, pictures=Pictures(picture(), name="t1"))
+
+
+def by_arrays():
+    c = np.zeros(SHAPE)
+    c[0] = c[-1] = 1
+    y = np.zeros((*SHAPE, 2))
+    y[-1, :, 1] = 0.7
+    return Study(
+        Grid(SHAPE, (1.0, 1.0)),
+        Tissue(stiffness=np.linspace(1, 2, c.size).reshape(SHAPE)),
+        Motion(observed=y, counts=c),
+        prior=ElasticPrior(np.linspace(0.1, 0.45, c.size).reshape(SHAPE)),
+    )
+
+
+def by_the_paper():
+    motion = Motion(hold_edge=True, drawing=PULL)
+    tissue = Tissue(stiffness=np.ones(SHAPE))
+    prior = SeilerPrior(penalty=1e5, conditional="blanket")
+    return Study(GRID, tissue, motion, prior=prior, optimizer=ICM(12, steps=None))
+
+
+STUDIES = [by_labels, by_curve, by_arrays, by_the_paper]
+
+
+@pytest.fixture(params=STUDIES, ids=lambda make: make.__name__)
+def study(request):
+    return request.param()
+
+
+def plain(value):
+    """All that a study holds, to be compared."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if dataclasses.is_dataclass(value):
+        return type(value).__name__, {
+            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, tuple | list) else repr(value)
+
+
+def test_what_was_saved_comes_back(study, tmp_path):
+    solution = solve_study(study, backend="cpu")
+    saved = load_study(save_study(tmp_path / "case", study, solution))
+    assert plain(saved.study) == plain(study)
+    assert plain(saved.solution.displacement) == plain(solution.displacement)
+    assert saved.solution.provenance.model == study.model_name
+
+
+def test_a_study_needs_no_field(study, tmp_path):
+    path = save_study(tmp_path / "case.study", study)
+    assert path.name == "case.study"
+    assert is_study_file(path)
+    saved = load_study(path)
+    assert saved.solution is None
+    assert plain(saved.study) == plain(study)
+
+
+REPLAY = """
+import sys
+from napari_hmrf import load_study, replay
+for path in sys.argv[1:]:
+    before, now = load_study(path).solution, replay(path)
+    print((before.displacement == now.displacement).all(), before.provenance.backend)
+    assert before.provenance.backend == now.provenance.backend
+"""
+
+
+def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
+    paths = []
+    for make in STUDIES:
+        study = make()
+        solution = solve_study(study, backend="cpu")
+        paths.append(save_study(tmp_path / make.__name__, study, solution))
+    command = [sys.executable, "-c", REPLAY, *paths]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split("\n")
+    assert said == ["True cpu"] * len(STUDIES) + [""]
+
+
+def test_an_image_may_be_left_out_and_is_given_by_whom_it_is_known(tmp_path):
+    study = by_curve()
+    path = save_study(tmp_path / "case", study, solve_study(study, backend="cpu"), image=False)
+    assert load_study(path).study.pictures.image is None
+    assert plain(load_study(path, image=picture()).study) == plain(study)
+    with pytest.raises(FileFormatError, match=r"case.study: it was made from another image .*'t1'"):
+        load_study(path, image=picture(4))
+    with pytest.raises(HmrfError, match=r"case.study: its tissue is told from 't1'"):
+        replay(path)
+    again = replay(path, image=picture())
+    assert np.array_equal(again.displacement, load_study(path).solution.displacement)
+
+
+def test_another_file_is_no_study(tmp_path):
+    solution = solve_study(by_arrays(), backend="cpu").save(tmp_path / "result.npz")
+    assert not is_study_file(solution)
+    with pytest.raises(FileFormatError, match=r"not a valid napari-hmrf study: it is another kind"):
+        load_study(solution)
+
+
+def test_an_image_that_no_file_keeps_is_refused_and_the_old_file_stays(tmp_path):
+    study = by_curve()
+    path = save_study(tmp_path / "case", study)
+    strange = Pictures(picture().astype(complex), name="t1")
+    with pytest.raises(ValueError, match=r"cannot be saved: its image is complex128"):
+        save_study(path, dataclasses.replace(study, pictures=strange))
+    assert plain(load_study(path).study) == plain(study)
+
+
+def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
+    kept = Kept(is_study_file, load_study, lambda path, it: save_study(path, *it), plain)
+    study, path = by_labels(), tmp_path / "damaged.study"
+    content = save_study(path, study, solve_study(study, backend="cpu")).read_bytes()
+    original, outcomes = load_study(path), set()
+    tracemalloc.start()
+    for version in damaged(content, 1000):
+        path.write_bytes(version.content)
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        outcomes.add((version.kind, look(path, version, original, kept)))
+        assert tracemalloc.get_traced_memory()[1] - before < MOST_BYTES, version.kind
+    tracemalloc.stop()
+    for kind in {kind for kind, _ in outcomes}:
+        assert (kind, "refused") in outcomes
