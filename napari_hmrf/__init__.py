@@ -39,6 +39,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.warp import inverse_map, warp
 from napari_hmrf.io.fields import Field, read_field, write_field
+from napari_hmrf.io.points import LandmarkFile, load_points, save_points
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
@@ -85,6 +86,7 @@ __all__ = [
     "Grid",
     "HmrfError",
     "Landmark",
+    "LandmarkFile",
     "LiveSolver",
     "Material",
     "Monitor",
@@ -116,6 +118,7 @@ __all__ = [
     "is_solution_file",
     "is_study_file",
     "jacobian_determinant",
+    "load_points",
     "load_study",
     "luminance",
     "magnitude",
@@ -127,6 +130,7 @@ __all__ = [
     "replay",
     "resample",
     "sample",
+    "save_points",
     "save_study",
     "small_strain",
     "solve",

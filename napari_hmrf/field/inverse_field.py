@@ -31,7 +31,8 @@ class Inverse(NamedTuple):
         P + u(P). In the unit of the spacing.
     residual : float
         How far, in pixels, the field leads P + u(P) from P at the worst site; only of sites that
-        tissue came to, and NaN if it came to none. Where a field folds it is large.
+        tissue came to, and NaN if it came to none. A volume that folds has no inverse there, and
+        it is large; of a slice that folds the part is taken that is not turned over.
     """
 
     displacement: Float64Array

@@ -128,6 +128,8 @@ def write_field(
         raise ProblemError(
             "displacement", f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) of a volume."
         )
+    if not np.isfinite(d).all():
+        raise ProblemError("displacement", "holds NaN or infinite values. Replace those vectors.")
     size = _lengths("spacing", spacing, (n, 3))
     if not (size > 0).all():
         raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Give lengths above 0.")

@@ -1,0 +1,273 @@
+"""Landmarks in files that other tools read and write.
+
+==============  =============================================================================
+BigWarp .csv    pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the images' units
+Slicer .mrk.json one list of points; says whether it is in LPS or RAS
+Slicer .fcsv    the same, as older versions have it
+napari .csv     one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
+==============  =============================================================================
+
+All points here are in the order of the axes, ([z,] y, x); where a file knows the patient, in mm
+towards superior, posterior and left, as layers with a patient's place lie.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import checked_path
+from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.solver.problem import as_numbers
+
+Points = npt.NDArray[np.float64]
+
+#: How the names of files of landmarks end.
+POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
+#: Larger files are no landmarks, and are not read.
+_LARGEST = 2**26
+#: From right, anterior, superior to left, posterior, superior.
+_TO_LPS = {
+    "LPS": (1.0, 1.0, 1.0),
+    "1": (1.0, 1.0, 1.0),
+    "RAS": (-1.0, -1.0, 1.0),
+    "0": (-1.0, -1.0, 1.0),
+}
+_SLICER_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/"
+    "Schema/markups-schema-v1.0.3.json#"
+)
+
+
+class LandmarkFile(NamedTuple):
+    """What a file of landmarks holds.
+
+    Attributes
+    ----------
+    points : ndarray, shape (N, n), float64
+        Where things are; n is 2 or 3.
+    targets : ndarray, shape (N, n), or None
+        Where the same things should be, if the file says so.
+    names : tuple of str
+    unit : {"mm", "pixel", ""}
+        "" if the file does not say.
+    """
+
+    points: Points
+    targets: Points | None = None
+    names: tuple[str, ...] = ()
+    unit: str = ""
+
+
+def load_points(path: str | os.PathLike[str]) -> LandmarkFile:
+    """Read landmarks.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Ends in one of `POINT_SUFFIXES`.
+
+    Raises
+    ------
+    FileFormatError
+        If it is no such file; the message says what is wrong and where.
+    OSError
+        If it cannot be opened.
+    """
+    source = Path(checked_path(path))
+    suffix, name = _suffix(source), source.name
+    if source.stat().st_size > _LARGEST:
+        raise FileFormatError(f"{name} is too large to be a file of landmarks.")
+    try:
+        text = source.read_text(encoding="utf-8-sig")
+        found = {".csv": _of_csv, ".mrk.json": _of_markups, ".fcsv": _of_fiducials}[suffix](text)
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+        said = str(error) if isinstance(error, _Wrong) else "it is damaged, or of another kind"
+        raise FileFormatError(f"{name}: not a file of landmarks: {said}.") from None
+    for points in (found.points, found.targets):
+        if points is not None and not np.isfinite(points).all():
+            raise FileFormatError(
+                f"{name}: not a file of landmarks: it holds no numbers somewhere."
+            )
+    return found
+
+
+def save_points(
+    path: str | os.PathLike[str],
+    points: npt.ArrayLike,
+    targets: npt.ArrayLike | None = None,
+    *,
+    names: Sequence[str] = (),
+) -> Path:
+    """Write landmarks, in the way that the name's ending says, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or path-like
+        ``.csv`` with `targets` is BigWarp's, without them napari's; Slicer's files hold one list.
+    points : array_like, shape (N, 2) or (N, 3)
+        ([z,] y, x); for Slicer in mm, as `load_points` gives them.
+    targets : array_like, shape (N, 2) or (N, 3), optional
+        Where the same things should be.
+    names : sequence of str, optional
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    FileFormatError
+        If no landmarks are written as a file of such a name, or it holds no pairs.
+    OSError
+        If the file cannot be written.
+    """
+    target = Path(checked_path(path))
+    suffix = _suffix(target)
+    at = _checked("points", points)
+    to = None if targets is None else _checked("targets", targets)
+    if to is not None and to.shape != at.shape:
+        raise ProblemError(
+            "targets", f"have shape {to.shape}, but the points {at.shape}. Give as many of each."
+        )
+    called = [*names, *(f"Pt-{number}" for number in range(len(names), len(at)))]
+    if suffix == ".csv":
+        text = _as_csv(at, to, called)
+    elif to is not None:
+        raise FileFormatError(
+            f"{target.name}: such a file holds one list of points. Save where things are and where "
+            "they should be in two files, or as .csv."
+        )
+    else:
+        text = (_as_markups if suffix == ".mrk.json" else _as_fiducials)(_in_space(at), called)
+    write_whole(target, text.encode())
+    return target
+
+
+class _Wrong(ValueError):
+    """What is wrong with a file, in words for its user."""
+
+
+def _suffix(path: Path) -> str:
+    found = next((each for each in POINT_SUFFIXES if path.name.lower().endswith(each)), "")
+    if not found:
+        raise FileFormatError(
+            f"{path.name}: landmarks are in files that end in {', '.join(POINT_SUFFIXES)}."
+        )
+    return found
+
+
+def _checked(name: str, values: npt.ArrayLike) -> Points:
+    points = as_numbers(name, values).astype(np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
+        raise ProblemError(name, f"have shape {points.shape}. Give (N, 2) or (N, 3) numbers.")
+    return points
+
+
+def _in_space(points: Points) -> Points:
+    """Points of a slice lie at 0 on the axis that it lacks."""
+    return np.pad(points, ((0, 0), (3 - points.shape[1], 0)))
+
+
+def _of_csv(text: str) -> LandmarkFile:
+    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    if not rows:
+        raise _Wrong("it is empty")
+    if rows[0][0] == "index":  # napari's
+        return LandmarkFile(
+            np.array([row[1:] for row in rows[1:]], float).reshape(len(rows) - 1, -1), unit="pixel"
+        )
+    n = (len(rows[0]) - 2) // 2
+    if n not in (2, 3) or any(len(row) != 2 * n + 2 for row in rows):
+        raise _Wrong(
+            "it has neither napari's first line nor BigWarp's columns, name, active, and 2 x 2 or "
+            "2 x 3 numbers"
+        )
+    used = [row for row in rows if row[1].strip().casefold() == "true"]
+    numbers = np.array([row[2:] for row in used], float).reshape(len(used), 2, n)[..., ::-1]
+    return LandmarkFile(numbers[:, 0], numbers[:, 1], tuple(row[0] for row in used))
+
+
+def _as_csv(points: Points, targets: Points | None, names: Sequence[str]) -> str:
+    file = io.StringIO()
+    write = csv.writer(file, lineterminator="\n")
+    if targets is None:
+        write.writerow(["index", *(f"axis-{axis}" for axis in range(points.shape[1]))])
+        write.writerows([number, *point] for number, point in enumerate(points.tolist()))
+    else:
+        pairs = np.concatenate([points[:, ::-1], targets[:, ::-1]], axis=1).tolist()
+        write.writerows([name, "true", *pair] for name, pair in zip(names, pairs, strict=True))
+    return file.getvalue()
+
+
+def _of_markups(text: str) -> LandmarkFile:
+    lists = json.loads(text)["markups"]
+    if len(lists) != 1:
+        raise _Wrong(f"it holds {len(lists)} lists of points; save one of them alone")
+    markups: Mapping[str, Any] = lists[0]
+    points = [
+        (str(each.get("label", "")), each["position"])
+        for each in markups["controlPoints"]
+        if each.get("positionStatus", "defined") == "defined"
+    ]
+    return _of_slicer(points, markups["coordinateSystem"])
+
+
+def _as_markups(points: Points, names: Sequence[str]) -> str:
+    listed = [
+        {"id": str(number + 1), "label": name, "position": point[::-1], "positionStatus": "defined"}
+        for number, (name, point) in enumerate(zip(names, points.tolist(), strict=True))
+    ]
+    markups = {
+        "type": "Fiducial",
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "controlPoints": listed,
+    }
+    return json.dumps({"@schema": _SLICER_SCHEMA, "markups": [markups]}, indent=1) + "\n"
+
+
+def _of_fiducials(text: str) -> LandmarkFile:
+    system, columns, points = "RAS", ["id", "x", "y", "z"], []
+    for line in text.splitlines():
+        key, _, value = line.lstrip("# ").partition("=")
+        if line.startswith("#"):
+            if key.strip() == "CoordinateSystem":
+                system = value.strip()
+            elif key.strip() == "columns":
+                columns = [name.strip() for name in value.split(",")]
+        elif line.strip():
+            row = dict(zip(columns, next(csv.reader([line])), strict=False))
+            points.append((row.get("label", ""), [row["x"], row["y"], row["z"]]))
+    return _of_slicer(points, system)
+
+
+def _as_fiducials(points: Points, names: Sequence[str]) -> str:
+    columns = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+    head = [
+        "# Markups fiducial file version = 5.0",
+        "# CoordinateSystem = LPS",
+        f"# columns = {columns}",
+    ]
+    file = io.StringIO()
+    file.writelines(f"{line}\n" for line in head)
+    write = csv.writer(file, lineterminator="\n")
+    for number, (name, (z, y, x)) in enumerate(zip(names, points.tolist(), strict=True)):
+        write.writerow([number + 1, x, y, z, 0, 0, 0, 1, 1, 1, 0, name, "", ""])
+    return file.getvalue()
+
+
+def _of_slicer(points: Sequence[tuple[str, Sequence[Any]]], system: str) -> LandmarkFile:
+    if system not in _TO_LPS:
+        raise _Wrong(f"its points are in {system!r}, not in LPS or RAS")
+    places = np.array([place for _, place in points], float).reshape(len(points), 3)
+    return LandmarkFile(
+        (places * _TO_LPS[system])[:, ::-1], names=tuple(n for n, _ in points), unit="mm"
+    )

@@ -1,0 +1,207 @@
+"""Fields leave for other tools and come from them: what they do there is what tissue does here."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from napari_hmrf import FileFormatError, HmrfError, ProblemError, read_field, write_field
+from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.io.fields import FIELD_SUFFIXES
+
+sitk = pytest.importorskip("SimpleITK")
+
+#: Shape, spacing ([z,] y, x) in mm, and how many pixels tissue moves at most.
+PLACES = {
+    "2-D": ((44, 60), (1.3, 0.7), 3),
+    "slice": ((44, 60), (3.0, 1.3, 0.7), 3),
+    "3-D": ((20, 36, 44), (2.0, 1.3, 0.7), 0.8),
+}
+
+
+class Case:
+    """A motion that can be inverted, on an oblique grid with oblong pixels off the origin."""
+
+    def __init__(self, name):
+        self.shape, self.spacing, far = PLACES[name]
+        self.n, self.axes = len(self.shape), len(self.spacing)
+        self.size = np.array(self.spacing[-self.n :])
+        at = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), axis=-1)
+        share = at / (np.array(self.shape) - 1)
+        still = np.sin(np.pi * share).prod(axis=-1, keepdims=True)  # 0 at the border
+        wave = np.stack([np.cos(2 * share[..., -1 - k] + k) for k in range(self.n)], axis=-1)
+        self.displacement = far * still * wave * self.size
+        turn = np.linalg.qr(np.random.default_rng(7).normal(size=(self.axes, self.axes)))[0]
+        self.direction = turn * np.sign(np.linalg.det(turn))
+        self.origin = tuple(np.linspace(-30, 41, self.axes))
+        self.sites = at.astype(float)
+
+    def write(self, path, **options):
+        place = {"spacing": self.spacing, "origin": self.origin, "direction": self.direction}
+        return write_field(path, self.displacement, **place, **options)
+
+    def image(self, values):
+        """An image of SimpleITK in the same place."""
+        made = sitk.GetImageFromArray(values if self.n == self.axes else values[np.newaxis])
+        made.SetSpacing(self.spacing[::-1])
+        made.SetOrigin(self.origin)
+        made.SetDirection(self.direction.ravel())
+        return made
+
+
+@pytest.fixture(params=PLACES)
+def case(request):
+    return Case(request.param)
+
+
+def smooth(points):
+    """A picture without an edge, anywhere between its pixels."""
+    waves = (np.sin(0.21 * points[..., k] + k) for k in range(points.shape[-1]))
+    return 100 * sum(waves)
+
+
+def transform_in(path):
+    """What SimpleITK makes of a file."""
+    if path.name.endswith(".h5"):
+        return sitk.ReadTransform(str(path))
+    return sitk.DisplacementFieldTransform(sitk.ReadImage(str(path), sitk.sitkVectorFloat64))
+
+
+def inside(case):
+    return (slice(4, -4),) * case.n
+
+
+@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
+def test_simpleitk_moves_an_image_as_the_tissue_moves(case, suffix, tmp_path):
+    path = tmp_path / f"field{suffix}"
+    assert case.write(path) < 0.02
+    back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
+    # Where each point that is seen came from is looked at through a picture of the places.
+    for axis in range(case.n):
+        there = case.image(case.sites[..., axis])
+        moved = sitk.Resample(there, there, transform_in(path), sitk.sitkLinear, np.nan)
+        seen = np.squeeze(sitk.GetArrayFromImage(moved))
+        expected = case.sites[..., axis] + back[..., axis] / case.size[axis]
+        np.testing.assert_allclose(seen[inside(case)], expected[inside(case)], atol=2e-3)
+
+
+def test_what_simpleitk_brings_to_a_place_is_what_was_where_the_tissue_came_from(case, tmp_path):
+    path = tmp_path / "field.mha"
+    case.write(path)
+    transform, here = transform_in(path), case.image(np.zeros(case.shape))
+    for site in np.random.default_rng(1).integers(6, np.array(case.shape) - 6, (200, case.n)):
+        goes_to = site + case.displacement[tuple(site)] / case.size
+        index = [*goes_to[::-1], *[0.0] * (case.axes - case.n)]
+        seen = transform.TransformPoint(here.TransformContinuousIndexToPhysicalPoint(index))
+        came_from = here.TransformPhysicalPointToContinuousIndex(seen)[: case.n][::-1]
+        np.testing.assert_allclose(came_from, site, atol=0.02)
+
+
+@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
+def test_what_was_written_is_read_back(case, suffix, tmp_path):
+    path = tmp_path / f"field{suffix}"
+    case.write(path, forward=True)
+    field = read_field(path, forward=True)
+    read, size = field.displacement, case.size
+    if case.axes > case.n:  # a slice of a volume; as NIfTI, three of them
+        np.testing.assert_allclose(read[..., 0], 0, atol=1e-6)
+        read = read[len(read) // 2, ..., 1:]
+    np.testing.assert_allclose(read / size, case.displacement / size, atol=1e-4)
+    np.testing.assert_allclose(field.spacing, case.spacing, rtol=1e-6)
+    np.testing.assert_allclose(field.direction, case.direction, atol=1e-6)
+    assert field.residual == 0
+
+
+def test_a_field_that_leads_back_is_inverted_when_it_is_read(case, tmp_path):
+    path = tmp_path / "field.nrrd"
+    case.write(path)
+    field = read_field(path)
+    read = field.displacement if case.axes == case.n else field.displacement[0, ..., 1:]
+    away = np.abs(read - case.displacement) / case.size
+    assert away[inside(case)].max() < 0.02
+    assert field.residual < 0.02
+
+
+def test_slicer_s_key_says_which_way_a_field_leads(tmp_path):
+    case = Case("3-D")
+    for forward, word in ((False, "resampling"), (True, "modeling")):
+        path = tmp_path / f"{word}.nrrd"
+        case.write(path, forward=forward)
+        assert f"displacement field type:={word}".encode() in path.read_bytes()[:2000]
+        read = read_field(path).displacement  # believed, without being told
+        assert np.abs((read - case.displacement) / case.size)[inside(case)].max() < 0.02
+
+
+def test_forward_after_inverse_is_the_identity(case):
+    back, residual = inverse_displacement(case.displacement, spacing=tuple(case.size))
+    again, _ = inverse_displacement(back, spacing=tuple(case.size))
+    away = np.abs(again - case.displacement) / case.size
+    assert residual < 0.01
+    assert away[inside(case)].max() < 0.01
+
+
+def test_a_gap_beside_what_stays_is_closed_by_its_rim():
+    shape, tissue = (12, 16), np.zeros((12, 16), bool)
+    tissue[:, 4:12] = True
+    d = np.zeros((*shape, 2))
+    d[tissue, 1] = 2.0
+    back, residual = inverse_displacement(d, spacing=(1.0, 1.0), tissue=tissue)
+    assert np.isfinite(back).all()
+    assert residual < 1e-6
+    np.testing.assert_allclose(back[6, 7:13, 1], -2)  # tissue, where it is now
+    assert (back[6, :4] == 0).all()  # and what never moved
+    assert ((back[6, 4:6, 1] > -2) & (back[6, 4:6, 1] < 0)).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "error", "sentence"),
+    [
+        ("field.txt", {}, FileFormatError, r"field\.txt: no field is written as such a file\. End"),
+        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
+        ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
+        ("f.mha", {"displacement": np.full((4, 5, 2), np.nan)}, ProblemError, "NaN or infinite"),
+        (
+            "f.mha",
+            {"spacing": (1, 0)},
+            ProblemError,
+            r"spacing: is \(1, 0\)\. Give lengths above 0",
+        ),
+        ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Give 2 or 3 lengths"),
+        ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Give 2 lengths"),
+        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "at right angles"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
+    tmp_path, name, changes, error, sentence
+):
+    given = {"displacement": np.zeros((4, 5, 2)), "spacing": (1, 1), **changes}
+    with pytest.raises(error, match=sentence):
+        write_field(tmp_path / name, given.pop("displacement"), **given)
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_names_that_itk_takes_for_one_are_not_given(tmp_path):
+    d = np.zeros((4, 5, 2))
+    write_field(tmp_path / "field.nii.gz", d, spacing=(1, 1))
+    with pytest.raises(FileFormatError, match=r"field\.nii: field\.nii\.gz lies beside it"):
+        write_field(tmp_path / "field.nii", d, spacing=(1, 1))
+
+
+def test_what_is_no_field_is_refused(tmp_path):
+    path = tmp_path / "image.mha"
+    sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5))), str(path))
+    with pytest.raises(
+        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes and 1"
+    ):
+        read_field(path)
+    path.write_bytes(b"nothing of the kind")
+    with pytest.raises(FileFormatError, match=r"image\.mha: not a displacement field that can be"):
+        read_field(path)
+    with pytest.raises(FileNotFoundError, match="gone.mha"):
+        read_field(tmp_path / "gone.mha")
+
+
+def test_without_simpleitk_it_is_said_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "SimpleITK", None)
+    with pytest.raises(HmrfError, match=r'pip install "napari-hmrf\[medical\]"'):
+        write_field(tmp_path / "field.mha", np.zeros((4, 5, 2)), spacing=(1, 1))
