@@ -38,7 +38,7 @@ from napari_hmrf.field.strain import (
     strain_through_slice,
 )
 from napari_hmrf.field.warp import inverse_map, warp
-from napari_hmrf.io.fields import Field, read_field, write_field
+from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.points import LandmarkFile, load_points, save_points
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.phantoms import (
@@ -112,6 +112,7 @@ __all__ = [
     "deformation_gradient",
     "deformation_grid",
     "equivalent_strain",
+    "export_field",
     "folds",
     "green_lagrange_strain",
     "inverse_map",

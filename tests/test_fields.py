@@ -1,13 +1,26 @@
 """Fields leave for other tools and come from them: what they do there is what tissue does here."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from napari.layers import Image
 
-from napari_hmrf import FileFormatError, HmrfError, ProblemError, read_field, write_field
+from napari_hmrf import (
+    FileFormatError,
+    HmrfError,
+    Problem,
+    ProblemError,
+    export_field,
+    read_field,
+    solve,
+    write_field,
+)
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.io.fields import FIELD_SUFFIXES
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import View
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -187,6 +200,36 @@ def test_two_names_that_itk_takes_for_one_are_not_given(tmp_path):
         write_field(tmp_path / "field.nii", d, spacing=(1, 1))
 
 
+def test_a_result_of_a_slice_lies_where_its_image_lies_in_the_volume(tmp_path):
+    turn = np.array([[1, 0, 0], [0, np.cos(0.5), -np.sin(0.5)], [0, np.sin(0.5), np.cos(0.5)]])
+    image = Image(
+        np.zeros((6, 20, 24), np.uint8),
+        scale=(0.3, 0.13, -0.07),
+        rotate=turn,
+        translate=(4, 5, 6),
+        units=("cm", "cm", "cm"),
+    )
+    frame = Frame.of(image, View((1, 2), tuple(image.data_to_world((2, 10, 10)))))
+    y, c = np.zeros((2, 20, 24, 2))
+    c[0] = c[-1] = 1
+    y[-1, :, 1] = 0.1
+    solution = solve(Problem(y, c, np.ones((20, 24)), spacing=frame.spacing), backend="cpu")
+    path = tmp_path / "field.mha"
+    export_field(path, replace(solution, frame=frame.as_dict()), forward=True)
+    field = read_field(path, forward=True)
+    np.testing.assert_allclose(
+        field.displacement[0, ..., 1:], 10 * solution.displacement, atol=1e-9
+    )
+    file = sitk.ReadImage(str(path))
+    for row, col in ((0, 0), (19, 3), (7, 23)):
+        at = file.TransformIndexToPhysicalPoint((col, row, 0))
+        np.testing.assert_allclose(at[::-1], 10 * np.array(image.data_to_world((2, row, col))))
+        goes = np.array(file.GetPixel(col, row, 0))[::-1]
+        by = solution.displacement[row, col] / frame.spacing
+        to = image.data_to_world((2, row + by[0], col + by[1]))
+        np.testing.assert_allclose(at[::-1] + goes, 10 * np.array(to), atol=1e-5)
+
+
 def test_what_is_no_field_is_refused(tmp_path):
     path = tmp_path / "image.mha"
     sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5))), str(path))
@@ -197,7 +240,7 @@ def test_what_is_no_field_is_refused(tmp_path):
     path.write_bytes(b"nothing of the kind")
     with pytest.raises(FileFormatError, match=r"image\.mha: not a displacement field that can be"):
         read_field(path)
-    with pytest.raises(FileNotFoundError, match="gone.mha"):
+    with pytest.raises(FileNotFoundError, match=r"gone\.mha"):
         read_field(tmp_path / "gone.mha")
 
 

@@ -8,7 +8,7 @@ import pytest
 from napari_hmrf import FileFormatError, ProblemError, load_points, save_points
 
 AT = np.array([[1.5, 2.25, -3.0], [40.0, 5.0, 6.125]])  # z, y, x
-TO = AT + [0.5, -1.0, 2.0]
+TO = AT + np.array([0.5, -1.0, 2.0])
 
 
 def test_bigwarp_pairs_are_moving_x_first_then_target(tmp_path):

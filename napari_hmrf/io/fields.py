@@ -12,19 +12,21 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pint
 
 from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.solution import Solution
 
 #: What a field can be written as.
 FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
@@ -200,6 +202,90 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         forward = image.GetMetaData(_SLICER) == _FORTH
     d, residual = (along, 0.0) if forward else inverse_displacement(along, spacing=spacing)
     return Field(d, spacing, tuple(image.GetOrigin()), turn, residual)
+
+
+class Place(NamedTuple):
+    """Where a field lies, as `write_field` takes it: in mm, or in pixels if no unit is known."""
+
+    spacing: tuple[float, ...]
+    origin: tuple[float, ...]
+    direction: npt.NDArray[np.float64]
+
+
+def place_of(solution: Solution) -> Place:
+    """Where a solution lies: of a slice of a volume, in the volume.
+
+    The world of its layers is taken to be the patient's: its axes z, y, x run towards superior,
+    posterior and left, as those of files do that this package opens.
+
+    Raises
+    ------
+    ProblemError
+        If its pixels are no rectangles, or the axes have no unit of length in common.
+    """
+    frame = solution.frame or {}
+    if "matrix" not in frame:
+        n = solution.tissue.ndim
+        return Place(solution.spacing, (0.0,) * n, np.eye(n))
+    matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
+    others = [axis for axis in range(len(matrix) - 1) if axis not in plane and _length(frame, axis)]
+    axes = [*others[-1:], *plane]
+    size = np.array([_length(frame, axis) for axis in axes])
+    if not size.all():
+        units = ", ".join(str(unit) for unit in frame["units"])
+        raise ProblemError(
+            "displacement", f"is measured in {units}. Give the image a unit of length, such as mm."
+        )
+    # Rows of the world, z first, by columns of the image's axes.
+    world = sorted(axes)
+    steps = matrix[np.ix_(world, axes)] * size[[axes.index(axis) for axis in world]][:, None]
+    first = (matrix @ [*frame["index"], 1.0])[world] * size[[axes.index(axis) for axis in world]]
+    spacing = np.linalg.norm(steps, axis=0)
+    turn = (steps / spacing)[::-1, ::-1]
+    return Place(tuple(spacing.tolist()), tuple(first[::-1].tolist()), _rotation(turn, len(axes)))
+
+
+def _length(frame: Mapping[str, Any], axis: int) -> float:
+    """How many mm an axis of the world counts by, 1 if it counts pixels; 0 if it is no length."""
+    unit = str(frame["units"][axis])
+    if unit == "pixel":
+        return 1.0
+    try:
+        registry: Any = pint.get_application_registry()  # type: ignore[no-untyped-call]
+        return float(registry.Quantity(1, unit).to("millimeter").magnitude)
+    except pint.errors.PintError:
+        return 0.0
+
+
+def export_field(
+    path: str | os.PathLike[str], solution: Solution, *, forward: bool = False
+) -> float:
+    """Write a solution's field for other tools, where its image lies.
+
+    Parameters
+    ----------
+    path, forward
+        As of `write_field`.
+    solution : Solution
+
+    Returns
+    -------
+    float
+        As of `write_field`.
+
+    Raises
+    ------
+    HmrfError, OSError
+        As of `write_field`; or if its image lies where no such file can say.
+    """
+    place = place_of(solution)
+    return write_field(
+        path,
+        solution.displacement * (np.array(place.spacing[-2:]) / solution.spacing),
+        **place._asdict(),
+        forward=forward,
+        tissue=solution.tissue,
+    )
 
 
 def simpleitk() -> Any:
