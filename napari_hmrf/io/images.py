@@ -1,0 +1,170 @@
+"""Images in files, with their place: pictures, and what scanners make.
+
+Pictures (.png, .tif, .jpg, .bmp) by scikit-image; NIfTI, MetaImage, NRRD and folders of DICOM by
+SimpleITK, which comes with ``pip install "napari-hmrf[medical]"``.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import checked_path
+from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.io.fields import Place, simpleitk
+
+#: How the names of files end that are read, and written.
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
+
+
+class ImageFile(NamedTuple):
+    """An image that was read.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+    place : Place or None
+        Where it lies in the patient, in mm; None of a picture.
+    colours : bool
+        Whether the last axis is that of colours.
+    """
+
+    pixels: npt.NDArray[Any]
+    place: Place | None = None
+    colours: bool = False
+
+    @property
+    def ndim(self) -> int:
+        """Axes in space."""
+        return self.pixels.ndim - self.colours
+
+
+def load_image(path: str | os.PathLike[str]) -> ImageFile:
+    """Read an image, or a folder with the DICOM files of one series.
+
+    A volume of one slice is read as that slice, with its place in the volume.
+
+    Raises
+    ------
+    FileFormatError
+        If it is no image that can be read; of a folder, if it holds none, or several series.
+    HmrfError
+        If it takes SimpleITK, which is not installed.
+    OSError
+        If it cannot be opened.
+    """
+    source = Path(checked_path(path))
+    if not source.is_dir():
+        with open(source, "rb"):
+            pass  # one error, of the system's words, for what is not there
+        if source.name.lower().endswith(PICTURE_SUFFIXES):
+            return _picture(source)
+    sitk = simpleitk()
+    try:
+        image = _series(sitk, source) if source.is_dir() else sitk.ReadImage(str(source))
+    except RuntimeError as error:
+        raise FileFormatError(f"{source.name}: not an image that can be read.") from error
+    n, count = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
+    if n not in (2, 3) or count not in (1, 3, 4):
+        raise FileFormatError(
+            f"{source.name}: an image of {n} axes and {count} values a pixel. Give one of 2 or 3 "
+            "axes, grey or in colours."
+        )
+    turn = np.array(image.GetDirection()).reshape(n, n)
+    place = Place(tuple(image.GetSpacing()[::-1]), tuple(image.GetOrigin()), turn)
+    pixels = sitk.GetArrayFromImage(image)
+    return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
+
+
+def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
+    """Write an image in the format that its name's ending says, whole or not at all.
+
+    Raises
+    ------
+    FileFormatError
+        If no image, or none of such pixels, is written as a file of such a name.
+    HmrfError, OSError
+        As of `load_image`.
+    """
+    target = Path(checked_path(path))
+    name = target.name.lower()
+    kinds = (*PICTURE_SUFFIXES, *(each for each in MEDICAL_SUFFIXES if each not in _PARTED))
+    suffix = next((each for each in kinds if name.endswith(each)), "")
+    if not suffix:
+        raise FileFormatError(
+            f"{target.name}: no image is written as such a file. End its name in one of "
+            f"{', '.join(kinds)}."
+        )
+    try:
+        content = _encoded(image, suffix)
+    except (RuntimeError, ValueError, TypeError, OSError, KeyError) as error:
+        raise FileFormatError(
+            f"{target.name}: {image.pixels.dtype} pixels of shape {image.pixels.shape} are not "
+            f"written as {suffix}. Take .tif, or .nrrd."
+        ) from error
+    write_whole(target, content)
+    return target
+
+
+#: In two files, or of a scanner alone.
+_PARTED = (".mhd", ".nhdr", ".dcm")
+
+
+def _picture(source: Path) -> ImageFile:
+    from skimage.io import imread
+
+    try:
+        pixels = np.asarray(imread(source))
+    except Exception as error:
+        raise FileFormatError(f"{source.name}: not an image that can be read.") from error
+    colours = pixels.ndim > 2 and pixels.shape[-1] in (3, 4)
+    if pixels.ndim - colours not in (2, 3):
+        raise FileFormatError(
+            f"{source.name}: an image of shape {pixels.shape}. Give one of 2 or 3 axes."
+        )
+    return ImageFile(pixels, None, colours)
+
+
+def _series(sitk: Any, folder: Path) -> Any:
+    reader = sitk.ImageSeriesReader()
+    series = reader.GetGDCMSeriesIDs(str(folder))
+    if len(series) != 1:
+        held = f"{len(series)} series" if series else "no DICOM file"
+        raise FileFormatError(f"{folder.name}: the folder holds {held}. Give one with one series.")
+    reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder), series[0]))
+    return reader.Execute()
+
+
+def _encoded(image: ImageFile, suffix: str) -> bytes:
+    if suffix in (".tif", ".tiff"):
+        import tifffile
+
+        file = io.BytesIO()
+        tifffile.imwrite(file, image.pixels, photometric="rgb" if image.colours else "minisblack")
+        return file.getvalue()
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder, f"image{suffix}")
+        if suffix in PICTURE_SUFFIXES:
+            from skimage.io import imsave
+
+            imsave(whole, image.pixels, check_contrast=False)
+        else:
+            sitk = simpleitk()
+            place, pixels = image.place, image.pixels
+            if place is not None and len(place.spacing) > image.ndim:
+                pixels = pixels[np.newaxis]
+            made = sitk.GetImageFromArray(pixels, isVector=image.colours)
+            if place is not None:
+                made.SetSpacing(place.spacing[::-1])
+                made.SetOrigin(place.origin)
+                made.SetDirection(place.direction.ravel().tolist())
+            sitk.WriteImage(made, str(whole), useCompression=True)
+        return whole.read_bytes()
