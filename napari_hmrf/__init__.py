@@ -39,7 +39,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.warp import inverse_map, warp
 from napari_hmrf.io.fields import Field, export_field, read_field, write_field
-from napari_hmrf.io.points import LandmarkFile, load_points, save_points
+from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,

@@ -1,4 +1,4 @@
-"""The commands: ``napari-hmrf demo`` and ``napari-hmrf selftest``."""
+"""The commands of ``napari-hmrf``: what is typed, and what is printed."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import napari_hmrf
 from napari_hmrf.errors import HmrfError
@@ -41,9 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     try:
-        if options.command == "selftest":
-            return _selftest()
-        return _demo(options)
+        return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
         _tell("interrupted")
         return 130
@@ -111,7 +109,34 @@ def _parser() -> argparse.ArgumentParser:
     )
     demo.add_argument("--no-window", action="store_true", help="do not open napari")
     commands.add_parser("selftest", help="report what this runs on, and check it: for a bug report")
+    _add_file_commands(commands)
     return parser
+
+
+def _add_file_commands(commands: Any) -> None:
+    export = commands.add_parser("export", help="write a result's field for other tools")
+    export.add_argument("result", type=Path, metavar="RESULT", help="a saved result, or a study")
+    export.add_argument(
+        "out",
+        type=Path,
+        metavar="OUT",
+        help="ends in .nii.gz, .mha, .nrrd or .h5: where what is seen came from, in mm, LPS",
+    )
+    export.add_argument(
+        "--forward",
+        action="store_true",
+        help="write where tissue goes: to move points, not images",
+    )
+    apply = commands.add_parser("apply", help="move images, labels or landmarks by a field")
+    apply.add_argument(
+        "field", type=Path, metavar="FIELD", help="a result, a study, or another tool's field"
+    )
+    apply.add_argument("files", type=Path, nargs="+", metavar="FILE")
+    apply.add_argument("--labels", action="store_true", help="the images are labels")
+    apply.add_argument("-o", "--out", type=Path, default=Path("moved"), metavar="DIR")
+    replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
+    replay.add_argument("study", type=Path, metavar="STUDY")
+    replay.add_argument("--image", type=Path, metavar="IMAGE", help="if it is not in the file")
 
 
 def _size(text: str) -> int:
@@ -147,10 +172,61 @@ def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
     return prior, optimizer
 
 
-def _selftest() -> int:
+def _selftest(_: argparse.Namespace) -> int:
     from napari_hmrf.samples.selftest import selftest
 
     return 0 if selftest(lambda line: print(line, flush=True)) else 1
+
+
+def _export(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.apply import load_field
+    from napari_hmrf.io.fields import write_field
+
+    field = load_field(options.result)
+    residual = write_field(
+        options.out,
+        field.displacement,
+        **field.place._asdict(),
+        tissue=field.tissue,
+        forward=options.forward,
+    )
+    print(f"written: {options.out}")
+    if not options.forward:
+        print(f"it is inverted, to {residual:.2g} pixels at the worst one")
+    return 0
+
+
+def _apply(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.apply import apply_field, load_field
+
+    field = load_field(options.field)
+    options.out.mkdir(parents=True, exist_ok=True)
+    failed = 0
+    for file in options.files:
+        try:
+            written = apply_field(field, file, options.out / file.name, labels=options.labels)
+            print(f"written: {written}", flush=True)
+        except (HmrfError, OSError) as error:
+            failed += 1
+            _tell(f"napari-hmrf: {error}")
+    return int(failed > 0)
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.images import load_image
+    from napari_hmrf.io.study_file import load_study, replay
+
+    image = None if options.image is None else load_image(options.image).pixels
+    before = load_study(options.study, image=image).solution
+    now = replay(options.study, image=image)
+    print(f"solved: {now!r}")
+    if before is None:
+        print("the study was saved without its field, so there is none to compare with")
+        return 0
+    apart = float(abs(now.displacement - before.displacement).max())
+    same = "bit by bit the same field" if apart == 0 else f"fields differ by at most {apart:.3g}"
+    print(f"{same}; saved from {before.provenance.backend}")
+    return int(apart > 0 and now.provenance.backend == before.provenance.backend)
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -188,6 +264,14 @@ def _demo(options: argparse.Namespace) -> int:
         _tell("napari is not opened, as there is no display (or CI is set)")
     return 0
 
+
+_COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "apply": _apply,
+    "demo": _demo,
+    "export": _export,
+    "replay": _replay,
+    "selftest": _selftest,
+}
 
 # Seconds between two lines of progress where they stay.
 _SELDOM = 10.0

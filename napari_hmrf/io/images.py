@@ -114,23 +114,37 @@ def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     return target
 
 
+_TIFF = (".tif", ".tiff")
 #: In two files, or of a scanner alone.
 _PARTED = (".mhd", ".nhdr", ".dcm")
 
 
 def _picture(source: Path) -> ImageFile:
-    from skimage.io import imread
-
     try:
-        pixels = np.asarray(imread(source))
-    except Exception as error:
+        pixels, colours = (_tiff if source.suffix.lower() in _TIFF else _photo)(source)
+    except Exception as error:  # noqa: BLE001 - readers of many formats raise what they like
         raise FileFormatError(f"{source.name}: not an image that can be read.") from error
-    colours = pixels.ndim > 2 and pixels.shape[-1] in (3, 4)
     if pixels.ndim - colours not in (2, 3):
         raise FileFormatError(
             f"{source.name}: an image of shape {pixels.shape}. Give one of 2 or 3 axes."
         )
     return ImageFile(pixels, None, colours)
+
+
+def _photo(source: Path) -> tuple[npt.NDArray[Any], bool]:
+    from skimage.io import imread
+
+    pixels = np.asarray(imread(source))
+    return pixels, pixels.ndim == 3
+
+
+def _tiff(source: Path) -> tuple[npt.NDArray[Any], bool]:
+    import tifffile
+
+    with tifffile.TiffFile(source) as file:
+        first = file.series[0]
+        pixels = np.asarray(first.asarray())
+        return pixels, first.axes.endswith("S") and pixels.shape[-1] in (3, 4)
 
 
 def _series(sitk: Any, folder: Path) -> Any:
@@ -144,7 +158,7 @@ def _series(sitk: Any, folder: Path) -> Any:
 
 
 def _encoded(image: ImageFile, suffix: str) -> bytes:
-    if suffix in (".tif", ".tiff"):
+    if suffix in _TIFF:
         import tifffile
 
         file = io.BytesIO()

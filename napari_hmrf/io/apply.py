@@ -1,0 +1,210 @@
+"""Moving what lies on the same tissue: images, labels, channels, time points and landmarks."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.warp import warp
+from napari_hmrf.io.fields import Place, place_of, read_field
+from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points, save_points
+from napari_hmrf.io.study_file import is_study_file, load_study
+from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.solution import Solution, is_solution_file
+
+Pixels = npt.NDArray[Any]
+
+#: How far, in pixels, two grids may lie apart and be the same.
+_SAME = 0.01
+#: What files make of 0, in mm.
+_ROUNDING = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class FieldFile:
+    """A field that was read from a file of any kind.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Material, in the unit of the place's spacing.
+    place : Place
+        Of a slice of a volume with three spacings.
+    tissue : ndarray of bool or None
+        What moves; None if the file does not say: everything.
+    solution : Solution or None
+        If it is one of this package.
+    """
+
+    displacement: npt.NDArray[np.floating]
+    place: Place
+    tissue: npt.NDArray[np.bool_] | None = None
+    solution: Solution | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The pixels of its grid along each axis."""
+        return self.displacement.shape[:-1]
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Of the axes that it moves along."""
+        return self.place.spacing[-len(self.shape) :]
+
+
+def load_field(path: str | os.PathLike[str]) -> FieldFile:
+    """Read the field of a saved result, of a study with its field, or of another tool.
+
+    Raises
+    ------
+    FileFormatError
+        If it is none of these.
+    HmrfError, OSError
+        As of `read_field`.
+    """
+    solution = None
+    if is_solution_file(path):
+        solution = Solution.load(path)
+    elif is_study_file(path):
+        solution = load_study(path).solution
+        if solution is None:
+            raise FileFormatError(f"{Path(path).name}: the study was saved without its field.")
+    if solution is not None:
+        place = place_of(solution)
+        factor = np.array(place.spacing[-2:]) / solution.spacing
+        return FieldFile(solution.displacement * factor, place, solution.tissue, solution)
+    field = read_field(path)
+    d = field.displacement
+    if d.ndim == 4 and len(d) == 1 and np.abs(d[..., 0]).max() < _ROUNDING:  # a slice of a volume
+        d = d[0, ..., 1:]
+    return FieldFile(d, Place(field.spacing, field.origin, field.direction))
+
+
+def apply_field(
+    field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str], *, labels: bool
+) -> Path:
+    """Move what is in a file with the tissue, and write it to another of the same kind.
+
+    Parameters
+    ----------
+    field : FieldFile
+    path : str or path-like
+        An image, or landmarks. Of a volume the slice in which the field lies is moved; if that is
+        not known, all its slices are, as those of a film are.
+    target : str or path-like
+    labels : bool
+        Whether an image's values are labels, between which there is nothing.
+
+    Raises
+    ------
+    ProblemError
+        If the image is of another size.
+    FileFormatError, HmrfError, OSError
+        As of `load_image`, `save_image`, `load_points` and `save_points`.
+    """
+    name = Path(path).name
+    if name.lower().endswith(POINT_SUFFIXES):
+        return _move_landmarks(field, path, target)
+    image, n = load_image(path), len(field.shape)
+    pixels = image.pixels
+    sizes = pixels.shape[: image.ndim]
+    if sizes[-n:] != field.shape:
+        raise ProblemError(
+            name,
+            f"is {grid_in_words(sizes)}, but the field {grid_in_words(field.shape)}. Give an image "
+            "of the same pixels.",
+        )
+    order = 0 if labels else 1
+    if n == 3:
+        moved = _moved_volume(field, pixels, order)
+    elif image.ndim == 2:
+        moved = _moved_slice(field, pixels, order)
+    else:
+        moved = pixels.copy()
+        for number in _slices(field, image, name):
+            moved[number] = _moved_slice(field, pixels[number], order)
+    return save_image(target, image._replace(pixels=moved))
+
+
+def _moved_slice(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+    return warp(pixels, field.displacement, spacing=field.spacing, order=order, tissue=field.tissue)
+
+
+def _moved_volume(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+    back = inverse_displacement(field.displacement, spacing=field.spacing).displacement
+    sites = np.moveaxis(np.indices(field.shape), 0, -1)
+    origins = np.moveaxis(sites + back / field.spacing, -1, 0)
+    if pixels.ndim > 3:
+        parts = [_looked_up(pixels[..., part], origins, order) for part in range(pixels.shape[-1])]
+        return np.stack(parts, axis=-1)
+    return _looked_up(pixels, origins, order)
+
+
+def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
+    if order == 0:
+        near = np.floor(origins + 0.5).astype(int)
+        last = np.array(pixels.shape).reshape(-1, 1, 1, 1) - 1
+        inside = ((near >= 0) & (near <= last)).all(axis=0)
+        nearest: Pixels = pixels[tuple(np.clip(near, 0, last))]
+        nearest[~inside] = 0
+        return nearest
+    found: Pixels = scipy.ndimage.map_coordinates(pixels.astype(float), origins, order=1, cval=0.0)
+    if pixels.dtype.kind in "biu":
+        found = np.rint(found)
+    return found.astype(pixels.dtype)
+
+
+def _slices(field: FieldFile, image: ImageFile, name: str) -> list[int]:
+    """Which slices of a volume the field is of: the one in which it lies, else all."""
+    place, own = image.place, field.place
+    if place is None or len(own.spacing) < 3:
+        return list(range(len(image.pixels)))
+    steps = place.direction * place.spacing[::-1]
+    index = np.linalg.solve(steps, np.array(own.origin) - place.origin)
+    along = np.linalg.solve(steps, own.direction * own.spacing[::-1])
+    number = round(float(index[2]))
+    apart = np.abs([*(index - [0, 0, number]), *(along[:, :2] - np.eye(3)[:, :2]).ravel()]).max()
+    if apart > _SAME or not 0 <= number < len(image.pixels):
+        raise ProblemError(
+            name, "lies elsewhere than the field. Give an image of the same patient and pixels."
+        )
+    return [number]
+
+
+def _move_landmarks(
+    field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
+) -> Path:
+    file, place = load_points(path), field.place
+    n, axes = len(field.shape), file.points.shape[1]
+    if axes < n or (axes > n and axes != len(place.spacing)):
+        raise ProblemError(
+            Path(path).name, f"holds points of {axes} axes, but the field has {n}. Give as many."
+        )
+    size, origin, turn = np.array(place.spacing)[-axes:], np.zeros(axes), np.eye(axes)
+    if file.unit == "pixel":
+        size = np.ones(axes)
+    elif file.unit == "mm" and axes == len(place.origin):
+        origin, turn = np.array(place.origin)[::-1], place.direction[::-1, ::-1]
+
+    def pixels(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        found: npt.NDArray[np.float64] = (points - origin) @ turn / size
+        return found
+
+    at = pixels(file.points)
+    there = at[:, -n:]
+    moved = at.copy()
+    moved[:, -n:] = moved_points(there, field.displacement, spacing=field.spacing)
+    points = (moved * size) @ turn.T + origin
+    if file.targets is not None:
+        return save_points(target, points, file.targets, names=file.names)
+    return save_points(target, points, names=file.names)
