@@ -13,12 +13,12 @@ from qtpy.QtWidgets import QApplication, QFileDialog
 from screen import Cell
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.io.material_tables import load_materials
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
-from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 from napari_hmrf.ui.curve.editor import CurveEditor
 

@@ -12,11 +12,11 @@ from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
-from napari_hmrf.tissue.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.ui.tissue_tables import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"

@@ -9,6 +9,7 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.io.material_tables import save_materials
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.slice_view import View
@@ -22,7 +23,6 @@ from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
