@@ -135,7 +135,7 @@ class MaterialMenu(QPushButton):
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
         if path:
             with self._refusals():
-                save_materials(path, self._table.contents)
+                save_materials(path, self._table.preset)
                 self.said.emit(f"Saved {Path(path).name}.")
 
     @contextmanager

@@ -283,7 +283,7 @@ class SoftTissue(Dock):
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
         if self.idle and not self.away:
             for section in (self._form.tissue, self._form.motion.boundary):
-                section.painted.look()
+                section.table.look()
             self._choices.begin()
             self._live_study.settle()
 
@@ -355,7 +355,7 @@ class SoftTissue(Dock):
 
     def save_materials(self, path: str | Path) -> Path:
         """Save the table of tissues to a file; as `material_tables.save_materials`."""
-        return save_materials(path, self._form.tissue.table.contents)
+        return save_materials(path, self._form.tissue.table.preset)
 
     def hand_brush(self, layer: Any) -> None:
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""
@@ -386,7 +386,7 @@ class SoftTissue(Dock):
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for section in (form.tissue, form.motion.boundary):
-            section.painted.picked.connect(self.hand_brush)
+            section.table.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
