@@ -9,7 +9,6 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.io.material_tables import save_materials
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.slice_view import View
@@ -31,7 +30,6 @@ from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
-from napari_hmrf.ui.material_menu import preset_of
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
@@ -351,11 +349,11 @@ class SoftTissue(Dock):
         """
         if not isinstance(self.tissue, Labels):
             raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
-        self._form.tissue.menu.take(preset_of(materials))
+        self._form.tissue.menu.take(materials)
 
     def save_materials(self, path: str | Path) -> Path:
         """Save the table of tissues to a file; as `material_tables.save_materials`."""
-        return save_materials(path, self._form.tissue.table.preset)
+        return self._form.tissue.menu.save(path)
 
     def hand_brush(self, layer: Any) -> None:
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""

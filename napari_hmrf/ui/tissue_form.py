@@ -103,7 +103,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
             tooltip="What is dark around the image and not painted is no tissue, such as air",
         )
         self.editor = CurveEditor(_UNKNOWN)
-        self.menu = MaterialMenu(self.table, layers, lambda: self.table.layer)
+        self.menu = MaterialMenu(self.table, layers)
         self._put_below("tissue", self.menu)
         for part in (self.editor, self.border.native):
             self.native.layout().addWidget(part)
