@@ -13,6 +13,7 @@ from qtpy.QtWidgets import QFileDialog, QTableView
 from screen import Screen, head
 
 from napari_hmrf.field.warp import warp
+from napari_hmrf.io.material_tables import load_materials
 from napari_hmrf.layers.contributions import open_solution, phantom_layers, save_solution
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
@@ -20,7 +21,6 @@ from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.tissue.material_tables import load_materials
 from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
 

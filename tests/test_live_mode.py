@@ -469,7 +469,7 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     widget, (_, tissue, _) = living
     paint(tissue, [(8, 8)], 5)
     settle(widget)
-    widget._form.tissue.painted.look()
+    widget._form.tissue.table.look()
     assert 5 in [row.label for row in widget.materials]
     assert not widget._form.footer.steps.undo.enabled
     widget._form.tissue.table.add()

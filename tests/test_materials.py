@@ -9,6 +9,7 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.io.material_tables import load_materials, save_materials
 from napari_hmrf.layers.metadata import (
     METADATA,
     TISSUE,
@@ -21,7 +22,6 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.solver.solution import Provenance
 from napari_hmrf.tissue.boundary_rules import RIGID, Material, default_material
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
-from napari_hmrf.tissue.material_tables import load_materials, save_materials
 
 LIVER = Preset(
     "Liver",

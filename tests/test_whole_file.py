@@ -14,8 +14,8 @@ import pytest
 from napari_hmrf import SeilerPrior, atomic_write, phantom, solve
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.io import figures
+from napari_hmrf.io.material_tables import save_materials
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.tissue.material_tables import save_materials
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,21 +16,17 @@ from napari_hmrf.solver.problem import Problem, as_stiffness
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
-from napari_hmrf.study.layer_names import Named
 from napari_hmrf.study.refusals import (
     caveats,
-    digit_notes,
-    image_notes,
-    lacks,
-    no_tissue,
+    holes,
+    lack,
     refuse_nothing,
     refuse_rigid,
-    tissue_name,
+    refuse_void,
+    rounding,
 )
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
-    BoundaryRule,
-    Material,
     boundary_images,
     default_material,
     default_rule,
@@ -39,7 +34,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Canvas
-from napari_hmrf.tissue.labels import labels_present
+from napari_hmrf.tissue.labels import unlisted
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.palette import OTHER, Palette
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
@@ -124,13 +119,12 @@ class Ground:
             Naming the part, what is wrong with it and what to do.
         """
         refuse_rigid(study)
-        notes = [*study.notes, *image_notes(study)]
+        notes = [*study.notes, holes(study)]
         checkpoint()
         with study.naming():
             tissue = _Where(study)
         notes += tissue.notes
-        if not tissue.m.any():
-            raise no_tissue(study)
+        refuse_void(study, tissue.m)
         checkpoint()
         there = tissue.m > 0
         base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
@@ -143,9 +137,8 @@ class Ground:
             for part in (there, tissue.body):
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
-        return cls(
-            study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, tuple(notes), ignored
-        )
+        said = tuple(filter(None, notes))
+        return cls(study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, said, ignored)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -185,20 +178,20 @@ class Ground:
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """What people should know of a problem as it was understood, as clauses."""
-        study, problem = self.study, statement.problem
-        notes = list(self.notes)
+        motion, problem = self.study.motion, statement.problem
+        notes = [*self.notes]
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
-        motion = study.motion
         if motion.labels is not None and not motion.drawing.marks:
-            notes += lacks(problem, self.base.observed, self.stiffness > 0)
-        notes += self._air_that_is_tissue
-        return (*notes, *caveats(problem, statement.prior, statement.optimizer))
+            notes.append(lack(problem, self.base.observed, self.stiffness > 0))
+        notes.append(self._air_that_is_tissue)
+        notes += caveats(problem, statement.prior, statement.optimizer)
+        return tuple(filter(None, notes))
 
     @cached_property
-    def _air_that_is_tissue(self) -> tuple[str, ...]:
+    def _air_that_is_tissue(self) -> str:
         image = self.study.pictures.image
-        return () if image is None else air_that_is_tissue(image, self.body)
+        return "" if image is None else air_that_is_tissue(image, self.body)
 
 
 def statement_of(study: Study) -> Statement:
@@ -258,78 +251,62 @@ class _Where:
     """Which tissue is where, understood."""
 
     def __init__(self, study: Study) -> None:
-        tissue, self.prior = study.tissue, study.prior
-        self.notes: tuple[str, ...] = ()
-        shape = study.grid.shape
-        around = np.zeros(shape, dtype=bool)
+        tissue, image, shape = study.tissue, study.pictures.image, study.grid.shape
+        self.prior = study.prior
+        self.notes: list[str] = []
         self.palette = Palette.of_preset(tissue.preset, relative=False)
         self.labels = np.full(shape, OTHER, dtype=np.int32)
+        around = np.zeros(shape, dtype=bool)
         if tissue.labels is not None:
-            rows, self.notes = _completed(study, tissue.materials, tissue.labels)
+            known, name = tissue.materials, study.named("tissue", "image").name
+            new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
+            self.notes = [
+                f"label {row.label} of '{name}' is not in the table and got stiffness "
+                f"{row.stiffness:g}"
+                for row in new
+            ]
+            self.palette = Palette((*known, *new), tissue.unit, own=True)
+            self.labels = tissue.labels.astype(np.int32)
+            rows = self.palette.materials
             self.m = stiffness_image(tissue.labels, rows)
-            if tissue.without_border and study.pictures.image is not None:
-                dark = dark_border(study.pictures.image)
-                if dark is not None:
-                    self.m = np.where(dark & (tissue.labels == 0), np.float32(0), self.m)
+            if tissue.without_border and image is not None:
+                air = dark_border(image) & (tissue.labels == 0)
+                self.m = np.where(air, np.float32(0), self.m)
             if isinstance(self.prior, ElasticPrior):
                 self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
-            self.palette = Palette(rows, tissue.unit, own=True)
-            self.labels = tissue.labels.astype(np.int32)
         elif tissue.stiffness is not None:
-            self.notes = digit_notes(study, tissue.stiffness)
+            self.notes = [rounding(study, tissue.stiffness)]
             self.m = as_stiffness(tissue.stiffness)
         elif tissue.curve and (intensities := study.pictures.intensities) is not None:
             self.m = tissue.curve(intensities)
         else:
-            if study.pictures.image is not None:
-                dark = dark_border(study.pictures.image)
-                around = around if dark is None else dark
+            around = around if image is None else dark_border(image)
             self.m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
             self.palette = Palette.of_preset(tissue.preset)
             self.labels = np.where(around, OTHER, self.palette.usual).astype(np.int32)
         self.body = (self.m > 0) & ~around
 
 
-def _completed(
-    study: Study, known: tuple[Material, ...], labels: npt.NDArray[Any]
-) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    """Give labels that no table mentions a usual row, and say so."""
-    rows = [default_material(label, known) for label in _unlisted(labels, known)]
-    notes = [
-        f"label {row.label} of '{tissue_name(study).name}' is not in the table and got "
-        f"stiffness {row.stiffness:g}"
-        for row in rows
-    ]
-    return (*known, *rows), tuple(notes)
-
-
-def _unlisted(
-    labels: npt.NDArray[Any], rows: Sequence[Material] | Sequence[BoundaryRule]
-) -> list[int]:
-    """The labels that are somewhere, and in no row of a table."""
-    return sorted({int(label) for label in labels_present(labels)} - {row.label for row in rows})
-
-
-def _observe(study: Study, base: Canvas) -> tuple[str, ...]:
-    """Have what is painted or observed count on the blank images of a study."""
+def _observe(study: Study, base: Canvas) -> list[str]:
+    """Have what is painted or observed count on the blank images of a study; what to say of it."""
     motion, notes = study.motion, []
     if motion.observed is not None and motion.counts is not None:
         sure = motion.counts if motion.counts.ndim == 3 else motion.counts[..., None]
         base.confidence[...] = sure
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
-        named = study.names.get("boundary", Named("boundary", "of the study"))
-        unlisted = [each for each in _unlisted(motion.labels, motion.rules) if each != 0]
-        rules = [*motion.rules, *map(default_rule, unlisted)]
+        new = [label for label in unlisted(motion.labels, motion.rules) if label != 0]
+        rules = [*motion.rules, *map(default_rule, new)]
         notes = [
-            f"label {label} of '{named.name}' is not in the table and was held fixed"
-            for label in unlisted
+            f"label {label} of '{study.named('boundary').name}' is not in the table and was held "
+            "fixed"
+            for label in new
         ]
         with study.naming(drawn=False):
             y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
-    return tuple(notes)
+    return notes
 
 
 def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, FloatArray]:

@@ -16,7 +16,7 @@ from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
-from napari_hmrf.study.layer_names import LayerError, Named
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.models import converges
 from napari_hmrf.study.study import Study
 
@@ -56,7 +56,7 @@ def refuse_rigid(study: Study) -> None:
         given = tissue.stiffness
         there, which = given is not None and bool((given == np.inf).any()), "an infinite stiffness"
     if there:
-        raise LayerError(tissue_name(study), f"has rigid tissue ({which}), {why}")
+        raise LayerError(study.named("tissue", "image"), f"has rigid tissue ({which}), {why}")
 
 
 def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
@@ -75,27 +75,25 @@ def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
     ProblemError
         Naming the boundary.
     """
-    named, tissue = study.names.get("boundary"), study.names.get("tissue")
-    somewhere = (c != 0).any(axis=-1)
-    drawn = study.names.get("drawing")
-    if drawn is not None and not somewhere.any():
-        sentence = "Nothing is held or moved yet: take a tool and drag tissue, or paint."
-        raise LayerError(drawn, "says nothing of how tissue moves.", sentence)
-    if named is None or drawn is not None:
-        return  # the problem itself says it, of what is drawn
+    named, drawn, tissue = map(study.names.get, ("boundary", "drawing", "tissue"))
+    somewhere, silent = (c != 0).any(axis=-1), "says nothing of how tissue moves."
     if not somewhere.any():
+        if drawn is not None:
+            sentence = "Nothing is held or moved yet: take a tool and drag tissue, or paint."
+            raise LayerError(drawn, silent, sentence)
+        if named is None:
+            return  # the problem itself says it
+        sentence = (
+            f"Nothing in '{named.name}' counts: its confidence is 0 everywhere. Give something a "
+            "confidence above 0, up to 1 for certain."
+        )
         if study.motion.labels is None and "confidence" not in study.names:
             sentence = (
-                f"No arrow of '{named.name}' starts in this slice: add some, or choose a "
-                "Labels layer to paint on."
+                f"No arrow of '{named.name}' starts in this slice: add some, or choose a Labels "
+                "layer to paint on."
             )
-        else:
-            sentence = (
-                f"Nothing in '{named.name}' counts: its confidence is 0 everywhere. Give "
-                "something a confidence above 0, up to 1 for certain."
-            )
-        raise LayerError(named, "says nothing of how tissue moves.", sentence)
-    if tissue is not None and not (somewhere & (m != 0)).any():
+        raise LayerError(named, silent, sentence)
+    if drawn is None and named and tissue and not (somewhere & (m != 0)).any():
         raise LayerError(
             named,
             "lies outside all tissue.",
@@ -104,48 +102,48 @@ def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
         )
 
 
-def no_tissue(study: Study) -> LayerError:
-    """The error that there is no tissue at all."""
-    name = tissue_name(study)
-    return LayerError(
-        name,
-        "has stiffness 0 everywhere.",
-        f"There is no tissue in '{name.name}': all of it has stiffness 0. Give what is tissue a "
-        "stiffness above 0.",
-    )
+def refuse_void(study: Study, m: FloatArray) -> None:
+    """Refuse a study without any tissue.
+
+    Raises
+    ------
+    ProblemError
+        Naming what says where there is some.
+    """
+    if not m.any():
+        named = study.named("tissue", "image")
+        raise LayerError(
+            named,
+            "has stiffness 0 everywhere.",
+            f"There is no tissue in '{named.name}': all of it has stiffness 0. Give what is tissue "
+            "a stiffness above 0.",
+        )
 
 
-def image_notes(study: Study) -> tuple[str, ...]:
-    """Refuse a picture of nothing; count the holes of another."""
-    image, named = study.pictures.image, study.names.get("image", Named("image", "of the study"))
+def holes(study: Study) -> str:
+    """Refuse a picture of nothing; count the holes of another, as a clause."""
+    image, named = study.pictures.image, study.named("image")
     if image is None or image.dtype.kind != "f":
-        return ()
+        return ""
     bad = int((~np.isfinite(image)).sum())
     if bad == image.size:
         raise LayerError(named, "is NaN everywhere in this slice. Choose another image or slice.")
-    return (f"{bad} pixels of '{named.name}' are NaN or infinite",) if bad else ()
+    return f"{bad} pixels of '{named.name}' are NaN or infinite" if bad else ""
 
 
-def digit_notes(study: Study, stiffness: npt.NDArray[Any]) -> tuple[str, ...]:
+def rounding(study: Study, stiffness: npt.NDArray[Any]) -> str:
     """Say so where single precision, which the solver works in, rounds whole numbers."""
     if stiffness.dtype.kind not in "iu":
-        return ()
+        return ""
     # Bit by bit: no float holds all 64-bit integers to compare with.
     whole = np.maximum(stiffness, 1).astype(np.uint64)
     lowest_bit = whole & (~whole + np.uint64(1))
     rounded = int((whole // lowest_bit > 2**24).sum())
-    if not rounded:
-        return ()
-    return (f"{rounded} whole numbers of '{tissue_name(study).name}' above 2^24 were rounded",)
+    name = study.named("tissue", "image").name
+    return f"{rounded} whole numbers of '{name}' above 2^24 were rounded" if rounded else ""
 
 
-def tissue_name(study: Study) -> Named:
-    """What people call the part that says where there is tissue."""
-    names = study.names
-    return names.get("tissue") or names.get("image") or Named("tissue", "of the study")
-
-
-def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
+def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> list[str]:
     """Say what may surprise, as clauses for people; nothing that is refused anyway.
 
     Parameters
@@ -155,16 +153,13 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
     optimizer : ICM or Multigrid
     """
     if isinstance(prior, ElasticPrior):
-        notes = [_held_exactly(problem) if prior.penalty == math.inf else ""]
-    else:
-        thin = "" if converges(optimizer) else _thin_boundary(problem)
-        notes = [thin, _loose_pieces(problem)]
-    return tuple(filter(None, notes))
+        return [_held_exactly(problem) if prior.penalty == math.inf else ""]
+    return ["" if converges(optimizer) else _thin_boundary(problem), _loose_pieces(problem)]
 
 
-def lacks(
+def lack(
     problem: Problem, painted: npt.NDArray[np.floating[Any]], tissue: npt.NDArray[np.bool_]
-) -> tuple[str, ...]:
+) -> str:
     """Say what a painted boundary lacks: something that moves, or that holds the rest.
 
     Parameters
@@ -175,32 +170,23 @@ def lacks(
     tissue : ndarray of bool, shape (H, W)
         What is tissue, be it held or not.
     """
-    note = _at_rest(problem, painted != 0, tissue[..., None]) or _adrift(problem)
-    return (note,) if note else ()
-
-
-def _at_rest(problem: Problem, moves: npt.NDArray[np.bool_], tissue: npt.NDArray[np.bool_]) -> str:
-    """Say so, and why, where all that was observed stays where it is."""
+    moves = painted != 0
     if not moves.any():
         return (
             "nothing that is painted moves: have something move or expand, by a distance other "
             "than 0"
         )
-    if not (moves & tissue).any():
+    moves &= tissue[..., None]
+    if not moves.any():
         return (
             "nothing moves: all that is to move is painted where there is no tissue (stiffness 0). "
             "Paint it on tissue, or give that place a stiffness"
         )
-    if not (moves & tissue & (problem.confidence > 0)).any():
+    if not (moves & (problem.confidence > 0)).any():
         return (
             "nothing moves: all that is to move has a confidence of 0, with which it does not "
             "count. Give it one above 0, up to 1 for certain"
         )
-    return ""
-
-
-def _adrift(problem: Problem) -> str:
-    """Say so where something moves within tissue whose rim nothing holds or moves."""
     seen = problem.known.any(axis=-1)
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
     if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():

@@ -240,6 +240,11 @@ class Study:
         parts = {"prior": self.prior.parameters, "optimizer": self.optimizer.parameters}
         return model_name(parts)
 
+    def named(self, *parts: str) -> Named:
+        """What people call a part: the first of these that has a name."""
+        known = (self.names[part] for part in parts if part in self.names)
+        return next(known, Named(parts[0], "of the study"))
+
     def same_as(self, other: Study) -> bool:
         """Whether a field of the other would be the same, and move the same image."""
         return (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,11 @@ def labels_present(labels: npt.ArrayLike) -> npt.NDArray[Any]:
     there = np.zeros(int(image.max()) + 1, dtype=bool)
     there[image] = True
     return np.flatnonzero(there).astype(image.dtype)
+
+
+def unlisted(labels: npt.ArrayLike, rows: Iterable[Any]) -> list[int]:
+    """List the labels that are somewhere, and in no row of a table."""
+    return sorted({int(label) for label in labels_present(labels)} - {row.label for row in rows})
 
 
 def values_at(

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.tissue.surroundings import outside_of
 
 #: How far an outline is smoothed before its normal is taken, in pixels.
 _SMOOTHING = 1.5
@@ -55,7 +56,7 @@ def outward_normals(
     normals = np.zeros((*mask.shape, 2), dtype=np.float32)
     for box, part in _parts(mask):
         padded = np.pad(part, [(size, size) for size in margin])
-        filled = _filled(padded)
+        filled = ~outside_of(padded)
         _refuse_open_line(filled, sizes, name)
         blurred = scipy.ndimage.gaussian_filter(filled.astype(float), sigma, mode="constant")
         slope = -np.stack(np.gradient(blurred, *sizes), axis=-1)
@@ -124,13 +125,5 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     rim = mask & ~scipy.ndimage.binary_erosion(mask)
     for box, part in _parts(mask):
         if part.size > _SPECK:
-            part = np.pad(part, 1)
-            inner = part & scipy.ndimage.binary_erosion(_filled(part))
-            rim[box] &= ~inner[1:-1, 1:-1]
+            rim[box] &= ~(part & scipy.ndimage.binary_erosion(~outside_of(part)))
     return np.asarray(rim)
-
-
-def _filled(part: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """A part with its holes; outside of it at the corner of the box."""
-    around, _ = scipy.ndimage.label(~part)
-    return np.asarray(around != around[0, 0])

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_one_of, real, reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.tissue.boundary_rules import LARGEST_STIFFNESS
 from napari_hmrf.tissue.surroundings import background_of, surrounds
 
 FloatArray = npt.NDArray[np.float32]
@@ -35,8 +36,6 @@ _NODES = 64
 #: Integers of no more values than this are looked up, each value computed once.
 _TABLE = 2**16
 _TOO_LARGE = 2**62
-#: Stiffnesses are computed in single precision.
-_LARGEST = float(np.finfo(np.float32).max)
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
 _ABOVE = 0.01
 #: Of red, green and blue: how bright they look (ITU-R BT.709).
@@ -95,7 +94,7 @@ class StiffnessCurve:
                     "one for each intensity"
                 )
         for _, stiffness in points:
-            if not 0 < stiffness <= _LARGEST:
+            if not 0 < stiffness <= LARGEST_STIFFNESS:
                 raise _bad(
                     f"has a stiffness of {stiffness:g}. Give numbers above 0; what is no tissue is "
                     "said by void_below"

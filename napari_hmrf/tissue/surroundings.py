@@ -45,7 +45,7 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     if not values.size or values.min() == values.max():
         return np.zeros(grey.shape, dtype=bool)
     threshold = threshold_otsu(values)
-    found = _surroundings(grey, threshold)
+    found = outside_of(grey > threshold)  # what is no number is dark
     around = grey[found & np.isfinite(grey)].astype(np.float64)
     if around.size and around.min() < around.max():
         below = threshold_otsu(around)
@@ -53,12 +53,12 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
         bright = values[values > threshold]
         apart = rest.mean() - air.mean() > _APART * (bright.mean() - air.mean())
         if apart and min(len(air), len(rest)) > _PART * len(around):
-            found = _surroundings(grey, below)
+            found = outside_of(grey > below)
     return found
 
 
-def dark_border(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
-    """What is dark around a picture, if it surrounds something; else None.
+def dark_border(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """What is dark around a picture, if it surrounds something; else nothing.
 
     Of a picture that cannot be written to it is found once.
 
@@ -69,9 +69,10 @@ def dark_border(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
     known = next((mask for image, mask in _known if image() is picture), None)
     if known is None:
         known = background_of(picture)
+        known = known & surrounds(known)
         if not picture.flags.writeable:
             _known[:] = [(weakref.ref(picture), known), *_known][:_KEPT]
-    return known if surrounds(known) else None
+    return known
 
 
 def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
@@ -108,7 +109,7 @@ def between_air_and_tissue(picture: npt.NDArray[Any]) -> float | None:
     return float(f"{(float(np.median(air)) + float(np.percentile(inside, 5))) / 2:.2g}")
 
 
-def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> tuple[str, ...]:
+def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> str:
     """Say so where most of what is dark around a picture counts as tissue, as a clause.
 
     Parameters
@@ -117,19 +118,17 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
     tissue : ndarray of bool, shape (H, W)
     """
     dark = dark_border(picture)
-    if dark is None or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
-        return ()
-    note = (
+    if not dark.any() or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
+        return ""
+    return (
         "the dark surroundings of the image move as tissue does, too: if they are air, leave them "
         "unpainted and tick 'the dark border is no tissue'"
     )
-    return (note,)
 
 
-def _surroundings(grey: npt.NDArray[Any], threshold: float) -> npt.NDArray[np.bool_]:
-    """What is dark and hangs together with the edge."""
-    dark = ~(grey > threshold)  # what is no number is dark
-    # A ring around the picture joins all that reaches its edge.
-    pieces, _ = scipy.ndimage.label(np.pad(dark, 1, constant_values=True))
+def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """What is around a mask, (H, W), and hangs together with the image's edge: no holes in it."""
+    # A ring around the image joins all that reaches its edge.
+    pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
     found: npt.NDArray[np.bool_] = (pieces == pieces[0, 0])[1:-1, 1:-1]
     return found

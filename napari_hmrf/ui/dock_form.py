@@ -19,7 +19,6 @@ from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
-from napari_hmrf.ui.tissue_tables import POISSON
 
 #: Of the dock, in pixels.
 _WIDTH = 336
@@ -96,8 +95,8 @@ class DockForm:
 
     def release(self) -> None:
         """Stop listening to layers."""
-        self.tissue.painted.release()
-        self.motion.boundary.painted.release()
+        self.tissue.table.release()
+        self.motion.boundary.table.release()
 
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image])
@@ -141,5 +140,4 @@ class DockForm:
         self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
 
     def _on_model(self, *_: str) -> None:
-        # Only elastic tissue has it.
-        self.tissue.seen.setColumnHidden(POISSON, not self.model.is_elastic)
+        self.tissue.table.show_poisson(self.model.is_elastic)

@@ -7,7 +7,7 @@ from typing import Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, change
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
@@ -39,8 +39,8 @@ class DockSteps:
         # What was chosen when that was looked at last.
         self._known: set[Slot] = set()
         tissue, boundary = form.tissue, form.motion.boundary
-        for painted in (tissue.painted, boundary.painted):
-            painted.changed.connect(lambda each=painted: self.note(each.by_itself))
+        for section in (tissue, boundary):
+            section.table.changed.connect(self.note)
         tissue.choice.changed.connect(lambda _: self.note())
         tissue.editor.plot.edited.connect(self._take_curve)
         tissue.editor.plot.settled.connect(lambda _: self._model.end())
@@ -112,8 +112,8 @@ class DockSteps:
         """What is chosen and can be edited, as it is now."""
         form = self._form
         for role, section in ((TISSUE, form.tissue), (BOUNDARY, form.motion.boundary)):
-            if (layer := section.painted.layer) is not None:
-                yield Slot(role, layer), Table.of(layer, role)
+            if (layer := section.table.layer) is not None:
+                yield Slot(role, layer), section.table.contents
 
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
         """Put back what a slot holds: a table that is shown, or a curve."""
@@ -124,7 +124,7 @@ class DockSteps:
             if slot == self._curve_slot:
                 self._form.tissue.go_by(value)
             for section in (self._form.tissue, self._form.motion.boundary):
-                if slot.what in (TISSUE, BOUNDARY) and section.painted.layer is slot.layer:
-                    section.table.show(value)
+                if slot.what in (TISSUE, BOUNDARY) and section.table.layer is slot.layer:
+                    section.table.contents = value
         finally:
             self._undoing = False

@@ -54,7 +54,7 @@ class Guide:
         self._said = self._doing = ""
         self._why = _Said.NEWS
         for section in (form.tissue, form.motion.boundary):
-            section.painted.found.connect(self._on_found)
+            section.table.found.connect(self._on_found)
             section.table.refused.connect(self.say)
         form.tissue.menu.said.connect(self.say)
         form.tissue.menu.taken.connect(self._on_found)

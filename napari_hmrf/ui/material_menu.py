@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,11 @@ from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
+from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
+from napari_hmrf.layers.metadata import TISSUE, Table, tissue_recorded
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
-from napari_hmrf.tissue.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.ui.tissue_tables import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"
@@ -24,28 +23,11 @@ _FILES = f"Materials (*{ENDING})"
 
 def materials_of(layer: Any) -> Preset | None:
     """The table of a layer of tissue labels, or of a result, as a preset; None if it has none."""
-    rows, unit = rows_of(layer, TISSUE), str(known_of(layer).get("unit", ""))
-    if rows is None:
-        rows, unit = tissue_recorded(layer)
+    table = Table.of(layer, TISSUE)
+    rows, unit = table if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
         return None
     return Preset(str(layer.name), unit, f"the layer '{layer.name}'", rows)
-
-
-def preset_of(materials: Preset | Any) -> Preset:
-    """A preset, the table of a layer, or that of a file, as a preset.
-
-    Raises
-    ------
-    LayerError
-        If the layer has none.
-    """
-    if isinstance(materials, str | Path):
-        return load_materials(materials)
-    found = materials if isinstance(materials, Preset) else materials_of(materials)
-    if found is None:
-        raise LayerError(materials, "has no table of materials. Choose another layer.")
-    return found
 
 
 class MaterialMenu(QPushButton):
@@ -56,8 +38,6 @@ class MaterialMenu(QPushButton):
     table : MaterialTable
     layers : callable
         The viewer's layers.
-    layer : callable
-        The one whose table is shown.
 
     Attributes
     ----------
@@ -70,11 +50,9 @@ class MaterialMenu(QPushButton):
     said = Signal(str)
     taken = Signal(str)
 
-    def __init__(
-        self, table: MaterialTable, layers: Callable[[], list[Any]], layer: Callable[[], Any]
-    ) -> None:
+    def __init__(self, table: MaterialTable, layers: Callable[[], list[Any]]) -> None:
         super().__init__("Materials")
-        self._table, self._layers, self._layer = table, layers, layer
+        self._table, self._layers = table, layers
         self.setToolTip(
             "Published stiffnesses with their sources, and those of other layers and of files, in "
             "place of the table; or keep the table in a file, for other images"
@@ -96,23 +74,43 @@ class MaterialMenu(QPushButton):
             "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
             "model has that, the paper's has not"
         )
-        _act(menu, "Bone or implant (rigid)", about, lambda: self._table.add_rigid())
+        _act(menu, "Bone or implant (rigid)", about, self._table.add_rigid)
         _head(menu, "Share and keep")
-        here, taken = self._layer(), menu.addMenu("Take from layer")
+        taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
-            if layer is not here and (found := materials_of(layer)):
+            if layer is not self._table.layer and (found := materials_of(layer)):
                 self._offer(taken, found)
         taken.setEnabled(bool(taken.actions()))
-        _act(
-            menu, "Load from file ...", "A file that was saved here, or written by hand", self._load
-        )
+        about = "A file that was saved here, or written by hand"
+        _act(menu, "Load from file ...", about, self._load)
         _act(menu, "Save to file ...", "For other images, and for other people", self._save)
 
-    def take(self, preset: Preset) -> None:
-        """Put a preset into the table."""
+    def take(self, materials: Preset | Any) -> None:
+        """Put materials into the table: a preset, those of a layer, or those of a file.
+
+        Raises
+        ------
+        LayerError
+            If the layer has none.
+        FileFormatError, OSError
+            As `load_materials`.
+        """
+        preset: Preset | None = materials
+        if isinstance(materials, str | Path):
+            preset = load_materials(materials)
+        elif not isinstance(materials, Preset):
+            preset = materials_of(materials)
+        if preset is None:
+            raise LayerError(materials, "has no table of materials. Choose another layer.")
         words = self._table.apply_preset(preset)
         self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
+
+    def save(self, path: str | Path) -> Path:
+        """Save the table to a file; as `save_materials`."""
+        file = save_materials(path, self._table.preset)
+        self.said.emit(f"Saved {file.name}.")
+        return file
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
         rows = "\n".join(
@@ -127,22 +125,17 @@ class MaterialMenu(QPushButton):
 
     def _load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)
-        if path:
-            with self._refusals():
-                self.take(load_materials(path))
+        self._try(self.take, path)
 
     def _save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
-        if path:
-            with self._refusals():
-                save_materials(path, self._table.contents)
-                self.said.emit(f"Saved {Path(path).name}.")
+        self._try(self.save, path)
 
-    @contextmanager
-    def _refusals(self) -> Iterator[None]:
-        """Say what could not be done."""
+    def _try(self, act: Callable[[str], Any], path: str) -> None:
+        """Do something with a file, if one was chosen, or say why not."""
         try:
-            yield
+            if path:
+                act(path)
         except (HmrfError, OSError) as error:
             self.said.emit(str(error))
 

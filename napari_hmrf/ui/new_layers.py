@@ -98,20 +98,13 @@ def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
         BoundaryRule(1, "fixed", name="holds"),
         BoundaryRule(2, "expand", amount=push, name="grows"),
     )
-    tissue = Labels(
-        np.zeros(shape, np.uint8),
-        name="Tissue",
-        opacity=0.4,
-        metadata=described(TISSUE, materials, paper.unit),
-        **place,
+
+    def blank(name: str, known: dict[str, Any], **look: Any) -> Any:
+        layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=known, **look, **place)
+        layer.brush_size = max(3, round(max(rows, cols) / 40))
+        return layer
+
+    return (
+        blank("Tissue", described(TISSUE, materials, paper.unit), opacity=0.4),
+        blank("Boundary", described(BOUNDARY, rules), colormap=boundary_colours()),
     )
-    boundary = Labels(
-        np.zeros(shape, np.uint8),
-        name="Boundary",
-        colormap=boundary_colours(),
-        metadata=described(BOUNDARY, rules),
-        **place,
-    )
-    for layer in (tissue, boundary):
-        layer.brush_size = max(3, round(max(shape[axis] for axis in frame.plane) / 40))
-    return tissue, boundary

@@ -22,7 +22,6 @@ from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.material_tables import save_materials
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
@@ -31,7 +30,6 @@ from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
-from napari_hmrf.ui.material_menu import preset_of
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
@@ -283,7 +281,7 @@ class SoftTissue(Dock):
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
         if self.idle and not self.away:
             for section in (self._form.tissue, self._form.motion.boundary):
-                section.painted.look()
+                section.table.look()
             self._choices.begin()
             self._live_study.settle()
 
@@ -351,11 +349,11 @@ class SoftTissue(Dock):
         """
         if not isinstance(self.tissue, Labels):
             raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
-        self._form.tissue.menu.take(preset_of(materials))
+        self._form.tissue.menu.take(materials)
 
     def save_materials(self, path: str | Path) -> Path:
         """Save the table of tissues to a file; as `material_tables.save_materials`."""
-        return save_materials(path, self._form.tissue.table.contents)
+        return self._form.tissue.menu.save(path)
 
     def hand_brush(self, layer: Any) -> None:
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""
@@ -386,7 +384,7 @@ class SoftTissue(Dock):
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for section in (form.tissue, form.motion.boundary):
-            section.painted.picked.connect(self.hand_brush)
+            section.table.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)

@@ -10,16 +10,16 @@ from napari.layers import Image, Labels, Vectors
 from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Role, known_of, role_of
+from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.label_sync import PaintedLabels
-from napari_hmrf.ui.label_table import LabelTable, LabelTableView
+from napari_hmrf.ui.label_table import LabelTable
+from napari_hmrf.ui.label_table_view import LabelTableView
 from napari_hmrf.ui.landmark_choice import LandmarkChoice
 from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.material_menu import MaterialMenu
-from napari_hmrf.ui.tissue_tables import AMOUNTS, BoundaryTable, MaterialTable
+from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
@@ -39,15 +39,12 @@ class _PaintedSection(Container, Generic[Table]):
 
     edited = Signal()
 
-    def __init__(
-        self, choice: LayerChoice, others: list[LayerChoice], role: Role, table: Table, view: Shown
-    ) -> None:
+    def __init__(self, choice: LayerChoice, others: list[LayerChoice], table: Table) -> None:
         super().__init__(widgets=[choice, *others], labels=True)
         self.choice, self.table, self.seen = choice, table, LabelTableView(table)
-        self.painted = PaintedLabels(role, table, view)
         self._below = QWidget()
         self.choice.changed.connect(self._on_choice)
-        self.painted.changed.connect(self.edited)
+        self.table.changed.connect(lambda _: self.edited.emit())
 
     def _put_below(self, what: str, *others: QWidget) -> None:
         """Put the table and a row of buttons, plain Qt widgets, under the section's own."""
@@ -65,7 +62,7 @@ class _PaintedSection(Container, Generic[Table]):
         self._on_choice(None)
 
     def _on_choice(self, layer: Any) -> None:
-        self.painted.layer = layer
+        self.table.layer = layer
         self._below.setVisible(isinstance(layer, Labels))
         self.edited.emit()
 
@@ -99,14 +96,14 @@ class TissueSection(_PaintedSection[MaterialTable]):
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
             lambda: [("brightness of the image", BRIGHTNESS)] if self.known else [],
         )
-        super().__init__(choice, [], TISSUE, MaterialTable(), view)
+        super().__init__(choice, [], MaterialTable(view))
         self.border = CheckBox(
             value=True,
             text="the dark border is no tissue",
             tooltip="What is dark around the image and not painted is no tissue, such as air",
         )
         self.editor = CurveEditor(_UNKNOWN)
-        self.menu = MaterialMenu(self.table, layers, lambda: self.painted.layer)
+        self.menu = MaterialMenu(self.table, layers)
         self._put_below("tissue", self.menu)
         for part in (self.editor, self.border.native):
             self.native.layout().addWidget(part)
@@ -167,20 +164,12 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             "confidence",
             "How sure each arrow is, from 0 to 1; without an image, 1",
         )
-        super().__init__(choice, [self.confidence], BOUNDARY, BoundaryTable(), view)
+        super().__init__(choice, [self.confidence], BoundaryTable(view))
         self._put_below("boundary")
         self.landmarks = LandmarkChoice(layers)
         self.landmarks.margins = (0, 0, 0, 0)
         self.native.layout().addWidget(self.landmarks.native)
         self.confidence.changed.connect(lambda _: self.edited.emit())
-        self.table.edited.connect(self._show_amounts)
-        self._show_amounts()
-
-    def _show_amounts(self) -> None:
-        """Show the columns that say something of any row: the dock is narrow."""
-        actions = {rule.action for rule in self.table.rows}
-        for column, action in AMOUNTS.items():
-            self.seen.setColumnHidden(column, action not in actions)
 
     def _on_choice(self, layer: Any) -> None:
         self.confidence.visible = isinstance(layer, Vectors)

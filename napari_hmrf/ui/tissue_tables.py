@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
 from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
@@ -20,20 +23,30 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_in_words,
 )
 from napari_hmrf.tissue.material_presets import Preset, take_over
-from napari_hmrf.ui.label_table import Column, LabelTable, number
+from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
-_STIFFNESS, POISSON = range(2, 4)
+_STIFFNESS, _POISSON = range(2, 4)
 
 
 class MaterialTable(LabelTable):
     """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
 
-    def __init__(self) -> None:
+    def __init__(self, view: Callable[[], View | None]) -> None:
         super().__init__(
+            TISSUE,
+            view,
             "Tissue",
             [
-                Column("", "", lambda row: stiffness_in_words(row.stiffness), _stiffness, _about),
+                Column(
+                    "",
+                    "Young's modulus, in any unit as long as it is the same for all tissues: only "
+                    "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as "
+                    "bone or an implant; the elastic model has that, the paper's has not.",
+                    lambda row: stiffness_in_words(row.stiffness),
+                    _stiffness,
+                    _about,
+                ),
                 Column(
                     "Poisson's\nratio",
                     ABOUT_POISSON,
@@ -44,33 +57,27 @@ class MaterialTable(LabelTable):
             ],
             about=_of_unpainted,
         )
-        self.unit = ""
+        self._show(self.contents)
+
+    def _show(self, contents: Table) -> None:
+        unit = contents.unit  # shown only, for ratios are what matters
+        title = f"Stiffness ({unit})" if unit else "Relative\nstiffness"
+        self.set_column(_STIFFNESS, title=title)
+        super()._show(contents)
+
+    def show_poisson(self, elastic: bool) -> None:
+        """Show Poisson's ratios, or not: only elastic tissue has them."""
+        self.set_column(_POISSON, applies=elastic)
 
     @property
-    def unit(self) -> str:
-        """The unit of stiffness, shown only, for ratios are what matters; "" if none is known."""
-        return self._unit
-
-    @unit.setter
-    def unit(self, unit: str) -> None:
-        self._unit = unit
-        self.set_head(
-            _STIFFNESS,
-            f"Stiffness ({unit})" if unit else "Relative\nstiffness",
-            "Young's modulus, in any unit as long as it is the same for all tissues: only ratios "
-            "matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone or an "
-            "implant; the elastic model has that, the paper's has not.",
-        )
-
-    @property
-    def contents(self) -> Preset:
-        """All that the table says, as one value that does not change."""
-        return Preset("", self.unit, "", self.rows)
+    def preset(self) -> Preset:
+        """All that the table says, for others."""
+        return Preset("", self.contents.unit, "", self.rows)
 
     def apply_preset(self, preset: Preset) -> str:
         """Take over a preset's tissues; what became of others, in words, as of `take_over`."""
         materials, words = take_over(preset, self.rows)
-        self.unit, self.rows = preset.unit, materials
+        self.contents = Table(materials, preset.unit)
         return words
 
     def add_rigid(self) -> int:
@@ -89,14 +96,14 @@ class MaterialTable(LabelTable):
 def _stiffness(material: Material, text: str) -> Material:
     if text.casefold() == "inf" or read_stiffness(text) == RIGID:
         return replace(material, stiffness=RIGID)
-    stiffness = number(text)
+    stiffness = _number(text)
     if not 0 <= stiffness <= LARGEST_STIFFNESS:
         raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
     return replace(material, stiffness=stiffness)
 
 
 def _poisson(material: Material, text: str) -> Material:
-    poisson, (low, high) = number(text), POISSON_RANGE
+    poisson, (low, high) = _number(text), POISSON_RANGE
     if not low <= poisson <= high:
         raise ValueError(f"Poisson's ratio must be a number from {low:g} to {high:g}")
     return replace(material, poisson=poisson)
@@ -118,14 +125,16 @@ _ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "exp
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _ROWS, _COLS, _OUTWARD = range(3, 6)
 #: Columns, and the only action that they say something of.
-AMOUNTS: dict[int, Action] = {_ROWS: "move", _COLS: "move", _OUTWARD: "expand"}
+_AMOUNTS: dict[int, Action] = {_ROWS: "move", _COLS: "move", _OUTWARD: "expand"}
 
 
 class BoundaryTable(LabelTable):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
-    def __init__(self) -> None:
+    def __init__(self, view: Callable[[], View | None]) -> None:
         super().__init__(
+            BOUNDARY,
+            view,
             "Boundary",
             [
                 Column(
@@ -148,7 +157,7 @@ class BoundaryTable(LabelTable):
                         partial(self._typed, column),
                         lambda row: f"in {self._unit}",
                     )
-                    for column in AMOUNTS
+                    for column in _AMOUNTS
                 ),
                 Column(
                     "confi-\ndence",
@@ -170,7 +179,7 @@ class BoundaryTable(LabelTable):
             (_OUTWARD, "out", "How far outward; negative: inward"),
         ):
             words = title.replace(" ", "\n")  # the dock is narrow
-            self.set_head(column, f"{words}\n{unit}", f"{about}, in {unit}")
+            self.set_column(column, title=f"{words}\n{unit}", about=f"{about}, in {unit}")
 
     def _default(self, label: int) -> BoundaryRule:
         return default_rule(label)
@@ -180,7 +189,7 @@ class BoundaryTable(LabelTable):
         return _ACTIONS[row.action]
 
     def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
-        amount = number(text)
+        amount = _number(text)
         if not math.isfinite(amount):
             raise ValueError(f"A distance must be a number, in {self._unit}")
         if column == _OUTWARD:
@@ -190,13 +199,21 @@ class BoundaryTable(LabelTable):
 
 
 def _amount(column: int, rule: BoundaryRule) -> str:
-    if rule.action != AMOUNTS[column]:
+    if rule.action != _AMOUNTS[column]:
         return ""
     return f"{rule.amount if column == _OUTWARD else rule.vector[column - _ROWS]:g}"
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
-    parts = [number(part) for part in text.split("/")]
+    parts = [_number(part) for part in text.split("/")]
     if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
         raise ValueError("Confidence must be a number from 0 to 1, or two: 1 / 0.5")
     return replace(rule, confidence=(parts[0], parts[-1]))
+
+
+def _number(text: str) -> float:
+    """A number as people type it, with a point or a comma; NaN for anything else."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return math.nan

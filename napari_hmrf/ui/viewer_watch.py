@@ -226,7 +226,7 @@ class ViewerWatch:
         """Mark the row that is painted with."""
         active = self._viewer.layers.selection.active
         for section in (self._form.tissue, self._form.motion.boundary):
-            section.painted.mark(active)
+            section.table.mark(active)
 
     @property
     def _is_painted(self) -> bool:

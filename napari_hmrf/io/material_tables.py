@@ -21,12 +21,18 @@ Nothing here needs napari.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
@@ -34,7 +40,8 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.tissue.material_presets import Preset
 
-FORMAT = "napari-hmrf materials"
+_Format = Literal["napari-hmrf materials"]
+FORMAT: _Format = "napari-hmrf materials"
 VERSION = 2
 #: Of files that have no rigid material.
 _FIRST = 1
@@ -72,9 +79,11 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
         **asdict(preset),
         "materials": [material.as_row() for material in preset.materials],
     }
-    _preset(values, target)
-    text = json.dumps(values, indent=2, ensure_ascii=False) + "\n"
-    write_whole(target, text.encode())
+    try:
+        text = _File.model_validate(values).model_dump_json(indent=2)
+    except ValidationError as error:
+        raise _bad(target, error) from error
+    write_whole(target, f"{text}\n".encode())
     return target
 
 
@@ -99,14 +108,13 @@ def load_materials(path: str | Path) -> Preset:
     """
     source = Path(path)
     if source.stat().st_size > _LARGEST:
-        raise _bad(source, "is too large to be a file of materials")
+        raise FileFormatError(f"{source.name} is too large to be a file of materials.")
     try:
-        values = json.loads(source.read_text(encoding="utf-8"))
-    except ValueError as error:  # of JSON or of UTF-8
-        raise _bad(source, f"is no JSON: {error}") from error
-    except RecursionError as error:
-        raise _bad(source, "is nested too deeply to be a file of materials") from error
-    return _preset(values, source)
+        file = _File.model_validate_json(source.read_bytes())
+    except ValidationError as error:
+        raise _bad(source, error) from error
+    materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
+    return Preset(file.name or source.stem, file.unit, file.source, materials)
 
 
 class _Row(BaseModel):
@@ -129,49 +137,47 @@ class _File(BaseModel):
 
     model_config = ConfigDict(strict=True)
 
-    version: int = Field(ge=1)
+    format: _Format
+    version: int = Field(ge=1, le=VERSION)
     name: str = ""
     unit: str = ""
     source: str = ""
     materials: list[_Row] = Field(min_length=1)
 
-
-def _preset(values: Any, path: Path) -> Preset:
-    if not isinstance(values, dict) or values.get("format") != FORMAT:
-        raise _bad(path, f'is no file of materials: it does not say "format": "{FORMAT}"')
-    try:
-        file = _File.model_validate(values)
-    except ValidationError as error:
-        raise _bad(path, _in_words(error)) from error
-    if file.version > VERSION:
-        raise _bad(
-            path,
-            f"was written by a newer napari-hmrf (version {file.version}). Install the newest one",
-        )
-    materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
-    labels = [material.label for material in materials]
-    for label in labels:
-        if labels.count(label) > 1:
-            raise _bad(path, f"has two materials for label {label}. Remove one")
-    if not any(material.stiffness > 0 for material in materials):
-        raise _bad(path, "has no material with a stiffness above 0. Write one that is tissue")
-    return Preset(file.name or path.stem, file.unit, file.source, materials)
+    @model_validator(mode="after")
+    def _go_together(self) -> _File:
+        labels = [row.label for row in self.materials]
+        for label in labels:
+            if labels.count(label) > 1:
+                raise ValueError(f"has two materials for label {label}. Remove one")
+        if not any(row.stiffness for row in self.materials):
+            raise ValueError("has no material with a stiffness above 0. Write one that is tissue")
+        return self
 
 
-def _in_words(error: ValidationError) -> str:
-    """What is wrong first, where, and what would be right."""
+def _bad(path: Path, error: ValidationError) -> FileFormatError:
+    """What is wrong with a file first, where, and what would be right."""
     first = error.errors(include_url=False)[0]
+    where, kind, message = first["loc"], first["type"], first["msg"]
     place = " ".join(
         str(part + 1) if isinstance(part, int) else part.replace("materials", "material")
-        for part in first["loc"][:3]
+        for part in where[:3]
     )
-    if first["type"] == "missing":
-        return f"lacks {place}"
-    right = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
-    if "stiffness" in place:
-        right = 'a number, 0 or more, or "rigid"'
-    return f"says {place} is {str(first['input'])[:40]!r}. It should be: {right}"
-
-
-def _bad(path: Path, message: str) -> FileFormatError:
-    return FileFormatError(f"{path.name} {message}.")
+    if kind == "value_error":
+        said = message.removeprefix("Value error, ")
+    elif kind == "json_invalid":
+        said = message.replace("Invalid JSON", "is no JSON")
+    elif place in ("", "format"):
+        said = f'is no file of materials: it does not say "format": "{FORMAT}"'
+    elif kind == "missing":
+        said = f"lacks {place}"
+    elif place == "version" and kind == "less_than_equal":
+        said = (
+            f"was written by a newer napari-hmrf (version {first['input']}). Install the newest one"
+        )
+    else:
+        right = message.removeprefix("Input should be ").removeprefix("a valid ")
+        if "stiffness" in place:
+            right = 'a number, 0 or more, or "rigid"'
+        said = f"says {place} is {str(first['input'])[:40]!r}. It should be: {right}"
+    return FileFormatError(f"{path.name} {said}.")
