@@ -134,6 +134,36 @@ def _add_file_commands(commands: Any) -> None:
     apply.add_argument("files", type=Path, nargs="+", metavar="FILE")
     apply.add_argument("--labels", action="store_true", help="the images are labels")
     apply.add_argument("-o", "--out", type=Path, default=Path("moved"), metavar="DIR")
+    solve = commands.add_parser("solve", help="solve a study, or images with their tables")
+    solve.add_argument("image", type=Path, metavar="STUDY|IMAGE")
+    solve.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
+    solve.add_argument("--labels", type=Path, help="an image of tissue labels")
+    solve.add_argument(
+        "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson"
+    )
+    solve.add_argument(
+        "--boundary",
+        type=Path,
+        metavar="FILE",
+        help="an image of labels with --rules, pairs of landmarks (.csv), or a field",
+    )
+    solve.add_argument(
+        "--rules",
+        type=Path,
+        metavar="TABLE",
+        help=".csv: label,action,row,col,amount,confidence; actions are fixed, move and expand",
+    )
+    solve.add_argument(
+        "--confidence",
+        metavar="IMAGE|edges",
+        help="how sure a field is: an image from 0 to 1, a mask, or where the image has edges",
+    )
+    solve.add_argument("--slice", type=int, metavar="N", help="of a volume, along its first axis")
+    solve.add_argument(
+        "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
+    )
+    solve.add_argument("--model", choices=get_args(ModelName), default="elastic")
+    solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
     replay.add_argument("study", type=Path, metavar="STUDY")
     replay.add_argument("--image", type=Path, metavar="IMAGE", help="if it is not in the file")
@@ -212,6 +242,28 @@ def _apply(options: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
+def _solve(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.case import Case, solve_case
+
+    sure = options.confidence
+    case = Case(
+        image=options.image,
+        labels=options.labels,
+        materials=options.materials,
+        boundary=options.boundary,
+        rules=options.rules,
+        confidence=sure if sure in (None, "edges") else Path(sure),
+        slice=options.slice,
+        hold_edge=options.hold_edge,
+        model=options.model,
+    )
+    saved = solve_case(case, options.out, backend=options.backend)
+    print(f"solved: {saved.solution!r}")
+    written = ", ".join(sorted(path.name for path in options.out.iterdir()))
+    print(f"in {options.out}: {written}")
+    return 0
+
+
 def _replay(options: argparse.Namespace) -> int:
     from napari_hmrf.io.images import load_image
     from napari_hmrf.io.study_file import load_study, replay
@@ -271,6 +323,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "export": _export,
     "replay": _replay,
     "selftest": _selftest,
+    "solve": _solve,
 }
 
 # Seconds between two lines of progress where they stay.

@@ -17,7 +17,12 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.fields import Place, place_of, read_field
 from napari_hmrf.io.images import ImageFile, load_image, save_image
-from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points, save_points
+from napari_hmrf.io.landmark_files import (
+    POINT_SUFFIXES,
+    LandmarkFile,
+    load_points,
+    save_points,
+)
 from napari_hmrf.io.study_file import is_study_file, load_study
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution, is_solution_file
@@ -184,27 +189,36 @@ def _slices(field: FieldFile, image: ImageFile, name: str) -> list[int]:
 def _move_landmarks(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
 ) -> Path:
-    file, place = load_points(path), field.place
-    n, axes = len(field.shape), file.points.shape[1]
-    if axes < n or (axes > n and axes != len(place.spacing)):
-        raise ProblemError(
-            Path(path).name, f"holds points of {axes} axes, but the field has {n}. Give as many."
-        )
-    size, origin, turn = np.array(place.spacing)[-axes:], np.zeros(axes), np.eye(axes)
-    if file.unit == "pixel":
-        size = np.ones(axes)
-    elif file.unit == "mm" and axes == len(place.origin):
-        origin, turn = np.array(place.origin)[::-1], place.direction[::-1, ::-1]
+    file, name, n = load_points(path), Path(path).name, len(field.shape)
+    place = place_for(file, field.place, name, n)
+    at = place.to_pixels(file.points)
+    at[:, -n:] = moved_points(at[:, -n:], field.displacement, spacing=field.spacing)
+    return save_points(target, place.to_space(at), file.targets, names=file.names)
 
-    def pixels(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        found: npt.NDArray[np.float64] = (points - origin) @ turn / size
-        return found
 
-    at = pixels(file.points)
-    there = at[:, -n:]
-    moved = at.copy()
-    moved[:, -n:] = moved_points(there, field.displacement, spacing=field.spacing)
-    points = (moved * size) @ turn.T + origin
-    if file.targets is not None:
-        return save_points(target, points, file.targets, names=file.names)
-    return save_points(target, points, names=file.names)
+def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:
+    """The place by which a file's points become pixels: of its axes, and in its unit.
+
+    Parameters
+    ----------
+    file : LandmarkFile
+    place : Place or None
+        Of the image.
+    name : str
+        The file's, for errors.
+    n : int
+        The axes of the field.
+
+    Raises
+    ------
+    ProblemError
+        If the points have too few axes, or more than the image.
+    """
+    axes = file.points.shape[1]
+    most = n if place is None else len(place.spacing)
+    if axes not in (n, most):
+        raise ProblemError(name, f"holds points of {axes} axes, but the image has {most}.")
+    size = (1.0,) * axes if place is None or file.unit == "pixel" else place.spacing[-axes:]
+    if place is None or file.unit != "mm" or axes < most:
+        return Place(size, (0.0,) * axes, np.eye(axes))
+    return place

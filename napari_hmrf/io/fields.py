@@ -211,6 +211,16 @@ class Place(NamedTuple):
     origin: tuple[float, ...]
     direction: npt.NDArray[np.float64]
 
+    def to_pixels(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Points (N, n) in mm, ([z,] y, x) of the patient, in pixels of the grid."""
+        found: npt.NDArray[np.float64] = points - self.origin[::-1]
+        return found @ self.direction[::-1, ::-1] / self.spacing
+
+    def to_space(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The inverse of `to_pixels`."""
+        found: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
+        return found + self.origin[::-1]
+
 
 def place_of(solution: Solution) -> Place:
     """Where a solution lies: of a slice of a volume, in the volume.
@@ -243,6 +253,25 @@ def place_of(solution: Solution) -> Place:
     spacing = np.linalg.norm(steps, axis=0)
     turn = (steps / spacing)[::-1, ::-1]
     return Place(tuple(spacing.tolist()), tuple(first[::-1].tolist()), _rotation(turn, len(axes)))
+
+
+def frame_of(place: Place) -> dict[str, Any]:
+    """The place as `Solution.frame` has it, of a slice: the inverse of `place_of`."""
+    n = len(place.spacing)
+    turn = np.eye(n + 1)
+    turn[:n, :n], turn[:n, n] = place.direction[::-1, ::-1], place.origin[::-1]
+    return {
+        "plane": [n - 2, n - 1],
+        "index": [0] * n,
+        "scale": list(place.spacing),
+        "translate": [0.0] * n,
+        "rotate": np.eye(n).tolist(),
+        "shear": [0.0] * (n * (n - 1) // 2),
+        "affine": turn.tolist(),
+        "units": ["millimeter"] * n,
+        "axis_labels": ["z", "y", "x"][-n:],
+        "matrix": (turn @ np.diag([*place.spacing, 1.0])).tolist(),
+    }
 
 
 def _length(frame: Mapping[str, Any], axis: int) -> float:

@@ -122,7 +122,7 @@ _PARTED = (".mhd", ".nhdr", ".dcm")
 def _picture(source: Path) -> ImageFile:
     try:
         pixels, colours = (_tiff if source.suffix.lower() in _TIFF else _photo)(source)
-    except Exception as error:  # noqa: BLE001 - readers of many formats raise what they like
+    except Exception as error:
         raise FileFormatError(f"{source.name}: not an image that can be read.") from error
     if pixels.ndim - colours not in (2, 3):
         raise FileFormatError(

@@ -1,0 +1,223 @@
+"""A case in files: a study, or an image with its tissue and how it moves; solved into a folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.warp import warp
+from napari_hmrf.io.apply import load_field, place_for
+from napari_hmrf.io.fields import Place, frame_of, place_of
+from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
+from napari_hmrf.io.material_tables import load_materials
+from napari_hmrf.io.study_file import Saved, is_study_file, load_study, save_study
+from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.stiffness_curve import luminance
+from napari_hmrf.tissue.usual_lengths import usual_radius
+
+#: Of the slope of an image, those pixels are edges that have more than this share has.
+_EDGES = 0.9
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a command line says of one case.
+
+    Attributes
+    ----------
+    image : Path
+        An image, or a study's file, which needs nothing else.
+    labels, materials : Path, optional
+        An image of tissue labels and a table of materials, .csv or .json.
+    boundary : Path, optional
+        How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
+        or a displacement field, such as a registration's.
+    rules : Path, optional
+        A .csv.
+    confidence : Path or "edges", optional
+        How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
+        elsewhere. By default 1 wherever there is a field.
+    slice : int, optional
+        Of a volume along its first axis.
+    hold_edge : bool
+        Whether the outer edge of the tissue stays where it is.
+    model : str
+    """
+
+    image: Path
+    labels: Path | None = None
+    materials: Path | None = None
+    boundary: Path | None = None
+    rules: Path | None = None
+    confidence: Path | Literal["edges"] | None = None
+    slice: int | None = None
+    hold_edge: bool = False
+    model: str = "elastic"
+
+
+def read_case(case: Case) -> Study:
+    """Make a study of files.
+
+    Raises
+    ------
+    ProblemError
+        If images are of different size, or a volume is given without its slice.
+    FileFormatError, HmrfError, OSError
+        If a file cannot be read, by its name.
+    """
+    if is_study_file(case.image):
+        return load_study(case.image).study
+    image, place = _slice_of(load_image(case.image), case)
+    shape = image.pixels.shape[:2]
+    grid = _grid(shape, place)
+    materials = () if case.materials is None else _materials(case.materials)
+    labels = None if case.labels is None else _pixels(case, case.labels, shape, whole=True)
+    motion = replace(_motion(case, grid, place, image.pixels), hold_edge=case.hold_edge)
+    return Study(
+        grid,
+        Tissue(labels=labels, materials=materials),
+        motion,
+        model=case.model,
+        pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
+    )
+
+
+def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
+    """Solve a case and write the study with its field, and the image as it is seen after.
+
+    Raises
+    ------
+    HmrfError, OSError
+        As of `read_case`, `solve_study` and `save_study`.
+    """
+    study = read_case(case)
+    solution = solve_study(study, backend=backend)
+    place = study.grid.place
+    solution = replace(solution, frame=place if isinstance(place, dict) else None)
+    folder.mkdir(parents=True, exist_ok=True)
+    name = case.image.name.partition(".")[0]
+    image = study.pictures.image
+    if image is not None:
+        moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+        where = None if solution.frame is None else place_of(solution)
+        written = ImageFile(moved, where, colours=moved.ndim > 2)
+        save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
+    save_study(folder / f"{name}.study", study, solution)
+    return Saved(study, solution)
+
+
+def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
+    """The slice that is meant, and its place in the volume."""
+    place, number = image.place, case.slice
+    if image.ndim == 2:
+        return image, place
+    count = len(image.pixels)
+    if number is None or not 0 <= number < count:
+        raise ProblemError(
+            case.image.name, f"is a volume of {count} slices. Give --slice 0 to {count - 1}."
+        )
+    if place is not None:
+        steps = place.direction * place.spacing[::-1]
+        place = place._replace(origin=tuple((place.origin + steps[:, 2] * number).tolist()))
+    return image._replace(pixels=image.pixels[number]), place
+
+
+def _grid(shape: tuple[int, ...], place: Place | None) -> Grid:
+    if place is None:
+        return Grid(shape, (1.0, 1.0))
+    return Grid(shape, place.spacing[-2:], "millimeter", frame_of(place))
+
+
+def _materials(path: Path) -> tuple[Material, ...]:
+    if path.suffix.lower() == ".csv":
+        return read_materials(path)
+    return load_materials(path).materials
+
+
+def _pixels(
+    case: Case, path: Path, shape: tuple[int, ...], whole: bool = False
+) -> npt.NDArray[Any]:
+    """A grey image on the same pixels; of a volume the same slice."""
+    image, _ = _slice_of(load_image(path), replace(case, image=path))
+    pixels = image.pixels
+    if pixels.shape != shape:
+        raise ProblemError(
+            path.name,
+            f"is {grid_in_words(pixels.shape)}, but the image {grid_in_words(shape)}. Give one of "
+            "the same pixels.",
+        )
+    if whole and pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
+        pixels = pixels.astype(np.int32)  # as some tools keep labels
+    if whole and pixels.dtype.kind not in "iu":
+        raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
+    return pixels
+
+
+def _motion(case: Case, grid: Grid, place: Place | None, image: npt.NDArray[Any]) -> Motion:
+    path = case.boundary
+    if path is None:
+        return Motion()
+    if path.name.lower().endswith(POINT_SUFFIXES):
+        return Motion(drawing=_landmarks(case, path, grid, place))
+    if case.rules is not None:
+        labels = _pixels(case, path, grid.shape, whole=True)
+        return Motion(labels=labels, rules=read_rules(case.rules))
+    field = load_field(path)
+    if field.shape != grid.shape:
+        raise ProblemError(
+            path.name,
+            f"is {grid_in_words(field.shape)}, but the image {grid_in_words(grid.shape)}. Give a "
+            "field on the same pixels, or --rules if it is an image of labels.",
+        )
+    return Motion(observed=field.displacement, counts=_counts(case, grid, image))
+
+
+def _counts(case: Case, grid: Grid, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    if case.confidence is None:
+        return np.ones(grid.shape, np.float32)
+    if case.confidence == "edges":
+        return at_edges(image)
+    counts = _pixels(case, case.confidence, grid.shape).astype(np.float32)
+    return counts / counts.max() if counts.max() > 1 else counts
+
+
+def at_edges(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Complete confidence where an image has its steepest edges, and none elsewhere.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3 or 4)
+    """
+    from skimage.filters import gaussian, sobel
+
+    slope = sobel(gaussian(luminance(image) if image.ndim > 2 else image.astype(float), 1))
+    steep: npt.NDArray[np.float32] = (slope > np.quantile(slope, _EDGES)).astype(np.float32)
+    return steep
+
+
+def _landmarks(case: Case, path: Path, grid: Grid, place: Place | None) -> Drawing:
+    file = load_points(path)
+    if file.targets is None:
+        raise ProblemError(
+            path.name, "says where things are, not where they should be. Give pairs, as BigWarp."
+        )
+    where = place_for(file, place, path.name, 2)
+    ends = [where.to_pixels(points) for points in (file.points, file.targets)]
+    if where is not place and case.slice is not None:
+        ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # of the volume
+    if any((abs(at[:, :-2]) > 0.5).any() for at in ends):
+        raise ProblemError(path.name, "holds points that lie on other slices than the image.")
+    radius = usual_radius(grid.shape, grid.spacing)
+    pairs = zip(*(each[:, -2:].tolist() for each in ends), strict=True)
+    return Drawing(tuple(Landmark(tuple(at), tuple(to), radius) for at, to in pairs))

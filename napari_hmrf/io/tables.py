@@ -1,0 +1,95 @@
+"""Tables of materials and of boundary rules as comma-separated text, as spreadsheets write it.
+
+Materials have the columns ``label,stiffness`` and, if wanted, ``name`` and ``poisson``; the
+stiffness of what moves as one is the word ``rigid``. Rules have ``label,action`` and, if wanted,
+``name``, ``row`` and ``col`` (how far what moves goes), ``amount`` (by how much what expands grows)
+and ``confidence``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from napari_hmrf.arguments import checked_path
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+
+T = TypeVar("T")
+#: Larger files are no tables of ours, and are not read.
+_LARGEST = 2**20
+_MATERIALS = TypeAdapter(tuple[Material, ...])
+_RULES = TypeAdapter(tuple[BoundaryRule, ...])
+
+
+def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
+    """Read a table of materials from a .csv.
+
+    Raises
+    ------
+    FileFormatError
+        Saying what is wrong with which line.
+    OSError
+        If it cannot be opened.
+    """
+
+    def row(cells: dict[str, str]) -> dict[str, Any]:
+        named = {"name": f"tissue {cells.get('label')}", **cells}
+        stiffness = cells["stiffness"].casefold()
+        return {**named, "stiffness": "inf" if stiffness == "rigid" else stiffness}
+
+    return _read(path, _MATERIALS, row, needed=("label", "stiffness"))
+
+
+def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
+    """Read a table of boundary rules from a .csv.
+
+    Raises
+    ------
+    FileFormatError, OSError
+        As of `read_materials`.
+    """
+
+    def row(cells: dict[str, str]) -> dict[str, Any]:
+        vector = (cells.pop("row", 0), cells.pop("col", 0))
+        confidence = (cells.pop("confidence", 1),) * 2
+        return {**cells, "vector": vector, "confidence": confidence}
+
+    return _read(path, _RULES, row, needed=("label", "action"))
+
+
+def _read(
+    path: str | os.PathLike[str], kind: TypeAdapter[T], row: Any, needed: tuple[str, ...]
+) -> T:
+    source = Path(checked_path(path))
+    if source.stat().st_size > _LARGEST:
+        raise FileFormatError(f"{source.name} is too large to be a table.")
+    try:
+        lines = [*csv.DictReader(io.StringIO(source.read_text("utf-8-sig")), skipinitialspace=True)]
+    except (csv.Error, UnicodeDecodeError):
+        raise FileFormatError(f"{source.name} is no table of comma-separated text.") from None
+    missing = [name for name in needed if not lines or name not in lines[0]]
+    if missing:
+        raise FileFormatError(
+            f"{source.name} lacks the column {missing[0]!r}. Its first line names the columns."
+        )
+    cells = [
+        {key: text.strip() for key, text in line.items() if key and text and text.strip()}
+        for line in lines
+    ]
+    try:
+        return kind.validate_python([row(each) for each in cells])
+    except KeyError as error:
+        raise FileFormatError(f"{source.name} has a line without {error}.") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        number, where = first["loc"][0], " ".join(str(part) for part in first["loc"][1:2])
+        raise FileFormatError(
+            f"{source.name}: line {int(number) + 2}: {where}: {first['msg']}, not "
+            f"{str(first['input'])[:40]!r}."
+        ) from None

@@ -1,0 +1,154 @@
+"""A case is solved from files in the shell, as it would be from arrays."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    BoundaryRule,
+    Drawing,
+    FileFormatError,
+    Landmark,
+    Material,
+    Motion,
+    Problem,
+    ProblemError,
+    load_study,
+    save_points,
+    solve,
+    write_field,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.io.case import Case, at_edges, read_case
+from napari_hmrf.io.fields import Place
+from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.tissue.boundary_rules import RIGID, boundary_images, stiffness_image
+from napari_hmrf.tissue.usual_lengths import usual_radius
+
+pytest.importorskip("SimpleITK")
+
+SHAPE = (30, 36)
+TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+PLACE = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), TURN)
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A scan of three slices with labels, tables and a painted boundary."""
+    scan = np.random.default_rng(1).integers(1, 200, (3, *SHAPE), dtype=np.int16)
+    labels = np.ones(SHAPE, np.uint8)
+    labels[10:20, 12:24] = 2
+    rim = np.zeros(SHAPE, np.uint8)
+    rim[0], rim[-1], rim[:, 0] = 1, 2, 1
+    save_image(tmp_path / "scan.nii.gz", ImageFile(scan, PLACE))
+    save_image(tmp_path / "labels.png", ImageFile(labels))
+    save_image(tmp_path / "rim.png", ImageFile(rim))
+    (tmp_path / "m.csv").write_text("label,name,stiffness,poisson\n1,brain,3,0.49\n2,bone,Rigid,\n")
+    (tmp_path / "r.csv").write_text(
+        "label,action,row,col,confidence\n1,fixed,,,\n2,move,1.5,-0.5,1\n"
+    )
+    return tmp_path, scan, labels, rim
+
+
+def case(folder, **more):
+    return Case(image=folder / "scan.nii.gz", slice=1, **more)
+
+
+def test_tables_are_read_as_spreadsheets_write_them(files):
+    folder, *_ = files
+    assert read_materials(folder / "m.csv") == (
+        Material(1, "brain", 3.0, 0.49),
+        Material(2, "bone", RIGID),
+    )
+    assert read_rules(folder / "r.csv") == (
+        BoundaryRule(1, "fixed"),
+        BoundaryRule(2, "move", vector=(1.5, -0.5)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", r"t\.csv lacks the column 'label'"),
+        ("label,name\n1,brain\n", r"lacks the column 'stiffness'"),
+        ("label,stiffness\n1,stiff\n", r"t\.csv: line 2: stiffness: .*, not 'stiff'"),
+        ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label: "),
+        ("label,stiffness\n1,\n", r"has a line without 'stiffness'"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=sentence):
+        read_materials(tmp_path / "t.csv")
+
+
+def test_the_shell_solves_what_python_would(files, capsys):
+    folder, scan, labels, rim = files
+    out = folder / "out"
+    command = ["solve", folder / "scan.nii.gz", "--slice", 1, "--labels", folder / "labels.png"]
+    command += ["--materials", folder / "m.csv", "--boundary", folder / "rim.png"]
+    command += ["--rules", folder / "r.csv", "-o", out, "--backend", "cpu"]
+    assert main([str(each) for each in command]) == 0
+    assert "elastic, moved up to" in capsys.readouterr().out
+    study, solution = load_study(out / "scan.study")
+    spacing = PLACE.spacing[1:]
+    y, c = boundary_images(rim, read_rules(folder / "r.csv"), spacing=spacing)
+    problem = Problem(
+        y, c, stiffness_image(labels, read_materials(folder / "m.csv")), spacing=spacing
+    )
+    expected = solve(problem, study.prior.__class__(0.49), backend="cpu")
+    np.testing.assert_allclose(solution.displacement, expected.displacement, atol=1e-5)
+    np.testing.assert_array_equal(study.pictures.image, scan[1])
+    seen = load_image(out / "scan deformed.nrrd")
+    assert seen.pixels.shape == SHAPE
+    np.testing.assert_allclose(seen.place.origin, (-10, 20, 7)), "the second slice"
+    assert main(["replay", str(out / "scan.study")]) == 0
+
+
+def test_landmarks_lead_tissue_where_the_patient_has_them(files):
+    folder, *_ = files
+    # BigWarp's points are in the images' units, from the first pixel on.
+    local = [np.array(each) * PLACE.spacing for each in ([[1.0, 10, 12]], [[1.0, 11, 13]])]
+    save_points(folder / "pairs.csv", *local)
+    study = read_case(case(folder, boundary=folder / "pairs.csv", hold_edge=True))
+    radius = usual_radius(SHAPE, PLACE.spacing[1:])
+    (mark,) = study.motion.drawing.marks
+    np.testing.assert_allclose([mark.source, mark.target], [(10, 12), (11, 13)])
+    assert mark == Drawing((Landmark(mark.source, mark.target, radius),)).marks[0]
+
+
+def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
+    folder, scan, *_ = files
+    d = np.zeros((*SHAPE, 2))
+    d[..., 1] = np.sin(np.linspace(0, np.pi, SHAPE[0]))[:, None]
+    write_field(folder / "field.mha", d, spacing=PLACE.spacing[1:], forward=True)
+    write_field(folder / "back.mha", d, spacing=PLACE.spacing[1:])
+    study = read_case(case(folder, boundary=folder / "back.mha", confidence="edges"))
+    assert isinstance(study.motion, Motion)
+    np.testing.assert_allclose(study.motion.observed[3:-3, 3:-3], d[3:-3, 3:-3], atol=0.02)
+    counts = study.motion.counts
+    np.testing.assert_array_equal(counts, at_edges(scan[1]))
+    assert 0.05 < counts.mean() < 0.15
+
+
+def test_an_edge_is_where_the_image_is_steep():
+    image = np.zeros((40, 40), np.uint8)
+    image[:, 20:] = 100
+    assert set(np.flatnonzero(at_edges(image).any(axis=0))) == {18, 19, 20, 21}
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        ({"slice": None}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
+        ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image 30 x 36"),
+        ({"boundary": "one.csv"}, r"one\.csv: says where things are, not where they should be"),
+    ],
+)
+def test_what_does_not_fit_is_said_by_the_file_s_name(files, more, sentence):
+    folder, *_ = files
+    save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
+    save_points(folder / "one.csv", np.ones((2, 2)))
+    given = {key: folder / each if isinstance(each, str) else each for key, each in more.items()}
+    with pytest.raises(ProblemError, match=sentence):
+        read_case(Case(**{"image": folder / "scan.nii.gz", "slice": 1, **given}))
