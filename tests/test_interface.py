@@ -57,10 +57,17 @@ WHAT_A_CALL_IS_ABOUT = {
     "inverse_map": 1,
     "jacobian_determinant": 1,
     "resample": 3,
+    "export_field": 2,
+    "load_study": 1,
+    "read_field": 1,
+    "replay": 1,
+    "save_points": 3,
+    "save_study": 3,
     "small_strain": 1,
     "solve": 2,
     "solve_study": 1,
     "warp": 2,
+    "write_field": 2,
 }
 
 
@@ -99,7 +106,7 @@ def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
 def test_whatever_has_a_choice_is_in_that_list():
     """But for `phantom(name, size)`, and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
-    records |= {"Study", "Grid", "Tissue", "Motion", "Pictures"}
+    records |= {"Study", "Grid", "Tissue", "Motion", "Pictures", "Field", "LandmarkFile"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
     for name in napari_hmrf.__all__:

@@ -210,10 +210,9 @@ def test_what_is_imported_from_the_package_is_there(folder):
 
 
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
-    declared = {
-        re.match(r"[\w-]+", requirement)[0].lower()
-        for requirement in tomllib.loads(read("pyproject.toml"))["project"]["dependencies"]
-    }
+    project = tomllib.loads(read("pyproject.toml"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["medical"]]
+    declared = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in wanted}
     imported = set().union(*(packages(imports(module)) for module in MODULES))
     others = {name.lower() for name in imported - sys.stdlib_module_names - {"napari_hmrf"}}
     named = {"skimage": "scikit-image"}
