@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.caveats import caveats
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem, as_stiffness
@@ -17,7 +18,6 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.refusals import (
-    caveats,
     holes,
     lack,
     refuse_nothing,
