@@ -491,6 +491,15 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
     assert not widget._form.footer.steps.undo.enabled
 
 
+def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edited(living):
+    widget, (_, tissue, _) = living
+    widget.boundary = tissue
+    before = widget.materials, widget.rules
+    Cell(widget._form.tissue.seen, 1, 2).write("33")
+    widget.undo()
+    assert (widget.materials, widget.rules) == before
+
+
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials

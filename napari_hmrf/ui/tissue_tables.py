@@ -55,7 +55,9 @@ class MaterialTable(LabelTable):
                     _about,
                 ),
             ],
-            about=_of_unpainted,
+            lambda label: default_material(label, self.rows),
+            _in_words,
+            _of_unpainted,
         )
         self._show(self.contents)
 
@@ -84,13 +86,10 @@ class MaterialTable(LabelTable):
         """Add a row for bone or an implant, which moves as one, to paint with; its label."""
         return self.add(lambda label: Material(label, "bone or implant", RIGID))
 
-    def _default(self, label: int) -> Material:
-        return default_material(label, self.rows)
 
-    def words(self, row: Material) -> str:
-        """What a row says, in words."""
-        amount = stiffness_in_words(row.stiffness)
-        return amount if row.is_rigid else f"stiffness {amount}"
+def _in_words(material: Material) -> str:
+    amount = stiffness_in_words(material.stiffness)
+    return amount if material.is_rigid else f"stiffness {amount}"
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -167,6 +166,8 @@ class BoundaryTable(LabelTable):
                     _sure,
                 ),
             ],
+            default_rule,
+            lambda row: _ACTIONS[row.action],
         )
         self.show_place("px", Directions())
 
@@ -180,13 +181,6 @@ class BoundaryTable(LabelTable):
         ):
             words = title.replace(" ", "\n")  # the dock is narrow
             self.set_column(column, title=f"{words}\n{unit}", about=f"{about}, in {unit}")
-
-    def _default(self, label: int) -> BoundaryRule:
-        return default_rule(label)
-
-    def words(self, row: BoundaryRule) -> str:
-        """What a row says, in words."""
-        return _ACTIONS[row.action]
 
     def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
         amount = _number(text)

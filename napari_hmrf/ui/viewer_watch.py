@@ -8,7 +8,6 @@ from typing import Any
 from napari.layers import Labels
 from psygnal import Signal
 
-from napari_hmrf.layers.edit_history import Slot, steps_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.viewer_layers import is_selection_kept
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
@@ -80,7 +79,6 @@ class ViewerWatch:
             (viewer.dims.events.current_step, self._on_slice),
             (viewer.dims.events.order, self._on_slice),
             (viewer.dims.events.ndisplay, self._on_slice),
-            (steps_of(viewer).edits.changed, self._on_table),
         )
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
@@ -135,12 +133,6 @@ class ViewerWatch:
         self._mark()
         self._live.touch()
         self._guide.look_at_view()
-
-    def _on_table(self, slot: Any, *_: Any) -> None:
-        """The table of a layer says something else, wherever that was done."""
-        of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
-        if of_ours and slot.layer in self._painted:
-            self._live.touch()
 
     # What is shown
 
