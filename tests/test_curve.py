@@ -648,7 +648,7 @@ def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample
     said = []
     table.changed.connect(lambda _: said.append(table.contents))
     before = table.contents
-    table.apply_preset(PRESETS[1])
+    widget.take_materials(PRESETS[1])
     assert said == [table.contents]
     Cell(widget._form.tissue.seen, 1, 2).write("3")
     assert said[1:] == [table.contents]

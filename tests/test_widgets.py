@@ -328,7 +328,7 @@ def test_rows_wear_the_colour_of_their_label(widget, small_sample):
 def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sample, preset):
     small_sample(viewer_of(widget))
     widget.materials = (*widget.materials, Material(9, "odd", 1e6))
-    widget._form.tissue.table.apply_preset(preset)
+    widget.take_materials(preset)
     by_label = {material.label: material for material in widget.materials}
     assert by_label[0].stiffness == 0  # void stays void
     assert by_label[1] == preset.materials[0]

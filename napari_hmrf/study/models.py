@@ -173,6 +173,11 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
     return prior_of(known[name]), optimizer_of(known[name])
 
 
+def converges(optimizer: Optimizer) -> bool:
+    """Whether an optimizer goes on until the field no longer changes."""
+    return converged(optimizer.parameters)
+
+
 def is_multigrid(parameters: Mapping[str, Any]) -> bool:
     """Whether a result's iterations are cycles over all levels, not sweeps on each."""
     return parts(parameters)[1].get("name") == "Multigrid"

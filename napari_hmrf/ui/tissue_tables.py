@@ -22,7 +22,6 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.material_presets import Preset, take_over
 from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
@@ -55,9 +54,9 @@ class MaterialTable(LabelTable):
                     _about,
                 ),
             ],
-            lambda label: default_material(label, self.rows),
-            _in_words,
-            _of_unpainted,
+            default=lambda label: default_material(label, self.rows),
+            words=_in_words,
+            about=_of_unpainted,
         )
         self._show(self.contents)
 
@@ -70,21 +69,6 @@ class MaterialTable(LabelTable):
     def show_poisson(self, elastic: bool) -> None:
         """Show Poisson's ratios, or not: only elastic tissue has them."""
         self.set_column(_POISSON, applies=elastic)
-
-    @property
-    def preset(self) -> Preset:
-        """All that the table says, for others."""
-        return Preset("", self.contents.unit, "", self.rows)
-
-    def apply_preset(self, preset: Preset) -> str:
-        """Take over a preset's tissues; what became of others, in words, as of `take_over`."""
-        materials, words = take_over(preset, self.rows)
-        self.contents = Table(materials, preset.unit)
-        return words
-
-    def add_rigid(self) -> int:
-        """Add a row for bone or an implant, which moves as one, to paint with; its label."""
-        return self.add(lambda label: Material(label, "bone or implant", RIGID))
 
 
 def _in_words(material: Material) -> str:
@@ -166,8 +150,8 @@ class BoundaryTable(LabelTable):
                     _sure,
                 ),
             ],
-            default_rule,
-            lambda row: _ACTIONS[row.action],
+            default=default_rule,
+            words=lambda row: _ACTIONS[row.action],
         )
         self.show_place("px", Directions())
 
