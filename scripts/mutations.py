@@ -80,9 +80,9 @@ MUTATIONS = (
         "test_study.py",
     ),
     Mutation(
-        "tissue/drawing/hands.py",
-        "to, mark = (point[0] - self._offset[0], point[1] - self._offset[1])",
-        "to, mark = (point[0] + self._offset[0], point[1] + self._offset[1])",
+        "ui/motion/hands.py",
+        "to = (point[0] - self._offset[0], point[1] - self._offset[1])",
+        "to = (point[0] + self._offset[0], point[1] + self._offset[1])",
         "test_drawing.py test_pull.py test_grab.py",
     ),
     Mutation(
@@ -142,7 +142,7 @@ MUTATIONS = (
         "test_layers_background.py",
     ),
     Mutation(
-        "tissue/drawing/brush.py",
+        "ui/motion/brush.py",
         "step + (now - was) * size",
         "step - (now - was) * size",
         "test_brush.py",

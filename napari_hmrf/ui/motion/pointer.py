@@ -11,10 +11,10 @@ from psygnal import Signal
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import DRAWING, KEYS, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
@@ -22,9 +22,9 @@ from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.badge import Badge
 from napari_hmrf.ui.motion.display import Display
+from napari_hmrf.ui.motion.hands import Hand
 from napari_hmrf.ui.motion.tool_fields import ToolFields
-from napari_hmrf.ui.motion.tool_hands import Hands
-from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool
+from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool, tool_of
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -52,6 +52,8 @@ class Pointer:
         Of the slice that is shown.
     tool : Tool
         In the hand.
+    hand : Hand
+        What holds it, and what of the drawing is selected; another for each tool and slice.
     tissue : napari.layers.Labels or Image, optional
         What it says about tissue is painted in its colours.
     display : Display
@@ -71,15 +73,14 @@ class Pointer:
         self._fields, self._steps = fields, steps
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
-        self._hands = Hands(self.history)
+        self.hand: Hand = self.tool.hand(self.history)
         # Whether what is selected was picked up, and not just made.
         self._picked = False
         self.display = Display(native, viewer, self)
         self._badge = Badge(viewer)
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
-        self._image: Any = None
-        self._working = self._in_error = False
+        self._in_error = False
         for field in fields:
             if field is not fields.preset:
                 field.changed.connect(self._on_field)
@@ -90,11 +91,6 @@ class Pointer:
     def drawing(self) -> Drawing:
         """What is drawn on the slice that is shown."""
         return self.history.drawing
-
-    @property
-    def hand(self) -> Hand:
-        """What holds the tool."""
-        return self._hands.of(self.tool)
 
     @property
     def active(self) -> bool:
@@ -115,9 +111,10 @@ class Pointer:
         }
 
     @property
-    def preparing(self) -> bool:
-        """Whether the mouse draws, and nothing follows yet: something is read, or compiled."""
-        return self.active and not self._working
+    def _ground(self) -> Ground | None:
+        """What tissue follows on; None while something is read, or compiled."""
+        moved = self.display.moved
+        return None if moved is None else moved.ground
 
     # What can be done
 
@@ -133,18 +130,13 @@ class Pointer:
         """
         self.release()
         self.history.changed.disconnect(self._on_drawn, missing_ok=True)
-        self._image = image
         if study is None:
             self.history = History()
-            self._hands = Hands(self.history)
         else:
             slot = Slot(DRAWING, image, Place.of(study.grid.place))
             self.history = History(edits=self._steps.edits, slot=slot)
-            rows, cols = study.grid.shape
-            down, along = study.grid.spacing
-            self._hands = Hands(self.history, (down, along), (rows, cols))
-            self._working = False
         self.display.stand_on(study, image)
+        self._open_hand()
         self.history.changed.connect(self._on_drawn)
         self.draw()
 
@@ -162,9 +154,8 @@ class Pointer:
         if tool is self.tool:
             return
         self.release()
-        self.hand.cancel()
         self.tool = tool
-        self.hand.select(None)
+        self._open_hand()
         self._fields.show_for(tool)
         self.display.arrows.show_tool(tool.how)
         self.draw()
@@ -185,7 +176,7 @@ class Pointer:
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()
-        self.said.emit(self.tool.how if self._working else motion_messages.PREPARING)
+        self.said.emit(self.tool.how if self._ground else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
@@ -214,9 +205,7 @@ class Pointer:
         if seen.moved.error is not None:
             self._show_error(seen)
             return
-        first, self._working = not self._working, True
-        before = self.display.seen
-        known = None if before is None else before.moved.ground
+        before, known = self.display.seen, self._ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
@@ -225,7 +214,7 @@ class Pointer:
             self.draw()
         elif seen.marks is not None or (before is not None and before.marks is not None):
             self.display.draw(self.history.drawing, self.hand)  # its marks are of what is seen
-        if (first and self.active) or self._in_error:
+        if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.said.emit(self.tool.how if self.active else motion_messages.OFF)
 
@@ -262,7 +251,7 @@ class Pointer:
             self.said.emit(motion_messages.NOTHING)
         elif hand.pending is not None:
             self.said.emit(motion_messages.HALF)
-        elif not self.preparing:
+        else:
             self.said.emit(self.tool.how)
         if self.tool.is_brush:
             if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
@@ -285,7 +274,7 @@ class Pointer:
         else:
             number = drawing.painted_at(moved.came_from(point) or point, spacing)
         if number is not None:
-            self.take_up(self._hands.tool_for(number).name)
+            self.take_up(tool_of(drawing.marks[number]).name)
         self.hand.select(number)
         self._picked = number is not None
         self._show_how()
@@ -303,14 +292,15 @@ class Pointer:
     def release(self) -> None:
         """Let go."""
         self.display.arrows.end_drag()
+        held = self.hand.holding
         try:
-            done = self.hand.release()
+            self.hand.release()
         except HmrfError:
             self._in_error = False
             self.said.emit(motion_messages.NO_OUTSIDE)
             self.draw()
             return
-        if done:
+        if held:
             mark = self.hand.mark
             if isinstance(mark, Stroke) and self.display.is_beside(mark):
                 self.said.emit(motion_messages.BESIDE)
@@ -350,6 +340,16 @@ class Pointer:
         return True
 
     # What follows
+
+    def _open_hand(self) -> None:
+        """Hold the tool, with nothing selected."""
+        seen = self.display.seen
+        if seen is None:
+            self.hand = self.tool.hand(self.history)
+        else:
+            grid = seen.moved.study.grid
+            rows, cols = grid.shape
+            self.hand = self.tool.hand(self.history, grid.spacing, (rows, cols))
 
     def _show_how(self) -> None:
         mark = self.hand.mark

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
+from napari_hmrf.ui.motion.brush import Brush
+from napari_hmrf.ui.motion.hands import Hand, Pairs, Pull
+
 
 @dataclass(frozen=True)
 class Tool:
@@ -24,6 +28,8 @@ class Tool:
         What it does, for the tooltip.
     how : str
         How it is used, for the line below the canvas and the status.
+    hand : type of Hand
+        That holds it.
     """
 
     name: str
@@ -32,11 +38,12 @@ class Tool:
     fields: tuple[str, ...]
     what: str
     how: str
+    hand: type[Hand] = Brush
 
     @property
     def is_brush(self) -> bool:
         """Whether it paints."""
-        return self.name not in ("pull", "landmark")
+        return self.hand is Brush
 
 
 TOOLS: tuple[Tool, ...] = (
@@ -47,6 +54,7 @@ TOOLS: tuple[Tool, ...] = (
         ("radius", "confidence", "components"),
         "Drag tissue to pull it; click to hold it",
         "Drag tissue to pull it, or click it to hold it in place.",
+        Pull,
     ),
     Tool(
         "landmark",
@@ -56,6 +64,7 @@ TOOLS: tuple[Tool, ...] = (
         "Click where something is, then where it should be. Or have two Points layers: the first "
         "where things are, the second where they should be, in the same order",
         "Click where something is, then where it should be.",
+        Pairs,
     ),
     Tool(
         "pin",
@@ -107,3 +116,10 @@ TOOLS: tuple[Tool, ...] = (
     ),
 )
 BY_NAME = {tool.name: tool for tool in TOOLS}
+
+
+def tool_of(mark: Mark) -> Tool:
+    """The tool a mark is made with."""
+    if isinstance(mark, Stroke):
+        return BY_NAME[mark.action]
+    return BY_NAME["pull" if isinstance(mark, Arrow) else "landmark"]
