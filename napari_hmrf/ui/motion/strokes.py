@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from napari_hmrf.layers.viewer_layers import (
 )
 from napari_hmrf.study.study import Grid
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.canvas import common, distance_to
+from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.tissue.drawing.marks import Point
 
 
@@ -39,7 +39,8 @@ class PaintedLayer:
         self._layer: Any = None
         self._frame: Frame | None = None
         self._picture: npt.NDArray[np.uint8] | None = None
-        self._touches: list[_Touch] = []
+        # Each with how many places the stroke had that it is a part of.
+        self._touches: list[tuple[int, Stroke]] = []
         self._tissues: dict[int, Any] = {}
 
     @property
@@ -72,16 +73,14 @@ class PaintedLayer:
         if stroke is None:
             self._touches.clear()
         known = _length_of(drawing, stroke)
-        self._touches = [touch for touch in self._touches if touch.places > known]
+        self._touches = [touch for touch in self._touches if touch[0] > known]
         if painted is None and not self._touches:
             self._picture = None
             if self.layer is not None and self._layer.data.any():
                 self._put(grid, np.zeros(grid.shape, np.uint8), tissues)
             return
-        picture = np.zeros(grid.shape, np.uint8) if painted is None else painted
-        for touch in self._touches:
-            touch.draw(picture, grid)
-        self._put(grid, picture, tissues)
+        self._picture = painted
+        self.show_touches(grid, tissues)
 
     def touch(self, stroke: Stroke, begin: Point, end: Point) -> None:
         """Take in where the brush has been, for `show` and `show_touches`.
@@ -93,15 +92,19 @@ class PaintedLayer:
         begin, end : (float, float)
             Of this touch, where it is seen, (row, col) in pixels.
         """
-        self._touches.append(_Touch(sum(map(len, stroke.lines)), stroke, begin, end))
+        touch = replace(stroke, lines=((begin, end),))
+        self._touches.append((sum(map(len, stroke.lines)), touch))
 
     def show_touches(self, grid: Grid, tissues: dict[int, Any]) -> None:
         """Show what was taken in, on top of what is shown."""
         picture = self._picture
         if picture is None or picture.shape != grid.shape:
             picture = np.zeros(grid.shape, np.uint8)
-        for touch in self._touches:
-            touch.draw(picture, grid)
+        whole = slice(0, grid.shape[0]), slice(0, grid.shape[1])
+        for _, touch in self._touches:
+            box = box_of(touch, grid.spacing, whole)
+            number = number_of(touch.action, touch.confidence, touch.label)
+            picture[box][covered(touch, grid.spacing, box)] = number
         self._put(grid, picture, tissues)
 
     def forget(self) -> None:
@@ -191,34 +194,6 @@ def _insert_below_lines(viewer: Any, layer: Any, other: Any = None) -> None:
     above = [at for at, each in enumerate(layers) if isinstance(each, Vectors) or each is other]
     with same_selection(viewer):
         layers.insert(min([len(layers), *above]), layer)
-
-
-@dataclass(frozen=True)
-class _Touch:
-    """Where a brush has been: from one place to another, of how many its stroke has `places`."""
-
-    places: int
-    stroke: Stroke
-    begin: Point
-    end: Point
-
-    def draw(self, picture: npt.NDArray[np.uint8], grid: Grid) -> None:
-        """Draw it, in place."""
-        stroke, begin, end = self.stroke, self.begin, self.end
-        down, along = size = grid.spacing[0], grid.spacing[1]
-        reach = stroke.radius / down, stroke.radius / along
-        box = common(
-            (
-                int(min(begin[0], end[0]) - reach[0]),
-                int(max(begin[0], end[0]) + reach[0]) + 2,
-                int(min(begin[1], end[1]) - reach[1]),
-                int(max(begin[1], end[1]) + reach[1]) + 2,
-            ),
-            (0, grid.shape[0], 0, grid.shape[1]),
-        )
-        part = picture[box[0] : box[1], box[2] : box[3]]
-        under = distance_to(((begin, end),), stroke.radius, size, box) <= stroke.radius
-        part[under] = number_of(stroke.action, stroke.confidence, stroke.label)
 
 
 def _length_of(drawing: Drawing, stroke: Stroke | None) -> int:
