@@ -16,7 +16,7 @@ import numpy.typing as npt
 from napari.layers import Labels
 
 from napari_hmrf.field.colormaps import OPACITY
-from napari_hmrf.layers.arrow_layer import Lines, double_arrows
+from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows
 from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
@@ -202,8 +202,10 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
         sure = canvas.confidence[tuple(at.T)] > 0
-        both, at = sure.all(axis=-1), at * size
-        drawn = [_arrows(at, by), _crosses(at[both], by[both], 0.2 * apart)]
+        moves, at = by.any(axis=-1), at * size
+        both = sure.all(axis=-1)
+        back = 0.35 * np.linalg.norm(by[moves], axis=-1, keepdims=True)
+        drawn = [barbed(at[moves], by[moves], back), crosses(at[both & ~moves], 0.2 * apart * _X)]
         drawn += [double_arrows(at[sure[:, way] & ~both], way, 0.35 * apart) for way in (0, 1)]
         for part in drawn:
             lines.append(part / size)
@@ -216,6 +218,8 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
 
 #: What has marks beside its colour.
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
+#: The arms of their crosses.
+_X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
@@ -229,27 +233,6 @@ def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt
     key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
     _, first = np.unique(key[order], return_index=True)
     return pixels[order[first]]
-
-
-def _arrows(at: FloatArray, by: FloatArray) -> npt.NDArray[np.float64]:
-    """(start, step) of shafts and barbs, where anything moves."""
-    length = np.linalg.norm(by, axis=-1, keepdims=True)
-    moves = length[:, 0] > 0
-    at, by, length = at[moves], by[moves], length[moves]
-    along = by / length
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    back = 0.35 * length
-    barbs = [np.stack([at + by, -back * (along + side * 0.5 * across)], axis=1) for side in (-1, 1)]
-    return np.concatenate([np.stack([at, by], axis=1), *barbs])
-
-
-def _crosses(at: FloatArray, by: FloatArray, arm: float) -> npt.NDArray[np.float64]:
-    """(start, step) of crosses, where nothing moves."""
-    at = at[~by.any(axis=-1)]
-    arms = [np.array([arm, arm]), np.array([arm, -arm])]
-    return np.concatenate(
-        [np.stack([at - a, np.broadcast_to(2 * a, at.shape)], axis=1) for a in arms]
-    )
 
 
 def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
