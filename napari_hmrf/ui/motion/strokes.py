@@ -37,11 +37,11 @@ class PaintedLayer:
     def __init__(self, viewer: Any) -> None:
         self._viewer = viewer
         self._layer: Any = None
-        self._frame: Frame | None = None
+        # Where it lies and which colours it has.
+        self._looks: tuple[Frame, dict[int, Any]] | None = None
         self._picture: npt.NDArray[np.uint8] | None = None
         # Each with how many places the stroke had that it is a part of.
         self._touches: list[tuple[int, Stroke]] = []
-        self._tissues: dict[int, Any] = {}
 
     @property
     def layer(self) -> Any:
@@ -74,13 +74,9 @@ class PaintedLayer:
             self._touches.clear()
         known = _length_of(drawing, stroke)
         self._touches = [touch for touch in self._touches if touch[0] > known]
-        if painted is None and not self._touches:
-            self._picture = None
-            if self.layer is not None and self._layer.data.any():
-                self._put(grid, np.zeros(grid.shape, np.uint8), tissues)
-            return
         self._picture = painted
-        self.show_touches(grid, tissues)
+        if painted is not None or self._touches or self._is_painted:
+            self.show_touches(grid, tissues)
 
     def touch(self, stroke: Stroke, begin: Point, end: Point) -> None:
         """Take in where the brush has been, for `show` and `show_touches`.
@@ -97,51 +93,49 @@ class PaintedLayer:
 
     def show_touches(self, grid: Grid, tissues: dict[int, Any]) -> None:
         """Show what was taken in, on top of what is shown."""
-        picture = self._picture
-        if picture is None or picture.shape != grid.shape:
-            picture = np.zeros(grid.shape, np.uint8)
+        if self._picture is None:
+            self._picture = np.zeros(grid.shape, np.uint8)
         whole = slice(0, grid.shape[0]), slice(0, grid.shape[1])
         for _, touch in self._touches:
             box = box_of(touch, grid.spacing, whole)
             number = number_of(touch.action, touch.confidence, touch.label)
-            picture[box][covered(touch, grid.spacing, box)] = number
-        self._put(grid, picture, tissues)
+            self._picture[box][covered(touch, grid.spacing, box)] = number
+        self._put(grid.place, self._picture, tissues)
 
     def forget(self) -> None:
         """Go over to another slice: nothing of this one is shown any more."""
         self._touches.clear()
         self._picture = None
-        layer = self.layer
-        if layer is not None and layer.data.any():
-            layer.data = np.zeros_like(layer.data)
+        if self._is_painted:
+            self._layer.data = np.zeros_like(self._layer.data)
 
     def remove(self) -> None:
         """Take the layer out of the viewer."""
         self.forget()
         if self.layer is not None:
             self._viewer.layers.remove(self._layer)
-        self._layer = self._frame = None
+        self._layer = self._looks = None
 
-    def _put(self, grid: Grid, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
-        self._picture = picture
-        frame, layer = grid.place, self.layer
-        if layer is None or layer.ndim != frame.ndim:
-            if layer is not None:
-                self._viewer.layers.remove(layer)
-            layer = self._layer = Layer.create(*painted_layer(frame, picture.copy(), tissues))
-            layer.editable = False
-            self._tissues = tissues
-            _insert_below_lines(self._viewer, layer)
-        elif frame == self._frame and tissues == self._tissues:
-            data = frame.put_image(picture)
-            if not overwrite(self._viewer, layer, data):
-                layer.data = data.copy()
-        else:
-            made = painted_layer(frame, picture, tissues)
+    @property
+    def _is_painted(self) -> bool:
+        """Whether anything is seen of it."""
+        return self.layer is not None and bool(self._layer.data.any())
+
+    def _put(self, frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
+        layer, before, self._looks = self.layer, self._looks, (frame, tissues)
+        same = layer is not None and self._looks == before
+        if same and overwrite(self._viewer, layer, frame.put_image(picture)):
+            return
+        made = painted_layer(frame, picture.copy(), tissues)
+        if layer is not None and layer.ndim == frame.ndim:
             update_layer(layer, made)
             layer.colormap = made.attributes["colormap"]
-            self._tissues = tissues
-        self._frame = frame
+            return
+        if layer is not None:
+            self._viewer.layers.remove(layer)
+        self._layer = Layer.create(*made)
+        self._layer.editable = False
+        _insert_below_lines(self._viewer, self._layer)
 
 
 class ConfidenceLayer:
