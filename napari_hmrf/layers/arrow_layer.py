@@ -84,7 +84,7 @@ def arrow_lines(
     )
 
 
-def arrow_layer(frame: Frame, shape: tuple[int, int]) -> LayerData:
+def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     """A Vectors layer to show arrows in, still without any."""
     attributes: dict[str, Any] = {
         **frame.placement(),

@@ -192,7 +192,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
             kinds[where] = KINDS[mark.action]
 
 
-def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]) -> None:
+def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]) -> None:
     """Refuse a stroke that is to expand and has no outside.
 
     Raises
@@ -280,7 +280,7 @@ def brush_reach(radius: float, spacing: Sequence[float]) -> float:
 
 
 def _expanded(
-    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int], window: Box
+    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...], window: Box
 ) -> tuple[FloatArray, FloatArray]:
     """Displacement and confidence of an expanding stroke, in a window of the image."""
     y, c, box = _expanded_whole(stroke, spacing, shape)
@@ -292,7 +292,7 @@ def _expanded(
 
 @lru_cache(maxsize=8)
 def _expanded_whole(
-    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]
+    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray, Box]:
     """The same of its whole region, and where that lies: normals depend on all of it."""
     rows, cols = shape

@@ -32,17 +32,17 @@ class Mouse(Protocol):
     def keys(self) -> Mapping[str, Callable[[], object]]:
         """What keys do while the layer is the active one."""
 
-    def press(self, point: Point, reach: float) -> bool:
-        """The button is pressed at a pixel; whether a drag begins."""
+    def press(self, point: Point, reach: float) -> None:
+        """The button is pressed at a pixel."""
 
     def pick(self, point: Point, reach: float) -> None:
         """The button is pressed while Shift is held."""
 
     def move(self, point: Point) -> None:
-        """The mouse moves on in a drag."""
+        """The mouse moves on while the button is pressed."""
 
     def release(self) -> None:
-        """The drag ends."""
+        """The button is let go."""
 
 
 class ArrowsLayer:
@@ -62,7 +62,7 @@ class ArrowsLayer:
         self._frame: Frame | None = None
         self._radius = 1.0
         self._does = HELP
-        # What is to be done when the drag is over; another for each.
+        # What is to be done when the drag is over.
         self._drag = ExitStack()
 
     @property
@@ -82,9 +82,9 @@ class ArrowsLayer:
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
 
-    def take(self, frame: Frame, shape: tuple[int, int], radius: float) -> None:
+    def take(self, frame: Frame, shape: tuple[int, ...], radius: float) -> None:
         """Have the layer lie on a slice, on top and active."""
-        if self.layer is None or self._layer.ndim != frame.ndim:
+        if self.layer is None:
             self._add(frame, shape)
         self.place(frame, shape)
         layers = self._viewer.layers
@@ -100,7 +100,7 @@ class ArrowsLayer:
         if layer is not None and layers[-1] is not layer:
             layers.move(layers.index(layer), len(layers))
 
-    def place(self, frame: Frame, shape: tuple[int, int]) -> None:
+    def place(self, frame: Frame, shape: tuple[int, ...]) -> None:
         """Have the layer lie on another slice, if there is a layer."""
         layer = self.layer
         if layer is None or frame == self._frame:
@@ -160,15 +160,12 @@ class ArrowsLayer:
     def show_radius(self, radius: float) -> None:
         """Have the pointer be as large as the patch that would be taken hold of."""
         self._radius = radius
-        layer = self.layer
-        if layer is None:
-            return
-        # One length of the layer's unit, in those of the world.
-        steps = np.array(layer.data_to_world(np.eye(layer.ndim)[-1]))
-        step = float(np.linalg.norm(steps - np.array(layer.data_to_world(np.zeros(layer.ndim)))))
-        spacing = self._frame.spacing[1] if self._frame is not None else 1.0
-        layer.cursor_size = 2 * radius * step / spacing
-        layer.cursor = "circle"
+        layer, frame = self.layer, self._frame
+        if layer is not None and frame is not None:
+            # One pixel along the layer's last axis, in lengths of the world.
+            step = float(np.linalg.norm(np.array(frame.matrix)[:-1, -2]))
+            layer.cursor_size = 2 * radius * step / frame.spacing[1]
+            layer.cursor = "circle"
 
     def show_tool(self, does: str) -> None:
         """Say below the canvas what the tool does."""
@@ -188,8 +185,7 @@ class ArrowsLayer:
 
     def end_drag(self) -> None:
         """Whatever drag goes on is over."""
-        over, self._drag = self._drag, ExitStack()
-        over.close()
+        self._drag.close()
 
     def remove(self) -> None:
         """Take the layer out of the viewer."""
@@ -208,7 +204,7 @@ class ArrowsLayer:
             layer.events.mode.disconnect(self._on_mode)
             layer.cursor, layer.help, layer.mouse_pan = "standard", "", True
 
-    def _add(self, frame: Frame, shape: tuple[int, int]) -> None:
+    def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
         """Add the layer, in place of the one that there was."""
         self.remove()
         layer = self._layer = Layer.create(*arrow_layer(frame, shape))
@@ -251,30 +247,24 @@ class ArrowsLayer:
         if "Shift" in event.modifiers:
             self._told.pick(point, self._reach(layer, event))
             return
-        self.end_drag()
-        mine = self._drag
-        if not self._told.press(point, self._reach(layer, event)):
-            return
+        self._told.press(point, self._reach(layer, event))
         self._hush()
         yield
         # The release is a move, too: vispy drops moves that follow another closely.
         while True:
             point = self._pixel(layer, event)
-            if mine is self._drag and point is not None:
+            if point is not None:
                 self._told.move(point)
             if event.type != "mouse_move":
                 break
             yield
-        if mine is self._drag:
-            self._told.release()
+        self._told.release()
 
     def _hush(self) -> None:
-        """Have the status bar stay as it is until the drag is over.
-
-        For every step of the cursor a thread of napari's reads what is below it, which takes Python
-        from the window's thread, and the whole window is put together anew to show it. napari can
-        stop that for all viewers and for good only, so the cursor's position is not told meanwhile.
-        """
+        """Have the status bar stay as it is until the drag is over."""
+        # For every step of the cursor a thread of napari's reads what is below it, which takes
+        # Python from the window's thread, and the whole window is put together anew to show it.
+        # napari can stop that for all viewers and for good only.
         cursor = self._viewer.cursor
         self._drag.callback(lambda: cursor.events.position(value=cursor.position))
         self._drag.enter_context(cursor.events.position.blocker())

@@ -98,8 +98,7 @@ class Display:
             self._confidence.remove()
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
-                rows, cols = study.grid.shape
-                self.arrows.place(study.grid.place, (rows, cols))
+                self.arrows.place(study.grid.place, study.grid.shape)
 
     @property
     def covering(self) -> Any:

@@ -29,7 +29,7 @@ class Hand:
         What is drawn on.
     spacing : sequence of float, shape (2,)
         Size of a pixel in (row, col) direction.
-    shape : (int, int)
+    shape : tuple of int
         Of the image.
 
     Attributes
@@ -46,7 +46,7 @@ class Hand:
         self,
         history: History,
         spacing: Sequence[float] = (1.0, 1.0),
-        shape: tuple[int, int] = (1, 1),
+        shape: tuple[int, ...] = (1, 1),
     ) -> None:
         self._history = history
         self._spacing = (float(spacing[0]), float(spacing[1]))
@@ -123,7 +123,6 @@ class Hand:
 
     def remove(self) -> bool:
         """Remove the mark that is selected; whether there was one."""
-        self.release()
         mark, number = self.mark, self.selected
         if mark is None or number is None:
             return False
@@ -165,7 +164,7 @@ class Hand:
         self._ours = self._history.drawing
 
     def _remake(self, mark: Mark, word: str = "") -> None:
-        """Have another mark in the place of the one that is held; what that does, if it is new."""
+        """Have another mark in the place of the one that is held; in a `word`, what that does."""
         if self._selected is not None:
             drawing = self._history.drawing.replaced(self._selected, mark)
             self._show(drawing, self._selected, word)

@@ -9,7 +9,7 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import DRAWING, KEYS, Place, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
@@ -64,7 +64,7 @@ class Pointer:
     drawn = Signal()
     #: What is drawn, what can be undone or what is selected is another, or another tool is taken.
     changed = Signal()
-    #: What there is to say, in words.
+    #: What there is to say, in words; "": what can be done next.
     said = Signal(str)
     #: Something new is begun: what was said of what came before is over.
     begun = Signal()
@@ -106,7 +106,6 @@ class Pointer:
             "Escape": self.cancel,
             "[": partial(self.resize, 1 / _LARGER),
             "]": partial(self.resize, _LARGER),
-            **{key: getattr(self._steps, name) for key, name in KEYS.items()},
             **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
         }
 
@@ -161,22 +160,21 @@ class Pointer:
         self.draw()
         self.say_tool()
         if self.active:
-            self.said.emit(tool.how)
+            self.said.emit("")
 
     def take(self) -> None:
         """Have the mouse draw."""
         seen = self.display.seen
         if seen is None:
             return
-        moved = seen.moved
-        grid, radius = moved.study.grid, self._fields.radius.value
-        rows, cols = grid.shape
+        moved, radius = seen.moved, self._fields.radius.value
+        grid = moved.study.grid
         with self.display.own_doing():
-            self.display.arrows.take(grid.place, (rows, cols), radius)
+            self.display.arrows.take(grid.place, grid.shape, radius)
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()
-        self.said.emit(self.tool.how if self._ground else motion_messages.PREPARING)
+        self.said.emit("" if self._ground else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
@@ -216,7 +214,7 @@ class Pointer:
             self.display.draw(self.history.drawing, self.hand)  # its marks are of what is seen
         if (known is None and self.active) or self._in_error:
             self._in_error = False
-            self.said.emit(self.tool.how if self.active else motion_messages.OFF)
+            self.said.emit("")
 
     def leave(self) -> None:
         """Draw no more; take away the layers that nobody answers. What is drawn stays."""
@@ -230,20 +228,20 @@ class Pointer:
 
     # What the mouse and the keys do on the canvas
 
-    def press(self, point: Point, reach: float) -> bool:
-        """Take hold of tissue, or of an arrow, or put the brush down; whether a drag begins."""
+    def press(self, point: Point, reach: float) -> None:
+        """Take hold of tissue, or of an arrow, or put the brush down."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
             self.said.emit(motion_messages.PREPARING)
-            return False
+            return
         self.begun.emit()
         other = self.display.covering
         if other is not None:
             self.said.emit(motion_messages.covered(other.name))
-            return False
+            return
         if self.tool.is_brush and not moved.is_inside(point):
             self.said.emit(motion_messages.OUTSIDE)
-            return False
+            return
         hand, self._picked = self.hand, False
         taken = hand.press(point, reach, self._fields.how, moved.came_from)
         self._show_how()
@@ -252,7 +250,7 @@ class Pointer:
         elif hand.pending is not None:
             self.said.emit(motion_messages.HALF)
         else:
-            self.said.emit(self.tool.how)
+            self.said.emit("")
         if self.tool.is_brush:
             if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
                 self.said.emit(motion_messages.NO_STEP)
@@ -260,7 +258,6 @@ class Pointer:
         if hand.holding:
             self.display.arrows.hide_circle()
         self.draw()
-        return taken
 
     def pick(self, point: Point, reach: float) -> None:
         """Select what is drawn at a place, and take the tool it was made with."""
@@ -269,18 +266,14 @@ class Pointer:
             return
         drawing, spacing = self.history.drawing, moved.study.grid.spacing
         hit = drawing.at(point, reach, spacing)
-        if hit is not None:
-            number: int | None = hit.number
-        else:
-            number = drawing.painted_at(moved.came_from(point) or point, spacing)
+        before = moved.came_from(point) or point
+        number = drawing.painted_at(before, spacing) if hit is None else hit.number
+        self._picked = number is not None
         if number is not None:
             self.take_up(tool_of(drawing.marks[number]).name)
         self.hand.select(number)
-        self._picked = number is not None
         self._show_how()
-        self.said.emit(
-            motion_messages.PICKED if number is not None else motion_messages.NOTHING_DRAWN
-        )
+        self.said.emit(motion_messages.PICKED if self._picked else motion_messages.NOTHING_DRAWN)
         self.draw()
 
     def move(self, point: Point) -> None:
@@ -307,7 +300,7 @@ class Pointer:
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if self.tool.name == "landmark" or pushed:  # nothing more is waited for
-                self.said.emit(self.tool.how)
+                self.said.emit("")
             self.draw()
 
     def cancel(self) -> None:
@@ -317,12 +310,12 @@ class Pointer:
             self.said.emit(motion_messages.CANCELLED)
         else:
             self.hand.select(None)
-            self.said.emit(self.tool.how)
+            self.said.emit("")
         self.draw()
 
     def remove(self) -> None:
         """Remove what is selected."""
-        self.display.arrows.end_drag()
+        self.release()
         removed = self.hand.remove()
         self.said.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
@@ -348,8 +341,7 @@ class Pointer:
             self.hand = self.tool.hand(self.history)
         else:
             grid = seen.moved.study.grid
-            rows, cols = grid.shape
-            self.hand = self.tool.hand(self.history, grid.spacing, (rows, cols))
+            self.hand = self.tool.hand(self.history, grid.spacing, grid.shape)
 
     def _show_how(self) -> None:
         mark = self.hand.mark
