@@ -93,8 +93,8 @@ MUTATIONS = (
     ),
     Mutation(
         "tissue/drawing/marks.py",
-        "(to - start) * size",
-        "(start - to) * size",
+        "(b - a) * size",
+        "(a - b) * size",
         "test_landmark_boundary.py",
     ),
     # layers: where things lie, and what is read
@@ -143,8 +143,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/brush.py",
-        "step + (now - was) * size",
-        "step - (now - was) * size",
+        "by[0] + down",
+        "by[0] - down",
         "test_brush.py",
     ),
     Mutation(

@@ -21,6 +21,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Mark,
     Point,
     Stroke,
+    between,
     mark_as_dict,
     mark_from_dict,
 )
@@ -94,9 +95,7 @@ class Drawing:
         found: list[tuple[float, int, int]] = []
         for number, mark in enumerate(self.marks):
             for order, end in enumerate(ends_of(mark, spacing)):
-                away = math.hypot(
-                    *((a - b) * size for a, b, size in zip(end, point, spacing, strict=True))
-                )
+                away = math.hypot(*between(point, end, spacing))
                 if away <= reach:
                     found.append((away, order, -number))
         if not found:

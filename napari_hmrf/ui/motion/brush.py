@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing.canvas import covers, refuse_open_line
-from napari_hmrf.tissue.drawing.marks import Action, Mark, Point, Stroke
+from napari_hmrf.tissue.drawing.marks import Action, Mark, Point, Stroke, between
 from napari_hmrf.ui.motion.hands import Hand, Origin, unmoved
 
 #: The brush must have moved on by this part of its radius until that is a place of its own.
@@ -63,15 +63,11 @@ class Brush(Hand):
             return
         if self._dragged is not None:
             start, by = self._dragged
-            down, along = (
-                step + (now - was) * size
-                for step, now, was, size in zip(by, point, start, self._spacing, strict=True)
-            )
-            self._remake(replace(stroke, by=(down, along)))
+            down, along = between(start, point, self._spacing)
+            self._remake(replace(stroke, by=(by[0] + down, by[1] + along)))
             return
         at, last = self._place(point), stroke.lines[-1][-1]
-        steps = ((a - b) * size for a, b, size in zip(at, last, self._spacing, strict=True))
-        if math.hypot(*steps) >= _STEP * stroke.radius:
+        if math.hypot(*between(last, at, self._spacing)) >= _STEP * stroke.radius:
             self._remake(stroke.onward(at))
 
     def release(self) -> str:

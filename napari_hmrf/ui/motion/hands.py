@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, ends_of
-from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Point
+from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Point, between
 
 #: Where the tissue seen at a point is when nothing moves; None if there is none.
 Origin = Callable[[Point], Point | None]
@@ -240,11 +240,9 @@ class Pull(Hand):
         return changed
 
     def _between(self, at: Point, head: Point, components: Components) -> Point:
-        row, col = (
-            (to - start) * size for start, to, size in zip(at, head, self._spacing, strict=True)
-        )
         # Rounding of where it is seen must not move what stays.
-        row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in (row, col))
+        steps = between(at, head, self._spacing)
+        row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in steps)
         return (0.0 if components == "col" else row, 0.0 if components == "row" else col)
 
 
@@ -274,7 +272,7 @@ class Pairs(Pull):
     def move(self, point: Point) -> None:
         """Go on to a point; from the first click of a pair that is a drag to where it should be."""
         if self.pending is not None and self._pressed is not None:
-            if math.hypot(*self._between(self._pressed, point, "both")) <= self._reach:
+            if math.hypot(*between(self._pressed, point, self._spacing)) <= self._reach:
                 return
             self._place(self.pending, self._pressed, self._how)
         super().move(point)
