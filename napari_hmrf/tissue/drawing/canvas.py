@@ -118,26 +118,28 @@ class Canvas:
 def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     """The pixels of an image a mark may change; empty where it lies outside."""
     lines, radius = _brush(mark)
-    reach = brush_reach(radius, spacing) / np.array(spacing)
+    reach = [brush_reach(radius, spacing) / size for size in spacing]
     points = np.array([point for line in lines for point in line])
-    low, high = np.ceil(points.min(axis=0) - reach), np.floor(points.max(axis=0) + reach) + 1
-    return common(_box(low, high), whole)
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    rows, cols = (
+        slice(math.ceil(first), math.floor(last) + 1) for first, last in zip(low, high, strict=True)
+    )
+    return common((rows, cols), whole)
 
 
 def common(one: Box, other: Box) -> Box:
     """The pixels in both."""
-    low = [max(a.start, b.start) for a, b in zip(one, other, strict=True)]
-    high = [min(a.stop, b.stop) for a, b in zip(one, other, strict=True)]
-    return _box(low, [max(ends) for ends in zip(low, high, strict=True)])
+    return _overlap(one[0], other[0]), _overlap(one[1], other[1])
+
+
+def _overlap(one: slice, other: slice) -> slice:
+    begin = max(one.start, other.start)
+    return slice(begin, max(begin, min(one.stop, other.stop)))
 
 
 def is_empty(box: Box) -> bool:
     """Whether there are no pixels in it."""
     return any(side.start >= side.stop for side in box)
-
-
-def _box(low: Sequence[float], high: Sequence[float]) -> Box:
-    return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 
 
 def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
@@ -299,8 +301,9 @@ def _expanded_whole(
     points = np.array([point for line in stroke.lines for point in line])
     reach = brush_reach(stroke.radius, spacing) / np.array(spacing) + 1
     low, high = np.floor(points.min(axis=0) - reach), np.ceil(points.max(axis=0) + reach) + 1
+    own = slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
     # A region that leaves the image has its outline out there, but not endlessly far.
-    box = common(_box(low, high), (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
+    box = common(own, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
     painted = covered(stroke, spacing, box)
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
     y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
