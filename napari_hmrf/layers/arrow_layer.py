@@ -27,8 +27,9 @@ FloatArray = npt.NDArray[np.float32]
 Lines = tuple[FloatArray, FloatArray]
 
 NAME = "Arrows"
-#: Sides of the outline of a patch.
-_SIDES = 20
+#: The outline of a patch of radius 1, around its middle.
+_TURN = np.linspace(0, 2 * np.pi, 21)
+_OUTLINE = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=-1)
 #: Length of the barbs and of a pin's cross, in radii of the patch.
 _BARB = 0.5
 #: How far a double arrow goes, in radii of the patch, and the length of its barbs in parts of that.
@@ -163,8 +164,7 @@ def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArr
     size, radius, length = np.array(spacing), arrow.radius, math.hypot(*arrow.by)
     base, by = np.array([arrow.at]) * size, np.array([arrow.by])
     head, barb = base + by, _BARB * radius
-    turn = np.linspace(0, 2 * np.pi, _SIDES + 1)
-    outline = head + radius * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
+    outline = head + radius * _OUTLINE
     parts = [np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)]
     if length > 0.1 * radius:
         parts.append(barbed(base, by, min(barb, 0.5 * length)))
