@@ -19,7 +19,7 @@ _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
     "it by more than about that"
 )
-#: Of what a mark says by another name than that of its field.
+#: What a field says of a mark, where that has another name than the field.
 _SAYS = {"sure": "confidence", "material": "label"}
 
 
@@ -125,7 +125,8 @@ class ToolFields(Container):
         title = self._tool.title
         match self._tool.name:
             case "move":
-                which, (down, along) = self.components.value, (self.by_row.value, self.by_col.value)
+                down, along = self.by_row.value, self.by_col.value
+                which = self.components.value
                 step = (0.0 if which == "col" else down, 0.0 if which == "row" else along)
                 return f"{title} {self._ways.step(step)}"
             case "expand":
