@@ -80,9 +80,9 @@ MUTATIONS = (
         "test_study.py",
     ),
     Mutation(
-        "tissue/drawing/hands.py",
-        "to, mark = (point[0] - self._offset[0], point[1] - self._offset[1])",
-        "to, mark = (point[0] + self._offset[0], point[1] + self._offset[1])",
+        "ui/motion/hands.py",
+        "to = (point[0] - self._offset[0], point[1] - self._offset[1])",
+        "to = (point[0] + self._offset[0], point[1] + self._offset[1])",
         "test_drawing.py test_pull.py test_grab.py",
     ),
     Mutation(
@@ -93,8 +93,8 @@ MUTATIONS = (
     ),
     Mutation(
         "tissue/drawing/marks.py",
-        "(to - start) * size",
-        "(start - to) * size",
+        "(b - a) * size",
+        "(a - b) * size",
         "test_landmark_boundary.py",
     ),
     # layers: where things lie, and what is read
@@ -142,9 +142,9 @@ MUTATIONS = (
         "test_layers_background.py",
     ),
     Mutation(
-        "tissue/drawing/brush.py",
-        "step + (now - was) * size",
-        "step - (now - was) * size",
+        "ui/motion/brush.py",
+        "by[0] + down",
+        "by[0] - down",
         "test_brush.py",
     ),
     Mutation(

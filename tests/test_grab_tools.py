@@ -130,6 +130,21 @@ def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
     assert not seen_paint(person).any()
 
 
+def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling, settle):
+    person, widget = pulling
+    person.key(EXPAND)
+    widget.fields.radius.value = 1.0
+    person.press(10, 30)
+    person.move(40, 30)
+    person.key(Qt.Key.Key_Delete)
+    person.move(44, 30)
+    person.release(44, 30)
+    settle(widget)
+    assert not widget.drawing.marks
+    assert not widget.history.in_progress
+    assert not seen_paint(person).any()
+
+
 def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     person, widget = brushing
     person.key(CONFIDENCE)

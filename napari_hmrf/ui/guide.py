@@ -162,7 +162,7 @@ class Guide:
             self._form.footer.say(self.shown)
 
     def _on_pointer(self, sentence: str) -> None:
-        if sentence in (self._pointer.tool.how, motion_messages.OFF):
+        if not sentence:
             self.invite()
         else:
             covered = sentence.startswith(motion_messages.COVERED)

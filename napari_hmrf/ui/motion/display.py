@@ -17,11 +17,11 @@ from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
+from napari_hmrf.ui.motion.hands import Hand
 from napari_hmrf.ui.motion.strokes import ConfidenceLayer, PaintedLayer
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
@@ -98,8 +98,7 @@ class Display:
             self._confidence.remove()
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
-                rows, cols = study.grid.shape
-                self.arrows.place(study.grid.place, (rows, cols))
+                self.arrows.place(study.grid.place, study.grid.shape)
 
     @property
     def covering(self) -> Any:

@@ -45,7 +45,8 @@ class MotionForm(Container):
     def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View | None]) -> None:
         self.tools: dict[str, PushButton] = {}
         for tool in TOOLS:
-            button = PushButton(text=tool.title, tooltip=f"{tool.what} ({tool.key})")
+            about = f"{tool.how} {tool.more}".strip()
+            button = PushButton(text=tool.title, tooltip=f"{about} ({tool.key})")
             button.native.setCheckable(True)
             button.native.clicked.connect(lambda _, name=tool.name: self.picked.emit(name))
             self.tools[tool.name] = button
