@@ -136,13 +136,15 @@ class LiveSolver:
         self._waiting: _Request | None = None
         # Whether a job of ours is queued or runs; there is never more than one.
         self._busy = False
+        # Whether what was submitted last is not answered yet, nor dropped.
+        self._owed = False
         self._closed = False
         # Set when nothing of what was submitted so far is wanted any more.
         self._dropped = threading.Event()
         # Only the compute thread looks at what was found.
         self._earlier = Earlier()
 
-    def submit(self, problem: Input | Callable[[], Input]) -> int:
+    def submit(self, problem: Input | Callable[[], Input], glance: bool = True) -> int:
         """Have this solved instead of whatever waits.
 
         Parameters
@@ -151,6 +153,9 @@ class LiveSolver:
             A callable is called on the compute thread, if its turn comes, and makes the problem;
             what it raises is delivered. Reading what is painted takes as long as a solve, and an
             edit that is replaced should not cost that.
+        glance : bool
+            Whether a first glance may be shown where the solution takes long. Without, what is
+            submitted after `forget` is solved bit by bit as `solve` does.
 
         Returns
         -------
@@ -173,8 +178,9 @@ class LiveSolver:
                 self.optimizer,
                 time.perf_counter(),
                 self._dropped,
+                glance,
             )
-            self._waiting = request
+            self._waiting, self._owed = request, True
             self._go_on()
             return self._number
 
@@ -187,7 +193,7 @@ class LiveSolver:
         with self._changed:
             self._dropped.set()
             self._dropped = threading.Event()
-            self._waiting = None
+            self._waiting, self._owed = None, False
 
     def close(self) -> None:
         """Drop everything, for good; harmless if repeated."""
@@ -210,7 +216,7 @@ class LiveSolver:
     def busy(self) -> bool:
         """Whether an answer is still to come."""
         with self._changed:
-            return self._busy
+            return self._owed
 
     @property
     def delay(self) -> str:
@@ -227,7 +233,7 @@ class LiveSolver:
     def _go_on(self) -> None:
         """Queue a job, if there is work for one; each solve is one, so that others get turns."""
         if self._waiting is None:
-            self._busy = False
+            self._busy = self._owed = False
             self._changed.notify_all()
         elif not self._busy:
             self._busy = True
@@ -258,7 +264,8 @@ class LiveSolver:
             self._earlier.look_at(problem, request.dropped)
             optimizer = request.optimizer
             stop: CancelFlag = request.dropped
-            if self._takes_long(problem) and isinstance(optimizer, Multigrid):
+            long = request.glance and self._takes_long(problem)
+            if long and isinstance(optimizer, Multigrid):
                 glance = replace(optimizer, tolerance=GLANCE)
                 self._say(request, problem, self._solve(problem, prior, glance, stop), final=False)
                 stop = _Overtaken(self, request)
@@ -315,6 +322,7 @@ class _Request(NamedTuple):
     optimizer: Optimizer
     submitted: float
     dropped: threading.Event
+    glance: bool
 
 
 class _Overtaken:

@@ -18,7 +18,7 @@ _log = logging.getLogger("napari_hmrf")
 _Work = Callable[[], Any]
 _Answer = Callable[[Any], None]
 # What those who wait for an errand are told.
-_DOING = "what shows a result in 'Soft tissue', which takes a moment; closing that dock ends them"
+_DOING = "what 'Soft tissue' draws or gets ready, which closing that dock stops"
 
 
 class Newest(QObject):

@@ -6,16 +6,11 @@ does, the first drag would wait for it.
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
-from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import TOLERANCE
@@ -26,9 +21,6 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
 from napari_hmrf.study.study import Study
 
 _SIZE = 24
-_log = logging.getLogger("napari_hmrf")
-#: What was rehearsed in this process.
-_known: set[tuple[Any, ...]] = set()
 
 
 def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = False) -> None:
@@ -51,28 +43,8 @@ def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = Fals
     y[-1] = min(spacing)
     problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
     small = prior.rehearsal(problem.shape)
+    run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
     tissue = np.ones(np.shape(pictures[0].image)[:2], dtype=bool)
     tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
-    still = np.zeros((*tissue.shape, 2), np.float32)
-    parts: dict[tuple[Any, ...], Callable[[], object]] = {
-        (prior.kernels, len(set(spacing)) == 1): lambda: run_here(
-            problem, small, Multigrid(TOLERANCE), "auto", report, left
-        ),
-    }
     for picture in pictures:
-        key = (np.asarray(picture.image).dtype.str, picture.order)
-        parts[key] = partial(_move, picture, still, tissue)
-    for key, part in parts.items():
-        if key in _known:
-            continue
-        try:
-            part()
-        except Cancelled:
-            return
-        except Exception:  # noqa: BLE001 - whoever draws is told of it
-            _log.debug("a rehearsal failed", exc_info=True)
-        _known.add(key)
-
-
-def _move(picture: Picture, still: Any, tissue: Any) -> None:
-    Warper(picture)(still, tissue)
+        Warper(picture)(np.zeros((*tissue.shape, 2), np.float32), tissue)
