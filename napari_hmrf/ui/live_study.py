@@ -92,12 +92,12 @@ class LiveStudy:
         self.settling = False
         self.note = ""
         self._layers: tuple[Any, ...] = ()
-        self._outdated = False
         self._copies = shared(viewer, LayerCopies)
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
         self._since = 0.0
-        self._failed = ""
+        # Why the tissue cannot follow, what came out last, and what was said of both.
+        self._failed = self._report = self._told = ""
         self._looking = single_shot(native, 0, self.look)
         self._resting = single_shot(native, _REST, self.complete)
         self._poll = repeating(native, _POLL, self._on_poll)
@@ -171,7 +171,7 @@ class LiveStudy:
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
-            self._asked, self._outdated = None, True
+            self._asked = None
             self.curve_layer.show(None)
             self._cannot(error)
             return False
@@ -179,8 +179,8 @@ class LiveStudy:
         if self._form.footer.live.on or self._pointer.active:
             self._follow(study)
         else:
-            self._compare(study)
-            self._succeed()
+            self._failed = ""
+            self._tell()
         return True
 
     def settle(self) -> None:
@@ -259,6 +259,7 @@ class LiveStudy:
         self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
         self.study = self.source = self.latest = self._asked = None
+        self._failed = self._report = ""
         self._pointer.stand_on(None)
         self._form.footer.warn("")
 
@@ -289,20 +290,6 @@ class LiveStudy:
         motion = replace(study.motion, drawing=self._pointer.drawing)
         self.study = study = replace(study, motion=motion)
         return study
-
-    def _compare(self, study: Study) -> None:
-        """Say that the latest result is of something else, and when it is true again."""
-        latest, before = self.latest, self._outdated
-        if latest is None:
-            return
-        self._outdated = not self.fresh
-        if self._outdated:
-            here = study.grid.place == latest.moved.study.grid.place
-            self.said.emit(
-                f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
-            )
-        elif before:
-            self.said.emit(messages.report(latest))
 
     def _on_drawn(self) -> None:
         """The drawing is another: nothing else has to be read."""
@@ -355,8 +342,8 @@ class LiveStudy:
             return
         if self._looking.isActive():  # what was edited since is known first
             self.look()
-        failed, self._failed = self._failed, ""
-        self.latest, self._outdated = done, not self.fresh
+        self.latest, self._failed = done, ""
+        self._report, self.note = f"{messages.report(done)} {self.note}".rstrip(), ""
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
@@ -366,13 +353,8 @@ class LiveStudy:
         settled = self.settling
         if settled:
             self._end_settling("")
-        if settled or not self._pointer.active:
-            self.said.emit(f"{messages.report(done)} {self.note}".rstrip())
-        elif failed:
-            self.said.emit("")
-        if self.study is not None and self._outdated and not self._form.footer.live.on:
-            self._compare(self.study)
-        self.note = ""
+            self.said.emit(self._report)
+        self._tell(anew=not self._pointer.active)
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
@@ -395,32 +377,40 @@ class LiveStudy:
         self.doing.emit(messages.progress(monitor, waited, what))
         footer.explain(monitor.message)
 
+    @property
+    def _state(self) -> str:
+        """What there is to say of the study as it is; "" if nothing."""
+        latest, study = self.latest, self.study
+        if self._failed:
+            stays = "" if latest is None else messages.STAYS
+            return f"The tissue does not follow yet. {self._failed} {stays}".rstrip()
+        if self._pointer.active:
+            return ""
+        if latest is None or study is None or self._form.footer.live.on or self.fresh:
+            return self._report
+        here = study.grid.place == latest.moved.study.grid.place
+        return f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
+
+    def _tell(self, anew: bool = False) -> None:
+        """Say how the study is, once, unless that is to be said anew."""
+        before, self._told = self._told, self._state
+        if anew or self._told != before:
+            self.said.emit(self._told)
+
     def _cannot(self, error: Exception) -> None:
-        """Say why the tissue does not follow, once; the last result stays."""
+        """The tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
-        if sentence in (messages.WELCOME, messages.CHOOSE):
-            if sentence == messages.WELCOME:
-                self.said.emit("")
-            return  # nobody has done anything yet
-        if sentence != self._failed:
-            self._failed = sentence
-            stays = f" {messages.STAYS}" if self.latest is not None else ""
-            self.said.emit(f"The tissue does not follow yet. {sentence}{stays}")
+        # With nothing chosen nobody has done anything yet.
+        self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        self._tell(anew=sentence == messages.WELCOME)
 
     def _come_to_rest(self) -> None:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
-        before, self.latest = self.latest, None
-        self._succeed()
+        before, self.latest, self._failed = self.latest, None, ""
+        self._report = "" if before is None else messages.STILL
         self._form.footer.warn("")
         self._form.footer.tell("")
-        if before is not None and not self._pointer.active:
-            self.said.emit(messages.STILL)
-
-    def _succeed(self) -> None:
-        """What was wrong no longer is."""
-        failed, self._failed = self._failed, ""
-        if failed and (self.latest is None or self._pointer.active):
-            self.said.emit("")
+        self._tell()
 
     def _refuse(self, error: Exception) -> None:
         self._end_settling(messages.in_short(error))
