@@ -9,8 +9,9 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.layers.edit_history import Slot, steps_of
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
-from napari_hmrf.layers.viewer_layers import is_selection_kept
+from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
@@ -58,6 +59,7 @@ class ViewerWatch:
         guide: Guide,
     ) -> None:
         self._viewer, self._form, self._choices = viewer, form, choices
+        self._results = shared(viewer, ResultLayers)
         self._pointer, self._live, self._guide = pointer, live, guide
         self._pixels = Pixels(live.touch, refreshed=True)
         self._fitting = single_shot(native, 50, viewer.reset_view)
@@ -175,6 +177,7 @@ class ViewerWatch:
         self._look_at_eyes()
         self._choices.look()
         self._let_go_of(event.value)
+        self._leaving.start()
         self._on_choice()
 
     def _let_go_of(self, layer: Any) -> None:
@@ -187,14 +190,13 @@ class ViewerWatch:
             live.cancel(why)
             live.forget()
             self._guide.say_gone(layer)
-            if self._form.image.value is None:
-                self._leaving.start()
         elif live.is_solving(layer):
             live.cancel(why)
 
     def _on_left(self) -> None:
-        """There is nothing to draw on."""
-        if self._form.image.value is None:
+        """Take away the results of images that are gone, and the tools if there is none left."""
+        self._results.remove_orphans()
+        if self._form.image.value is None and self._live.study is None:
             self._pointer.leave()
             self.look_at_mouse()
 
