@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.solver.model_names import converged
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from napari_hmrf.study.layer_names import LayerError, Named
-from napari_hmrf.study.models import converges
 from napari_hmrf.study.study import Study
 
 FloatArray = npt.NDArray[np.float32]
@@ -157,7 +157,7 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
     if isinstance(prior, ElasticPrior):
         notes = [_held_exactly(problem) if prior.penalty == math.inf else ""]
     else:
-        thin = "" if converges(optimizer) else _thin_boundary(problem)
+        thin = "" if converged(optimizer.parameters) else _thin_boundary(problem)
         notes = [thin, _loose_pieces(problem)]
     return tuple(filter(None, notes))
 
