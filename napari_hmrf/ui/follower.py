@@ -245,10 +245,6 @@ def drawn(
     place, pictures = study.grid.place, study.pictures
     outputs = result_layers(kept, place, pictures, checkpoint=checkpoint, problem=stated.problem)
     notes = ground.notes_on(stated)
-    if ground.ignored:
-        some = f"{ground.ignored} boundary pixels outside tissue were"
-        one = "1 boundary pixel outside tissue was"
-        notes = (f"{one if ground.ignored == 1 else some} ignored", *notes)
     if canvas is not None and _moves_edge(ground, canvas):
         notes = (*notes, _EDGE_MOVED)
     return Done(moved, outputs, notes)
