@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from napari_hmrf.errors import Cancelled, HmrfError
-from napari_hmrf.field.inverse_point import farthest_of, inverse_point
+from napari_hmrf.field.inverse_point import farthest_of, inverse_point, moved_points
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import LiveSolver, Update
@@ -264,14 +263,7 @@ class Deformation:
         """Where tissue that was at points, (N, 2) in pixels, is seen."""
         if self.solution is None or not len(points):
             return points
-        field, size = self.solution.displacement, self.study.grid.spacing
-        interpolated = scipy.ndimage.map_coordinates
-        steps = [
-            interpolated(field[..., axis], points.T, order=1, mode="nearest") / size[axis]
-            for axis in (0, 1)
-        ]
-        seen: npt.NDArray[np.float64] = points + np.stack(steps, axis=-1)
-        return seen
+        return moved_points(points, self.solution.displacement, self.study.grid.spacing)
 
     def is_inside(self, point: Point) -> bool:
         """Whether a point is one of the grid."""
@@ -286,6 +278,4 @@ class Deformation:
     def _holds(self, point: Point, image: Array | None) -> bool:
         """Whether an image is above 0 at a point."""
         row, col = (round(along) for along in point)
-        rows, cols = self.study.grid.shape
-        inside = 0 <= row < rows and 0 <= col < cols
-        return image is not None and inside and bool(image[row, col] > 0)
+        return image is not None and self.is_inside((row, col)) and bool(image[row, col] > 0)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.optimizers import Monitor
@@ -23,7 +24,6 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
 from napari_hmrf.ui.handover import Errands, Newest, Repainted
-from napari_hmrf.ui.rehearsal import rehearse
 
 _log = logging.getLogger("napari_hmrf")
 # What those who wait for it are told.
@@ -144,12 +144,12 @@ class Follower:
 
     def rehearse(self, study: Study) -> None:
         """Have what the first pull and the first brush will need be loaded, or compiled."""
-        if not self._rehearsed and study.pictures.image is not None:
+        image, engine = study.pictures.image, self._engine
+        if not self._rehearsed and image is not None:
             self._rehearsed = True
-            engine = self._engine
+            what = study.prior, image, study.grid.spacing, engine.report, engine.closed
             for kind, more in (("first pull", False), ("first brush", True)):
-                work = partial(rehearse, study, engine.report, engine.closed, more)
-                self._beside.send(kind, work, lambda _: None)
+                self._beside.send(kind, partial(rehearse, *what, more), lambda _: None)
 
     # In the window's thread
 

@@ -8,28 +8,45 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
-from napari_hmrf.study.study import Study
 
 _SIZE = 24
 
 
-def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = False) -> None:
+def rehearse(
+    prior: Prior,
+    image: npt.NDArray[Any],
+    spacing: tuple[float, ...],
+    report: Progress,
+    left: CancelFlag,
+    more: bool = False,
+) -> None:
     """Solve something small, and move a corner of a picture; on the compute thread only.
 
-    With `more` that is what not every drawing needs: holds that may slip, paint, and confidence.
+    Parameters
+    ----------
+    prior : Prior
+    image : ndarray, shape (H, W) or (H, W, channels)
+        Will move.
+    spacing : tuple of float
+        Of its pixels.
+    report, left
+        As `progress` and `cancel` of `solve`.
+    more : bool
+        Have ready what not every drawing needs: holds that may slip, paint, and confidence.
     """
-    prior, image = study.prior, study.pictures.image
-    if left.is_set() or image is None:
+    if left.is_set():
         return
     pictures = [Picture(image[:_SIZE, :_SIZE], fill=emptiness(image))]
     if more:
@@ -37,7 +54,6 @@ def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = Fals
         pictures = [Picture(np.zeros((_SIZE, _SIZE), kind), order=0) for kind in kinds]
         if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
             prior = replace(prior, penalty=1.0)
-    spacing = study.grid.spacing
     y, c = np.zeros((2, _SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
