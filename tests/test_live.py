@@ -284,6 +284,15 @@ def test_the_papers_prior_lives_too(updates, prior, optimizer):
     assert furthest(updates[-1].solution, expected) <= 0.02
 
 
+def test_the_backend_may_change_with_the_edits(live, updates):
+    for backend in ("abacus", "cpu"):
+        live.backend = backend
+        live.submit(pulled())
+        assert live.wait(LONG)
+    assert "abacus" in str(updates[0].error)
+    assert updates[1].error is None
+
+
 def test_the_prior_may_change_with_the_edits(live, updates):
     softer, flat = ElasticPrior(0.1), ElasticPrior(0.3, plane="strain")
     live.prior = softer

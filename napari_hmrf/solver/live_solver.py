@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 from napari_hmrf.errors import Cancelled, HmrfError
@@ -88,7 +89,7 @@ class LiveSolver:
         By default multigrid, to `TOLERANCE`. The paper's schedule works, but starts from nothing
         each time. `optimizer` may be set at any time, for the edits to come.
     backend : str
-        As for `solve`.
+        As for `solve`. `backend` may be set at any time, for the edits to come.
     progress : callable, optional
         Called with a `Monitor` on the compute thread: the first solve on a machine compiles for
         half a minute, and somebody is waiting.
@@ -126,7 +127,7 @@ class LiveSolver:
         )
         self.prior: Prior = prior or ElasticPrior()
         self.optimizer: Optimizer = optimizer or Multigrid(TOLERANCE)
-        self._backend = backend
+        self.backend = backend
         self._deliver = deliver
         self._progress = progress
         self._doing = doing
@@ -144,7 +145,7 @@ class LiveSolver:
         # Only the compute thread looks at what was found.
         self._earlier = Earlier()
 
-    def submit(self, problem: Input | Callable[[], Input], glance: bool = True) -> int:
+    def submit(self, problem: Input | Callable[[], Input], *, glance: bool = True) -> int:
         """Have this solved instead of whatever waits.
 
         Parameters
@@ -176,6 +177,7 @@ class LiveSolver:
                 problem,
                 self.prior,
                 self.optimizer,
+                self.backend,
                 time.perf_counter(),
                 self._dropped,
                 glance,
@@ -262,14 +264,15 @@ class LiveSolver:
             check_arguments(problem=found, prior=prior)
             problem = found
             self._earlier.look_at(problem, request.dropped)
+            solve = partial(self._solve, problem, prior, request.backend)
             optimizer = request.optimizer
             stop: CancelFlag = request.dropped
             long = request.glance and self._takes_long(problem)
             if long and isinstance(optimizer, Multigrid):
                 glance = replace(optimizer, tolerance=GLANCE)
-                self._say(request, problem, self._solve(problem, prior, glance, stop), final=False)
+                self._say(request, problem, solve(glance, stop), final=False)
                 stop = _Overtaken(self, request)
-            self._say(request, problem, self._solve(problem, prior, optimizer, stop))
+            self._say(request, problem, solve(optimizer, stop))
         except Cancelled:
             return
         except Exception as error:  # noqa: BLE001 - whoever edits hears of it, whatever it is
@@ -284,11 +287,16 @@ class LiveSolver:
         return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
-        self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: str,
+        optimizer: Optimizer,
+        stop: CancelFlag,
     ) -> Solution:
         """Solve from what is known, and know it."""
         initial = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
-        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, initial)
+        solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 
@@ -320,6 +328,7 @@ class _Request(NamedTuple):
     problem: Input | Callable[[], Input]
     prior: Prior
     optimizer: Optimizer
+    backend: str
     submitted: float
     dropped: threading.Event
     glance: bool

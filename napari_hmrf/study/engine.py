@@ -65,10 +65,8 @@ class Engine:
         overlay: Overlay | None = None,
     ) -> None:
         self._tell = deliver
-        self._doing = doing
         self._overlay = overlay
-        self._live: LiveSolver | None = None
-        self._backend = ""
+        self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
         #: Set once everything was dropped, for good.
         self.closed = threading.Event()
@@ -85,12 +83,12 @@ class Engine:
     @property
     def busy(self) -> bool:
         """Whether an answer is still to come."""
-        return self._live is not None and self._live.busy
+        return self._live.busy
 
     @property
     def monitor(self) -> Monitor:
         """What is going on, or waited for."""
-        waits = "" if self._live is None else self._live.delay
+        waits = self._live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
     def submit(self, study: Study, backend: str = "auto", settle: bool = False) -> None:
@@ -108,39 +106,26 @@ class Engine:
         if settle:
             self.forget()
             self._reached = Monitor("reading what is painted", 0.0)
-        live = self._live
-        if live is None or backend != self._backend:
-            if live is not None:
-                live.close()
-            self._backend = backend
-            live = self._live = LiveSolver(
-                self._deliver,
-                backend=backend,
-                progress=self.report,
-                doing=self._doing,
-            )
-        live.optimizer = study.optimizer
+        self._live.optimizer, self._live.backend = study.optimizer, backend
         dropped = self._dropped
 
         def checkpoint() -> None:
             if dropped.is_set():
                 raise Cancelled
 
-        live.submit(lambda: self._state(study, checkpoint, settle), glance=not settle)
+        self._live.submit(lambda: self._state(study, checkpoint, settle), glance=not settle)
 
     def forget(self) -> None:
         """Drop what waits, what is being solved, and what was found."""
         self._dropped.set()
         self._dropped = threading.Event()
-        if self._live is not None:
-            self._live.forget()
+        self._live.forget()
 
     def close(self) -> None:
         """Drop everything, for good."""
         self.closed.set()
         self.forget()
-        if self._live is not None:
-            self._live.close()
+        self._live.close()
 
     def report(self, monitor: Monitor) -> None:
         """Say how far something is."""
