@@ -210,22 +210,16 @@ class LiveStudy:
         """Whether a layer is among those of which something is solved from nothing."""
         return self.settling and any(layer is each for each in self._layers)
 
-    def cancel(self, why: str = messages.CANCELLED) -> None:
+    def cancel(self, why: str = "") -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
-        was = self._follower.busy
+        settling, going_on = self.settling, self._follower.busy
         self._follower.forget()
         self._asked = None
-        if self.settling:
-            self._end_settling(why)
+        if settling or going_on:
+            stays = "" if self.latest is None else f" {messages.STAYS}"
+            self._stop(why or messages.CANCELLED + stays)
+        if settling:
             self.finished.emit(None)
-        elif was:
-            self._form.footer.following(False)
-            self.doing.emit("")
-            self.said.emit(
-                f"{messages.CANCELLED} {messages.STAYS}"
-                if why == messages.CANCELLED and self.latest
-                else why
-            )
 
     def complete(self, *_: Any) -> None:
         """Have image and arrows of the latest result drawn, once nothing is held or on its way."""
@@ -286,17 +280,19 @@ class LiveStudy:
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
         self.curve_layer.show(study, source)
-        self._form.show_place(place, unit_symbol(place.unit), ways)
+        self._form.show_place(unit_symbol(place.unit), ways)
+        return self._with_drawing(study)
+
+    def _with_drawing(self, study: Study) -> Study:
+        """Work on a study with what is drawn on its slice."""
         motion = replace(study.motion, drawing=self._pointer.drawing)
-        self.study = study = replace(study, motion=motion)
-        return study
+        self.study = replace(study, motion=motion)
+        return self.study
 
     def _on_drawn(self) -> None:
         """The drawing is another: nothing else has to be read."""
         if self.study is not None:
-            motion = replace(self.study.motion, drawing=self._pointer.drawing)
-            self.study = replace(self.study, motion=motion)
-            self._follow(self.study)
+            self._follow(self._with_drawing(self.study))
 
     def _follow(self, study: Study) -> None:
         if self._asked is not None and self._asked.same_as(study):
@@ -352,9 +348,10 @@ class LiveStudy:
         footer.tell(messages.brief(done), messages.details(done))
         settled = self.settling
         if settled:
-            self._end_settling("")
-            self.said.emit(self._report)
+            self._stop()
         self._tell(anew=not self._pointer.active)
+        if settled and self._pointer.active:
+            self.said.emit(self._report)
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
@@ -364,14 +361,13 @@ class LiveStudy:
         waited, what = time.monotonic() - self._since, "Following the last edit"
         if not (self._follower.busy or self.settling):
             self._poll.stop()
-            footer.following(False)
-            self.doing.emit("")
+            self._stop()
             return
         if self.settling:
             footer.progress(monitor.fraction)
             what = "Deforming"
         elif waited > _PATIENCE:
-            footer.following(True)
+            footer.cancel.enabled = True
         else:
             return
         self.doing.emit(messages.progress(monitor, waited, what))
@@ -407,13 +403,13 @@ class LiveStudy:
     def _come_to_rest(self) -> None:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
         before, self.latest, self._failed = self.latest, None, ""
-        self._report = "" if before is None else messages.STILL
+        self._report = self._report if before is None else messages.STILL
         self._form.footer.warn("")
         self._form.footer.tell("")
         self._tell()
 
     def _refuse(self, error: Exception) -> None:
-        self._end_settling(messages.in_short(error))
+        self._stop(messages.in_short(error))
         # A warning goes by itself; an error would still be there beside the next good result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
@@ -425,7 +421,8 @@ class LiveStudy:
         if self.latest is not None and self.latest.outputs.folds:
             self._form.result.overlay.value = "folds"
 
-    def _end_settling(self, status: str) -> None:
+    def _stop(self, status: str = "") -> None:
+        """Show that nothing goes on any more, and say why if that is not seen."""
         self.settling = False
         self._form.footer.stop()
         self.doing.emit("")
