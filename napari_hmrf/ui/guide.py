@@ -125,7 +125,7 @@ class Guide:
         else:
             self.look_at_view()
 
-    def look_at_view(self) -> None:
+    def look_at_view(self, *_: object) -> None:
         """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
         there = self._form.image.value is not None
         if self._why is _Said.COVERED or (self._why is _Said.GONE and there):
