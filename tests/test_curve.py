@@ -35,7 +35,10 @@ class Person:
         plot.settled.connect(self.settled.append)
 
     def at(self, point):
-        return self.plot.place_of(point).toPoint()
+        """Where a point of intensity and stiffness is seen, in pixels of the canvas."""
+        (axes,), ratio = self.canvas.figure.axes, self.canvas.device_pixel_ratio
+        across, up = axes.transData.transform(point) / ratio
+        return QPointF(across, self.canvas.height() - up).toPoint()
 
     @property
     def canvas(self):

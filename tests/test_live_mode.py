@@ -541,6 +541,17 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     assert_newest(widget)
 
 
+def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(pulling, settle, run):
+    person, widget = pulling
+    person.drag((30, 30), (34, 32), (34, 34))
+    settle(widget)
+    assert widget.status == widget.invitation, "while the mouse pulls, how it does is said"
+    for _ in range(2):
+        assert run(widget) is not None
+        assert widget.active
+        assert widget.status.startswith("Tissue moved up to")
+
+
 def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling, settle):
     _, widget = pulling
     viewer = viewer_of(widget)

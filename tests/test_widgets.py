@@ -659,7 +659,7 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     def fail(*_, **__):
         raise MemoryError("no room")
 
-    monkeypatch.setattr("napari_hmrf.study.engine.run_here", fail)
+    monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
     assert run(docked) is None
     assert "MemoryError: no room" in docked.status
     assert [each.severity for each in popped_up] == ["error"], "it stays"

@@ -14,9 +14,9 @@ from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request
 from napari_hmrf.samples.phantoms import phantom
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import ModelName, converged
 from napari_hmrf.study.ground import statement_of
-from napari_hmrf.study.models import SolverDetails, converges
+from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, default_rigid
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS, PLANES, READY, when_to_take
@@ -61,7 +61,7 @@ def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run
     widget.model = "paper, converged"
     prior, optimizer = solved(widget)
     assert prior == SeilerPrior()
-    assert converges(optimizer)
+    assert converged(optimizer.parameters)
     solution = run(widget).solution
     longer = solve_again(widget, SeilerPrior(), ICM(100_000, steps=None, energy_change=1e-9))
     np.testing.assert_allclose(solution.displacement, longer.displacement, atol=0.01)

@@ -1,4 +1,4 @@
-"""Where what is seen at a point of the moved picture was before it moved."""
+"""Where what is seen at a point of the moved picture was before it moved, and the other way."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 #: Tissue that is stretched has its sites so many pixels apart at most, or there is a gap.
 _APART = 3.0
@@ -78,3 +79,21 @@ def farthest_of(displacement: npt.NDArray[np.float32]) -> npt.NDArray[np.float32
     """How far anything moves, (row, col), in the unit of the displacement."""
     most: npt.NDArray[np.float32] = np.abs(displacement).reshape(-1, 2).max(axis=0)
     return most
+
+
+def moved_points(
+    points: npt.NDArray[np.float64],
+    displacement: npt.NDArray[np.float32],
+    spacing: Sequence[float],
+) -> npt.NDArray[np.float64]:
+    """Where tissue that was at points, (N, 2) in pixels, has moved to.
+
+    The parameters are those of `inverse_point`.
+    """
+    moved = points.astype(np.float64)
+    for axis, size in enumerate(spacing):
+        steps = scipy.ndimage.map_coordinates(
+            displacement[..., axis], points.T, order=1, mode="nearest"
+        )
+        moved[:, axis] += steps / size
+    return moved

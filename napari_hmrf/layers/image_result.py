@@ -343,12 +343,9 @@ class ResultLayers:
     ----------
     changed : Signal(Result)
         Another result, or none, is seen in a place.
-    orphaned : Signal
-        An image is gone: `remove_orphans` is to be called, once napari is done with its own layers.
     """
 
     changed = Signal(object)
-    orphaned = Signal()
 
     def __init__(self, viewer: Any) -> None:
         self._viewer_ref = weakref.ref(viewer)
@@ -418,7 +415,7 @@ class ResultLayers:
         return shown
 
     def remove_orphans(self) -> None:
-        """Remove what is left of images that are gone."""
+        """Remove what is left of images that are gone, once napari is done with its own layers."""
         orphans, self._orphans = self._orphans, []
         for result in orphans:
             result.remove()
@@ -427,7 +424,4 @@ class ResultLayers:
         return [result for known in [*self._results.values()] for result in known.values()]
 
     def _on_removed(self, event: Any) -> None:
-        results = self._results.pop(event.value, {})
-        if results:
-            self._orphans += results.values()
-            self.orphaned.emit()
+        self._orphans += self._results.pop(event.value, {}).values()

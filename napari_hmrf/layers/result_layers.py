@@ -29,9 +29,9 @@ from napari_hmrf.layers.label_colours import (
 )
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
+from napari_hmrf.solver.model_names import in_words, model_name
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.models import in_words, short_name
 from napari_hmrf.study.study import Pictures
 
 Array = npt.NDArray[Any]
@@ -206,7 +206,8 @@ def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
 
 def result_name(source: str, what: str, parameters: Facts, where: str) -> str:
     """Name a layer after the image it was made of, what it shows, the model and the slice."""
-    model = short_name(parameters)
+    # The paper's prior and schedule need no word.
+    model = model_name(parameters).removeprefix("paper").removeprefix(", ")
     name = f"{source} {what}".strip() + (f", {model}" if model else "")
     return name + (f" ({where})" if where else "")
 
