@@ -155,8 +155,8 @@ MUTATIONS = (
     ),
     Mutation(
         "layers/overlay.py",
-        "Motion(solution, overlay=values).at(1).overlay",
-        "Motion(solution, overlay=values).at(0).overlay",
+        "Motion(solution, overlay=shown.values).at(1).overlay",
+        "Motion(solution, overlay=shown.values).at(0).overlay",
         "test_widgets_look.py",
     ),
     Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),

@@ -17,13 +17,13 @@ from vispy.visuals import AxisVisual
 from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.contributions import open_solution
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.overlay import quantity_layer
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of

@@ -11,13 +11,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.animation import moved_grid
 from napari_hmrf.field.colormaps import OPACITY
-from napari_hmrf.field.deformation import (
-    arrows,
-    deformation_grid,
-    pixels_between,
-    smallest_determinant,
-)
+from napari_hmrf.field.deformation import arrows, pixels_between, smallest_determinant
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
@@ -52,8 +48,6 @@ _LEAST = 0.1
 _ACROSS = 40
 #: How quantities lie over the image.
 OVER = {"blending": "translucent", "opacity": OPACITY}
-#: Lines of the deformation grid across the longer side.
-LINES = 30
 
 
 class LayerData(NamedTuple):
@@ -287,13 +281,9 @@ class _Maker:
 
     def grid(self) -> LayerData:
         """A grid that has moved with the tissue."""
-        displacement, spacing = self._field
-        tissue = self._solution.tissue
-        every = pixels_between(LINES, tissue.shape, spacing)
-        segments = deformation_grid(displacement, spacing=spacing, every=every, tissue=tissue)
-        width = max(tissue.shape) / 500
+        width = max(self._solution.tissue.shape) / 500
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": width}
-        return self._vectors("grid", segments, "grid", look)
+        return self._vectors("grid", moved_grid(self._solution), "grid", look)
 
     def folds(self) -> LayerData | None:
         """Where the tissue folds over itself, before it moved."""

@@ -6,12 +6,12 @@ from typing import Any
 
 from napari.layers import Image
 
+from napari_hmrf.field.tissue_point import Points, Probe
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.tissue_point import Points, Probe
 from napari_hmrf.study.layer_names import full_resolution
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.result.moving_layers import LookedAt

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.animation import Moment, Motion
+from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.overlay import Overlay
 from napari_hmrf.layers.read import look_of

@@ -11,7 +11,7 @@ from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.layers.animation import Moment, Motion
+from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from napari_hmrf.layers.overlay import QUANTITIES, Name
+from napari_hmrf.field.quantities import QUANTITIES
+from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.layers.overlay import Name
 from napari_hmrf.layers.result_lookup import FoundResult
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."

@@ -12,6 +12,7 @@ from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.field.deformation import magnitude
+from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
@@ -24,7 +25,6 @@ from napari_hmrf.layers.result_lookup import (
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.tissue_point import Points
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
