@@ -96,15 +96,13 @@ class MovingLayers:
         if result is None or layers is None:
             return False
         if motion.image is not None:
-            image = shown.layer("image")
-            if image is None or (layers.is_added("image") and not image.visible):
-                # As it is before it moves.
+            if shown.layer("image") is None:  # as it is before it moves
                 pictures = Pictures(name=shown.source.name, look=look_of(shown.source))
                 facts = {**result.facts, "percent": 0}
                 run = result.solution.provenance.parameters
                 made = picture_layer(result.frame, pictures, motion.image, run, facts)
-                image = layers.put("image", made, shown.source)
-            image.visible = True
+                layers.put("image", made, shown.source)
+            layers.want("image", True)
         return any(shown.layer(part) is not None for part in ("image", "overlay"))
 
     def draw(self, percent: int, moment: Moment) -> None:

@@ -223,16 +223,13 @@ class ResultView:
     def _on_eye(self, *_: Any) -> None:
         """Let the box say whether arrows are seen, whoever has hidden or shown them."""
         layers = self.shown.layers
-        if layers is not None and not self.before:
+        if layers is not None:
             with self._form.arrows.changed.blocked():
                 self._form.arrows.value = layers.wants("arrows")
 
     def _on_ticked(self, drawn: bool) -> None:
-        arrows, layers = self.shown.layer("arrows"), self.shown.layers
-        if arrows is not None and drawn:
-            arrows.visible = True
-        elif layers is not None:
-            layers.hide("arrows")
+        if self.shown.layers is not None:
+            self.shown.layers.want("arrows", drawn)
 
     def _on_inserted(self, event: Any) -> None:
         result, source = self.shown.result, self.shown.source
@@ -245,14 +242,14 @@ class ResultView:
 
     def _on_removed(self, event: Any) -> None:
         layers = self.shown.layers
-        if layers is None:
-            return
-        if event.value is self._arrows:
-            if self.shown.source in self._viewer.layers and not layers.leaving:
+        # What goes by our own doing is no part any more.
+        part = None if layers is None else layers.part_of(event.value)
+        if part == "overlay":
+            self._form.overlay.value = words.NOTHING
+        elif event.value is self._arrows:
+            if part is not None and self.shown.source in self._viewer.layers:
                 self.said.emit(words.LOST.format(layer=event.value.name))
             self._look_at(None)
-        elif not layers.leaving and layers.part_of(event.value) == "overlay":
-            self._form.overlay.value = words.NOTHING
 
     # What lies over the image
 
