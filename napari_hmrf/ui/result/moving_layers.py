@@ -10,8 +10,8 @@ from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.overlay import Overlay
 from napari_hmrf.layers.read import look_of
-from napari_hmrf.layers.result_layers import picture_layer
-from napari_hmrf.layers.result_lookup import FoundResult, picture_of
+from napari_hmrf.layers.result_layers import Answer, picture_layer
+from napari_hmrf.layers.result_lookup import picture_of
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.result.result_messages import FULL
@@ -25,7 +25,7 @@ class LookedAt:
 
     Attributes
     ----------
-    result : FoundResult, optional
+    result : Answer, optional
     layers : Result, optional
         Which the viewer shows of it.
     overlay : Overlay, optional
@@ -37,7 +37,7 @@ class LookedAt:
     """
 
     def __init__(self) -> None:
-        self.result: FoundResult | None = None
+        self.result: Answer | None = None
         self.layers: Result | None = None
         self.overlay: Overlay | None = None
         self.source: Any = None

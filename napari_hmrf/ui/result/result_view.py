@@ -16,8 +16,8 @@ from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
+from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.result_lookup import (
-    FoundResult,
     can_be_source,
     result_of,
     slices_apart,
@@ -179,7 +179,7 @@ class ResultView:
         self._show_result(result, layers, other)
         self._errands.send("points", partial(Points, result.solution), self.cursor.watch)
 
-    def _show_result(self, result: FoundResult, layers: Result, other: bool) -> None:
+    def _show_result(self, result: Answer, layers: Result, other: bool) -> None:
         """Let the form say what the layers are, and the layers what it says."""
         form = self._form
         self.shown.source = source_of(self._viewer.layers, result)
@@ -266,9 +266,7 @@ class ResultView:
             answer = partial(self._show_overlay, result, name, chosen)
             self._errands.send("overlay", partial(overlay_of, result, name), answer)
 
-    def _show_overlay(
-        self, result: FoundResult, name: Name, chosen: bool, made: Overlay | None
-    ) -> None:
+    def _show_overlay(self, result: Answer, name: Name, chosen: bool, made: Overlay | None) -> None:
         layers, percent = self.shown.layers, self._form.slider.value
         if result is not self.shown.result or layers is None:
             return
@@ -373,7 +371,7 @@ class ResultView:
         self.said.emit(str(error) or type(error).__name__)
 
 
-def _figures_of(result: FoundResult, image: Any, folder: Path, own_folder: bool) -> list[Path]:
+def _figures_of(result: Answer, image: Any, folder: Path, own_folder: bool) -> list[Path]:
     """Write the figures of a result into a folder, or into a new one there."""
     from napari_hmrf.io.figures import save_result_pictures
 
