@@ -103,6 +103,20 @@ def save_result_pictures(
     return _saved(folder, figures)
 
 
+def new_folder(parent: Path, name: str) -> Path:
+    """Make a folder of a name that is not taken, so that no file is replaced."""
+    kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
+    folder, number = parent / kept, 1
+    while True:
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            folder = parent / f"{kept} {number}"
+        else:
+            return folder
+
+
 def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
     """Save figures by their names, each whole or not at all."""
     written = []
