@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from napari.layers import Layer
+from napari.layers import Layer, Vectors
 from psygnal import Signal
 
 from napari_hmrf.layers.metadata import METADATA, known_of
@@ -16,10 +16,10 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: The confidence that was painted: whoever paints says what it shows.
-PAINTED = "painted confidence"
-#: A layer of a result: what was made with it, what it is looked at with, one thing at a time, or
-#: the confidence that was painted.
+#: The confidence that was painted.
+CONFIDENCE: Literal["painted confidence"] = "painted confidence"
+#: A layer of a result: what was made with it, the confidence that was painted, or what it is looked
+#: at with, one thing at a time.
 Part = Kind | Literal["overlay", "painted confidence"]
 #: Of an overlay's looks, those that belong to the numbers it shows.
 _LOOKS = ("colormap", "contrast_limits")
@@ -141,19 +141,16 @@ class Result:
         self._held[part].current = True
         self.want(part, show or self.wants(part))
 
-    def show(
-        self, frame: Frame, layers: Mapping[Kind, LayerData], moving: bool = False
-    ) -> dict[Kind, Any]:
+    def show(self, frame: Frame, layers: Mapping[Part, LayerData], moving: bool = False) -> None:
         """Show another state of the result; as of `ResultLayers.show`."""
         quick = moving and frame == self._frame
         self._frame, self.moving = frame, moving
-        for kind, made in layers.items():
-            if not (quick and self._overwrite(kind, made)):
-                self._put(kind, made)
+        for part, made in layers.items():
+            if not (quick and self._overwrite(part, made)):
+                self._put(part, made)
         for part, held in self._held.items():
-            held.current = part in layers or part == PAINTED
+            held.current = part in layers
         self._set_eyes()
-        return {kind: self._held[kind].layer() for kind in layers}
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
         """Show a part of the deformation, until `show_whole` or a newer result."""
@@ -257,7 +254,7 @@ class Result:
     def _put(self, part: Part, made: LayerData, source: Any = None) -> None:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
-        name, is_scale = made.attributes["name"], part == "overlay" and made.kind == "image"
+        name, is_scale = made.attributes["name"], part != "image" and made.kind == "image"
         with same_selection(self._viewer):
             if held is None or layer is None or not _fits(layer, made):
                 wanted = layer is None or self.wants(part)
@@ -271,7 +268,7 @@ class Result:
                     layer.colorbar.visible = True
             else:
                 update_layer(layer, made)
-                for look in _LOOKS if is_scale else ():
+                for look in _LOOKS if is_scale and part == "overlay" else ():
                     setattr(layer, look, made.attributes[look])
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
@@ -283,6 +280,8 @@ class Result:
         layers = self._viewer.layers
         if made.kind == "vectors":
             return len(layers)
+        if part == CONFIDENCE:  # with what else is painted
+            return next((at for at, each in enumerate(layers) if _is_drawn(each)), len(layers))
         below = [] if part == "image" else [self.layer("image")]
         if source is None:
             below.append(self._anchor())
@@ -308,6 +307,11 @@ def _fits(layer: Any, made: LayerData) -> bool:
     same = made.kind == "image" or known_of(layer).get("kind") == kind
     same = same and made.kind == type(layer).__name__.lower()
     return bool(same and layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
+
+
+def _is_drawn(layer: Any) -> bool:
+    """Whether a layer is of lines, or shows what brushes have painted."""
+    return isinstance(layer, Vectors) or known_of(layer).get("kind") == "painted"
 
 
 def _is_moved(layer: Any, where: str) -> bool:
@@ -373,13 +377,14 @@ class ResultLayers:
         self,
         source: Any,
         frame: Frame,
-        layers: Mapping[Kind, LayerData],
+        layers: Mapping[Part, LayerData],
         *,
         moving: bool = False,
-    ) -> dict[Kind, Any]:
+    ) -> None:
         """Show a result in place of the one there is of the same layer and slice.
 
-        What that had and this does not is hidden until there is a result that has it.
+        What that had and this does not is hidden until there is a result that has it. Nothing is
+        shown if what was deformed is gone.
 
         Parameters
         ----------
@@ -387,22 +392,15 @@ class ResultLayers:
             What was deformed.
         frame : Frame
             Where.
-        layers : dict of kind to LayerData
+        layers : dict of part to LayerData
             In stacking order.
         moving : bool
             Whether more will follow soon, and only the canvas counts.
-
-        Returns
-        -------
-        dict of kind to layer
-            Empty if what was deformed is gone.
         """
-        if source not in self._viewer.layers:
-            return {}
-        result = self.at(source, frame.slice_name)
-        shown = result.show(frame, layers, moving)
-        self.changed.emit(result)
-        return shown
+        if source in self._viewer.layers:
+            result = self.at(source, frame.slice_name)
+            result.show(frame, layers, moving)
+            self.changed.emit(result)
 
     def remove_orphans(self) -> None:
         """Remove what is left of images that are gone."""
