@@ -35,8 +35,6 @@ class Player:
 
     Attributes
     ----------
-    shown : MovingLayers, optional
-        What is gone through; to be set anew when something else of it moves.
     moved : Signal(int)
         Per cent that playing has come to.
     playing_changed : Signal(bool)
@@ -53,13 +51,8 @@ class Player:
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
 
-    @property
-    def shown(self) -> MovingLayers | None:
-        """What is gone through."""
-        return self._shown
-
-    @shown.setter
-    def shown(self, shown: MovingLayers | None) -> None:
+    def go_through(self, shown: MovingLayers | None) -> None:
+        """Draw moments of this from now on, by what moves of it now; or of nothing."""
         self._shown = shown
         self._motion = None if shown is None else shown.motion
         self._kept.clear()

@@ -160,10 +160,10 @@ class ResultView:
         other = before is None or layers is not before.layers
         if before is not None and other:
             before.layers.leave()
-        for part in self._form.of_result:
-            part.enabled = answer is not None
+        self._form.enabled = answer is not None
         if answer is None or layers is None:
-            self.shown = self.player.shown = None
+            self.shown = None
+            self.player.go_through(None)
             self._form.how_far.say("")
             return
         self.shown = shown = MovingLayers(self._viewer, arrows, answer, layers)
@@ -171,7 +171,7 @@ class ResultView:
             shown.copy_image()
         except HmrfError as error:
             self._refuse(error)
-        self.player.shown = shown
+        self.player.go_through(shown)
         self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
         self._on_eye()
@@ -278,7 +278,7 @@ class ResultView:
         else:
             shown.layers.put("overlay", made.layer, shown.source, chosen)
         shown.overlay = made
-        self.player.shown = shown
+        self.player.go_through(shown)
 
     # How much is seen
 
