@@ -537,7 +537,7 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
     assert widget.result is by_name(widget, "MR arrows, elastic")
-    assert widget._view.shown.result.solution.displacement is widget.solution.displacement
+    assert widget._view.shown.answer.solution.displacement is widget.solution.displacement
     assert_newest(widget)
 
 

@@ -9,11 +9,11 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.priors.elastic import Plane

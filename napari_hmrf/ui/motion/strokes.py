@@ -1,4 +1,4 @@
-"""The layers *Painted* and *Confidence*: what brushes have painted, moved with the tissue."""
+"""The layer *Painted*: what brushes have painted, moved with the tissue."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Layer, Vectors
 
-from napari_hmrf.layers.image_result import Result
-from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer
+from napari_hmrf.layers.paint_layer import number_of, painted_layer
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import (
     overwrite,
@@ -138,54 +137,10 @@ class PaintedLayer:
         _insert_below_lines(self._viewer, self._layer)
 
 
-class ConfidenceLayer:
-    """An Image layer of how sure is what is held or moved, as long as that was painted.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or ViewerModel
-    """
-
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
-        self._layer: Any = None
-
-    def show(
-        self, frame: Frame, confidence: npt.NDArray[np.float32] | None, below: Any, result: Result
-    ) -> None:
-        """Show it below what is painted.
-
-        Parameters
-        ----------
-        frame : Frame
-        confidence : ndarray of float32, shape (H, W), or None
-            As it has moved; None if none was painted.
-        below : napari.layers.Layer or None
-            What is painted.
-        result : Result
-            It is seen with, and goes with.
-        """
-        layer = still_there(self._viewer, self._layer)
-        if confidence is None:
-            self.remove()
-        elif layer is None or not overwrite(self._viewer, layer, frame.put_image(confidence)):
-            self.remove()
-            layer = self._layer = Layer.create(*confidence_layer(frame, confidence.copy()))
-            _insert_below_lines(self._viewer, layer, below)
-            layer.colorbar.visible = True
-            result.take("painted confidence", layer)
-
-    def remove(self) -> None:
-        """Take the layer out of the viewer."""
-        layer, self._layer = still_there(self._viewer, self._layer), None
-        if layer is not None:
-            self._viewer.layers.remove(layer)
-
-
-def _insert_below_lines(viewer: Any, layer: Any, other: Any = None) -> None:
-    """Add a layer below all lines, and below another layer, if there is one."""
+def _insert_below_lines(viewer: Any, layer: Any) -> None:
+    """Add a layer below all lines."""
     layers = viewer.layers
-    above = [at for at, each in enumerate(layers) if isinstance(each, Vectors) or each is other]
+    above = [at for at, each in enumerate(layers) if isinstance(each, Vectors)]
     with same_selection(viewer):
         layers.insert(min([len(layers), *above]), layer)
 
