@@ -565,4 +565,4 @@ def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling
     settle(widget)
     assert widget.active
     assert widget.status == how
-    assert viewer.layers.selection.active.name == "Arrows"
+    assert viewer.layers.selection.active.name == "Motion"

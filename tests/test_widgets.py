@@ -109,7 +109,7 @@ def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
     see_all(widget, at_rest)
-    assert [name for name in names(viewer_of(widget)) if name != "Arrows"] == [
+    assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
         "MR",
         "MR deformed",
         "MR displacement (px)",

@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float32]
 #: (start, step) of each line, and its colour.
 Lines = tuple[FloatArray, FloatArray]
 
-NAME = "Arrows"
+NAME = "Motion"
 #: The outline of a patch of radius 1, around its middle.
 _TURN = np.linspace(0, 2 * np.pi, 21)
 _OUTLINE = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=-1)

@@ -28,7 +28,7 @@ from napari_hmrf.tissue.palette import Palette
 
 FloatArray = npt.NDArray[np.float32]
 
-NAME = "Painted"
+NAME = "Motion, painted"
 #: Red, green and blue, 0 to 1.
 COLOURS: dict[str, tuple[float, float, float]] = {
     "pin": (0.90, 0.62, 0.0),

@@ -1,4 +1,4 @@
-"""The layer *Arrows*: shows what is drawn, and feels the mouse and the keys while it is active."""
+"""The layer *Motion*: shows what is drawn, and feels the mouse and the keys while it is active."""
 
 from __future__ import annotations
 

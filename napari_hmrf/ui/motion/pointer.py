@@ -34,7 +34,7 @@ _LARGER = 1.25
 
 
 class Pointer:
-    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Arrows*.
+    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Motion*.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The layer *Painted*: what brushes have painted, moved with the tissue."""
+"""The layer *Motion, painted*: what brushes have painted, moved with the tissue."""
 
 from __future__ import annotations
 

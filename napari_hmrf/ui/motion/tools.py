@@ -20,7 +20,7 @@ class Tool:
     title : str
         On its button and on the canvas.
     key : str
-        That takes it, while the layer *Arrows* is active. None of these is one of napari's for a
+        That takes it, while the layer *Motion* is active. None of these is one of napari's for a
         layer of that kind, or for the viewer.
     fields : tuple of str
         The attributes of `ToolFields` it needs.
