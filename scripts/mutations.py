@@ -80,9 +80,9 @@ MUTATIONS = (
         "test_study.py",
     ),
     Mutation(
-        "tissue/drawing/hands.py",
-        "to, mark = (point[0] - self._offset[0], point[1] - self._offset[1])",
-        "to, mark = (point[0] + self._offset[0], point[1] + self._offset[1])",
+        "ui/motion/hands.py",
+        "to = (point[0] - self._offset[0], point[1] - self._offset[1])",
+        "to = (point[0] + self._offset[0], point[1] + self._offset[1])",
         "test_drawing.py test_pull.py test_grab.py",
     ),
     Mutation(
@@ -93,8 +93,8 @@ MUTATIONS = (
     ),
     Mutation(
         "tissue/drawing/marks.py",
-        "(to - start) * size",
-        "(start - to) * size",
+        "(b - a) * size",
+        "(a - b) * size",
         "test_landmark_boundary.py",
     ),
     # layers: where things lie, and what is read
@@ -142,21 +142,21 @@ MUTATIONS = (
         "test_layers_background.py",
     ),
     Mutation(
-        "tissue/drawing/brush.py",
-        "step + (now - was) * size",
-        "step - (now - was) * size",
+        "ui/motion/brush.py",
+        "by[0] + down",
+        "by[0] - down",
         "test_brush.py",
     ),
     Mutation(
-        "layers/result_layers.py",
-        "c = self._problem.confidence.max(axis=-1)",
-        "c = self._problem.confidence.min(axis=-1)",
+        "layers/overlay.py",
+        "c = problem.confidence.max(axis=-1)",
+        "c = problem.confidence.min(axis=-1)",
         "test_layers_outputs.py",
     ),
     Mutation(
         "layers/overlay.py",
-        "Motion(solution, overlay=values).at(1).overlay",
-        "Motion(solution, overlay=values).at(0).overlay",
+        "Motion(solution, overlay=picture).at(1).overlay",
+        "Motion(solution, overlay=picture).at(0).overlay",
         "test_widgets_look.py",
     ),
     Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),

@@ -57,7 +57,7 @@ def open_sample(person: Person, name: str) -> None:
 def take(person: Person, dock: Any, tool: str) -> None:
     """Press the button of a tool, unless it is in the hand already."""
     button = dock._form.motion.tools[tool]
-    person.show(button.native)
+    person.show(button)
     if not (dock.active and dock.tool == tool):
         person.click(button)
     wait_until(lambda: not dock.busy)

@@ -71,7 +71,6 @@ class Stated(NamedTuple):
     prior: Any
     frame: Any
     pictures: Any
-    ignored: int
     notes: tuple[str, ...]
 
 
@@ -85,7 +84,6 @@ def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> S
         prior=stated.prior,
         frame=study.grid.place,
         pictures=study.pictures,
-        ignored=ground.ignored,
         notes=ground.notes_on(stated),
     )
 

@@ -10,8 +10,8 @@ from napari_hmrf import ProblemError
 from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.tissue.drawing.brush import Brush
-from napari_hmrf.tissue.drawing.hands import Pairs
+from napari_hmrf.ui.motion.brush import Brush
+from napari_hmrf.ui.motion.hands import Pairs
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)

@@ -35,7 +35,10 @@ class Person:
         plot.settled.connect(self.settled.append)
 
     def at(self, point):
-        return self.plot.place_of(point).toPoint()
+        """Where a point of intensity and stiffness is seen, in pixels of the canvas."""
+        (axes,), ratio = self.canvas.figure.axes, self.canvas.device_pixel_ratio
+        across, up = axes.transData.transform(point) / ratio
+        return QPointF(across, self.canvas.height() - up).toPoint()
 
     @property
     def canvas(self):
@@ -648,7 +651,7 @@ def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample
     said = []
     table.changed.connect(lambda _: said.append(table.contents))
     before = table.contents
-    table.apply_preset(PRESETS[1])
+    widget.take_materials(PRESETS[1])
     assert said == [table.contents]
     Cell(widget._form.tissue.seen, 1, 2).write("3")
     assert said[1:] == [table.contents]

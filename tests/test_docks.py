@@ -13,6 +13,7 @@ from screen import Screen
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.commands import dock
+from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
@@ -107,6 +108,23 @@ def test_the_dock_lists_its_keys(qtbot):
     screen.press("?")
     for words in ("Ctrl+Z: undo", "Shift+B: the image as it was", "G: pull"):
         assert words in screen.words
+
+
+def test_each_tool_has_a_picture_a_word_and_a_key_and_the_one_in_the_hand_is_seen(qtbot):
+    viewer = ViewerModel()
+    viewer.add_image(np.full((40, 40), 100, np.uint8))
+    made = SoftTissue(viewer)
+    qtbot.addWidget(made.native)
+    made.tool = "pin"
+    made.start()
+    screen, pictures = Screen(made), set()
+    for tool in TOOLS:
+        button = screen.button(tool.title)
+        pictures.add(button.icon().pixmap(20).toImage().constBits().asstring(1600))
+        assert button.toolTip().startswith(tool.how)
+        assert button.toolTip().endswith(f"({tool.key})")
+        assert button.isChecked() == (tool.name == "pin")
+    assert len(pictures) == len(TOOLS)
 
 
 def test_the_menu_hides_the_dock_that_is_seen_and_shows_it_again(window, choose):

@@ -279,13 +279,8 @@ def test_a_rendering_kept_up_to_date_is_that_made_anew(begin, sequence):
         window = rendering.show(drawing)
         assert same(rendering.canvas, drawing.render(base))
         if window is not None:
-            top, bottom, left, right = window
-            for mine, its in (
-                (old.observed, rendering.canvas.observed),
-                (old.confidence, rendering.canvas.confidence),
-            ):
-                mine[top:bottom, left:right] = its[top:bottom, left:right]
-            old.labels[top:bottom, left:right] = rendering.canvas.labels[top:bottom, left:right]
+            for mine, its in zip(old.images, rendering.canvas.images, strict=True):
+                mine[window] = its[window]
         assert same(old, rendering.canvas), "changed beyond the pixels it named"
     assert same(base, before)
 
@@ -407,8 +402,8 @@ def test_an_edit_of_a_large_image_is_drawn_where_it_changes_something():
         pixels = []
         for number in range(1, 4):
             drawing = edit(drawing, number)
-            top, bottom, left, right = rendering.show(drawing)
-            pixels.append((bottom - top) * (right - left))
+            window = rendering.show(drawing)
+            pixels.append(rendering.canvas.observed[window][..., 0].size)
         return max(pixels)
 
     def drag(drawing, number):

@@ -142,7 +142,7 @@ def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(open_window, s
     settle(widget)
     patch = np.full((20, 64), 200, np.uint8)
     person.viewer.add_image(patch, name="strip", translate=(40, 0))
-    person.viewer.layers.selection.active = person.viewer.layers["Arrows"]
+    person.viewer.layers.selection.active = person.viewer.layers["Motion"]
     person.drag((50, 30), (54, 34))
     assert widget.status == "The image is covered by 'strip': hide that one, or choose it here."
     assert not widget.drawing.marks

@@ -38,7 +38,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     assert not field[0].any(), "the edge is held"
     assert 0.5 < np.linalg.norm(field[20, 20]) < 8
     assert np.array_equal(drawn[-1].solution.displacement, field)
-    assert person.viewer.layers.selection.active.name == "Arrows"
+    assert person.viewer.layers.selection.active.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
     assert widget.history.undo_word == "drew an arrow"
 
@@ -103,7 +103,7 @@ def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pul
     before = person.where(0, 0)
     person.drag((30, 30), (34, 34))
     assert person.where(0, 0) == before
-    layer = by_name(person.viewer, "Arrows")
+    layer = by_name(person.viewer, "Motion")
     assert not layer.mouse_pan
     native = person.viewer.window._qt_viewer.canvas.native
     QTest.keyPress(native, Qt.Key.Key_Space)
@@ -167,7 +167,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     person, widget = pulling
     person.press(30, 30)
     person.move(34, 34)
-    person.viewer.layers.remove("Arrows")
+    person.viewer.layers.remove("Motion")
     person.move(40, 40)
     person.release(40, 40)
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
@@ -176,7 +176,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     assert "is gone" in widget.status
     settle(widget)
     Screen(widget).press("Pull")
-    assert len(by_name(person.viewer, "Arrows").data) > 10
+    assert len(by_name(person.viewer, "Motion").data) > 10
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
 
@@ -192,7 +192,7 @@ def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
     assert widget.image is None
     assert not widget.drawing.marks
     assert "'MR' is gone" in widget.status
-    assert "Arrows" not in person.viewer.layers, "nobody would answer it"
+    assert "Motion" not in person.viewer.layers, "nobody would answer it"
 
 
 def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
@@ -201,7 +201,7 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     person.move(32, 32)
     settle_moves(person, widget)
     by_name(person.viewer, "MR").name = "T1"
-    by_name(person.viewer, "Arrows").name = "mine"
+    by_name(person.viewer, "Motion").name = "mine"
     person.viewer.layers.remove("MR deformed, elastic")
     person.move(34, 34)
     person.release(34, 34)
@@ -261,13 +261,13 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     person.release(30, 30)
     settle(widget)
     assert not widget.drawing.marks, "nothing is drawn on this slice"
-    assert by_name(viewer, "Arrows").data.shape[0] == 0
+    assert by_name(viewer, "Motion").data.shape[0] == 0
     here = by_name(viewer, "MR deformed, elastic (slice 2)").metadata[METADATA]["slice"]
-    assert by_name(viewer, "Arrows").metadata[METADATA]["slice"] == here
+    assert by_name(viewer, "Motion").metadata[METADATA]["slice"] == here
     viewer.dims.set_current_step(0, 1)
     settle(widget)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag ended with the slice"
-    assert (by_name(viewer, "Arrows").data[:, 0, 0] == 1).all()
+    assert (by_name(viewer, "Motion").data[:, 0, 0] == 1).all()
     assert by_name(viewer, "MR deformed, elastic (slice 1)").data.shape == (1, 48, 64)
     assert "MR deformed, elastic (slice 2)" not in viewer.layers, "nothing has moved there"
     how = widget.status
@@ -336,14 +336,14 @@ def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
     drawn = widget.drawing
     window = person.viewer.window
     window.remove_dock_widget(widget.native)
-    assert "Arrows" not in person.viewer.layers
+    assert "Motion" not in person.viewer.layers
     person.key(Qt.Key.Key_Z, CTRL)
     again = SoftTissue(person.viewer)
     window.add_dock_widget(again.native, name="Soft tissue")
     assert again.start()
     settle(again)
     assert again.drawing == drawn
-    assert len(by_name(person.viewer, "Arrows").data) > 10
+    assert len(by_name(person.viewer, "Motion").data) > 10
     person.key(Qt.Key.Key_Z, CTRL)
     assert not again.drawing.marks
 
@@ -356,7 +356,7 @@ def test_scripts_draw_without_a_mouse(open_window, settle):
     widget.drawing = Drawing((Arrow((30, 30), (3, -3), 5.0),))
     settle(widget)
     assert seen[-1].solution.displacement[30, 30] == pytest.approx((3, -3), abs=0.02)
-    kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]
+    kept = by_name(person.viewer, "Motion").metadata[METADATA]["drawing"]
     assert Drawing.from_dict(kept) == widget.drawing
     solution = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"]
     assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing
@@ -438,7 +438,7 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_window, settle):
 def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     person, widget = pulling
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
-    person.viewer.layers.selection.active = by_name(person.viewer, "Arrows")
+    person.viewer.layers.selection.active = by_name(person.viewer, "Motion")
     person.drag((30, 30), (34, 34))
     drawn = widget.drawing
     labels.paint((10, 10), 3)
@@ -502,7 +502,7 @@ def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, sett
     image.scale = (0.5, 0.5)
     image.units = ("mm", "mm")
     settle(widget)
-    for name in ("Arrows", "MR deformed, elastic", "MR arrows, elastic"):
+    for name in ("Motion", "MR deformed, elastic", "MR arrows, elastic"):
         layer = by_name(person.viewer, name)
         assert layer.units == image.units
         np.testing.assert_array_equal(layer.scale, image.scale)
@@ -569,10 +569,10 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling, settle):
     assert "Paused" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
     assert widget.status.startswith("Took back: drew an arrow. Paused")
-    layers.selection.active = layers["Arrows"]
+    layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
     assert widget.status.startswith("Paused")
-    layers.selection.active = layers["Arrows"]
+    layers.selection.active = layers["Motion"]
     assert (widget.active, widget.status) == (True, how)
 
 

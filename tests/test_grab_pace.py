@@ -158,7 +158,7 @@ def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, sol
     person, _ = pulling
     person.press(30, 30)
     person.move(34, 40)
-    arrows = by_name(person.viewer, "Arrows")
+    arrows = by_name(person.viewer, "Motion")
     qtbot.waitUntil(lambda: len(arrows.data) > 0 and arrows.data[:, 0].max() > 40, timeout=LONG_MS)
     solver_at_work.set()
     person.release(34, 40)
@@ -203,7 +203,7 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
 
 def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling):
     person, _ = pulling
-    layer, positions = by_name(person.viewer, "Arrows"), []
+    layer, positions = by_name(person.viewer, "Motion"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
     for end in (lambda: person.release(34, 34), lambda: person.key(Qt.Key.Key_Escape)):
         person.press(30, 30)
@@ -230,7 +230,7 @@ def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
     person, widget = pulling
     person.drag((30, 30), (36, 30), (36, 36))
     settle(widget)
-    layer = by_name(person.viewer, "Arrows")
+    layer = by_name(person.viewer, "Motion")
     assert np.allclose(layer.edge_color, SELECTED)
     shot = person.viewer.screenshot(canvas_only=True, flash=False)[..., :3]
     yellow = np.abs(shot - 255 * np.array(SELECTED[:3])).max(axis=-1) < 30

@@ -28,7 +28,7 @@ def displacement(widget):
 
 def seen_paint(person):
     """The picture of what was painted."""
-    return by_name(person.viewer, "Painted").data
+    return by_name(person.viewer, "Motion, painted").data
 
 
 def ring(middle, radius, count=16):
@@ -130,6 +130,21 @@ def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
     assert not seen_paint(person).any()
 
 
+def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling, settle):
+    person, widget = pulling
+    person.key(EXPAND)
+    widget.fields.radius.value = 1.0
+    person.press(10, 30)
+    person.move(40, 30)
+    person.key(Qt.Key.Key_Delete)
+    person.move(44, 30)
+    person.release(44, 30)
+    settle(widget)
+    assert not widget.drawing.marks
+    assert not widget.history.in_progress
+    assert not seen_paint(person).any()
+
+
 def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     person, widget = brushing
     person.key(CONFIDENCE)
@@ -162,7 +177,7 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     person.paint((30, 31), (26, 31))
     settle(widget)
     assert seen_paint(person)[26, 31] == number_of("move"), "where it has gone"
-    steps = by_name(viewer, "Arrows").data[:, 1]
+    steps = by_name(viewer, "Motion").data[:, 1]
     assert steps[:, 0].min() == pytest.approx(-4, abs=0.6), "by how much, in arrows"
     assert "Confidence" not in viewer.layers
     person.key(CONFIDENCE)
@@ -179,7 +194,7 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     assert confidence.data[40, 50] == 0, "nobody says anything of this"
     assert not confidence.colormap.map([0.0])[0, 3], "which the image shows through"
     names = [layer.name for layer in viewer.layers]
-    assert names.index("Confidence") == names.index("Painted") - 1
+    assert names.index("Confidence") == names.index("Motion, painted") - 1
 
 
 def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(pulling, settle):
@@ -198,7 +213,7 @@ def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_draw
     person.paint((20, 20), (20, 40))
     person.key(Qt.Key.Key_Escape)
     settle(widget)
-    steps = by_name(person.viewer, "Arrows").data[:, 1]
+    steps = by_name(person.viewer, "Motion").data[:, 1]
     longest = steps[np.abs(steps).sum(axis=1) > 1]
     assert len(longest), "double arrows"
     assert not longest[:, 0].any(), "to the sides alone"
@@ -208,7 +223,7 @@ def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_draw
     person.paint((20, 20), (20, 40))
     person.key(Qt.Key.Key_Escape)
     settle(widget)
-    assert by_name(person.viewer, "Arrows").data[:, 1].all(), "crosses"
+    assert by_name(person.viewer, "Motion").data[:, 1].all(), "crosses"
 
 
 def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle):
@@ -349,12 +364,12 @@ def test_two_clicks_are_a_landmark_and_escape_gives_half_of_one_up(pulling, sett
     person.key(LANDMARK)
     person.drag((30, 30), (30, 30))
     assert "where it should be" in widget.status
-    assert len(by_name(person.viewer, "Arrows").data) > 10, "half of it is seen"
+    assert len(by_name(person.viewer, "Motion").data) > 10, "half of it is seen"
     person.key(Qt.Key.Key_Escape)
-    assert not by_name(person.viewer, "Arrows").data.any()
+    assert not by_name(person.viewer, "Motion").data.any()
     person.drag((30, 30), (30, 30))
     person.key(Qt.Key.Key_Z, CTRL)
-    assert not by_name(person.viewer, "Arrows").data.any(), "so does undo"
+    assert not by_name(person.viewer, "Motion").data.any(), "so does undo"
     person.drag((30, 30), (30, 30))
     person.drag((34, 32), (34, 32))
     settle(widget)
@@ -438,7 +453,7 @@ def test_undo_and_redo_go_through_all_tools(pulling, settle):
     widget.clear()
     settle(widget)
     assert not seen_paint(person).any()
-    assert not by_name(person.viewer, "Arrows").data.any()
+    assert not by_name(person.viewer, "Motion").data.any()
 
 
 def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing, settle):
@@ -465,7 +480,7 @@ def test_keys_change_the_size_of_the_brush(pulling):
     widget.fields.radius.value = 4.0
     person.key(Qt.Key.Key_BracketRight)
     assert widget.fields.radius.value == 5.0
-    assert by_name(person.viewer, "Arrows").cursor_size == pytest.approx(10.0)
+    assert by_name(person.viewer, "Motion").cursor_size == pytest.approx(10.0)
     person.key(Qt.Key.Key_BracketLeft)
     assert widget.fields.radius.value == 4.0
 
@@ -510,8 +525,8 @@ def test_another_slice_in_mid_stroke_ends_it_there(open_window, settle):
 def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle):
     person, widget = brushing
     person.key(PIN)
-    image, arrows = by_name(person.viewer, "MR"), by_name(person.viewer, "Arrows")
-    for number, gone in enumerate(["Painted", "image", "arrows"], 1):
+    image, arrows = by_name(person.viewer, "MR"), by_name(person.viewer, "Motion")
+    for number, gone in enumerate(["Motion, painted", "image", "arrows"], 1):
         row = 8 * number - 4
         person.press(row, 20)
         person.move(row, 24)
@@ -527,7 +542,7 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
         assert seen_paint(person)[row, 25] == number_of("pin"), gone
 
 
-@pytest.mark.parametrize("gone", ["Arrows", "MR"])
+@pytest.mark.parametrize("gone", ["Motion", "MR"])
 def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, at_rest, gone):
     person, widget = brushing
     person.key(PIN)
@@ -557,7 +572,7 @@ def test_two_viewers_have_tools_of_their_own(open_window, settle):
     settle(its)
     assert isinstance(only(mine), Stroke)
     assert isinstance(only(its), Landmark)
-    assert "Painted" not in other.viewer.layers
+    assert "Motion, painted" not in other.viewer.layers
 
 
 def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
@@ -567,7 +582,7 @@ def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
     settle(widget)
     window = person.viewer.window
     window.remove_dock_widget(widget.native)
-    assert "Painted" not in person.viewer.layers
+    assert "Motion, painted" not in person.viewer.layers
     assert not person.viewer.canvas.overlays.text.visible
     again = SoftTissue(person.viewer)
     window.add_dock_widget(again.native, name="Soft tissue")
@@ -598,7 +613,7 @@ def test_scripts_paint_without_a_mouse(open_window, settle):
     field = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"].displacement
     assert field[20, 30] == pytest.approx((3, 0), abs=0.02)
     assert field[44, 30] == pytest.approx((0, 0), abs=0.02)
-    kept = by_name(person.viewer, "Arrows").metadata[METADATA]["drawing"]
+    kept = by_name(person.viewer, "Motion").metadata[METADATA]["drawing"]
     assert Drawing.from_dict(kept) == widget.drawing
 
 

@@ -1,5 +1,7 @@
 """A solution becomes layers that lie where the tissue does."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from napari.components import ViewerModel
@@ -7,13 +9,18 @@ from napari.layers import Image, Labels, Layer
 
 from napari_hmrf import Problem, solve
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.overlay import overlay_of
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_layers import ARROWS, KINDS, Pictures, result_layers
+from napari_hmrf.layers.result_layers import ARROWS, Pictures, result_layers
+from napari_hmrf.layers.result_lookup import result_of
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (30, 40)
+#: What lies over the image, one thing at a time.
+OVER = ("grid", "labels", "folds", "stiffness", "observed", "confidence", "magnitude", "jacobian")
 
 
 def solution(displacement=(2.0, 0.0), spacing=(1.0, 1.0), shape=SHAPE):
@@ -35,12 +42,14 @@ def spot(shape=SHAPE, at=(10, 20)):
     return image
 
 
-def layers_of(outputs):
-    """The layers, as napari makes them."""
-    return {
-        kind: Layer.create(made.data, made.attributes, made.kind)
-        for kind, made in outputs.layers.items()
-    }
+def layers_of(outputs, over=()):
+    """The layers, as napari makes them, and what can lie over them of some names."""
+    layers = {kind: Layer.create(*made) for kind, made in outputs.layers.items()}
+    answer = result_of(layers["arrows"])
+    for name in over:
+        made = compute_thread.submit(partial(overlay_of, answer, name)).result()
+        layers |= {} if made is None else {name: Layer.create(*made.layer)}
+    return layers
 
 
 def test_arrows_and_picture_move_the_same_way():
@@ -54,15 +63,15 @@ def test_arrows_and_picture_move_the_same_way():
 def test_every_layer_can_be_had_and_is_named_after_its_source():
     labels = (spot() > 0).astype(np.uint8)
     pictures = Pictures(spot(), labels, "MR", "Tissue")
-    outputs = result_layers(solution(), pictures=pictures, kinds=KINDS)
-    given = {"stiffness", "observed", "confidence"}  # of a problem, and there is none
-    assert set(outputs.layers) == {*KINDS} - given - {"folds"}  # nor are there folds
-    layers = layers_of(outputs)
+    layers = layers_of(result_layers(solution(), pictures=pictures), OVER)
+    # What was given is of a problem, and there is none; nor are there folds.
     assert {kind: layer.name for kind, layer in layers.items()} == {
         "image": "MR deformed",
-        "labels": "Tissue deformed",
-        "grid": "MR grid",
         "arrows": "MR arrows",
+        "grid": "MR grid",
+        "labels": "Tissue deformed",
+        "magnitude": "MR displacement (px)",
+        "jacobian": "MR Jacobian (area ratio)",
     }
     assert layers["labels"].data[12, 20] == 1
     assert layers["arrows"].vector_style == "arrow"
@@ -70,7 +79,8 @@ def test_every_layer_can_be_had_and_is_named_after_its_source():
 
 
 def test_without_a_picture_there_is_none_to_deform():
-    assert list(result_layers(solution(), kinds=KINDS).layers) == ["grid", "arrows"]
+    made = layers_of(result_layers(solution()), ("grid", "labels"))
+    assert list(made) == ["arrows", "grid"]
 
 
 def test_arrows_leave_room_to_see_the_image():
@@ -126,9 +136,9 @@ def test_results_lie_where_the_source_does(place):
     frame = Frame.of(source)
     spacing = frame.spacing
     moved = solution((2.0 * spacing[0], 3.0 * spacing[1]), spacing)
-    outputs = result_layers(moved, frame, Pictures(spot(), name="MR"), KINDS)
+    outputs = result_layers(moved, frame, Pictures(spot(), name="MR"))
     target = np.array(source.data_to_world((12, 23)))
-    for kind, layer in layers_of(outputs).items():
+    for kind, layer in layers_of(outputs, OVER).items():
         assert layer.units == source.units, kind
         assert layer.axis_labels == source.axis_labels, kind
         np.testing.assert_allclose(layer.data_to_world((12, 23)), target, err_msg=kind)
@@ -153,9 +163,8 @@ def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
     frame = Frame.of(source, View.of(viewer.dims))
     picture = frame.take(source.data)
     still = solution((0.0, 0.0), frame.spacing, picture.shape)
-    layers = layers_of(
-        result_layers(still, frame, Pictures(picture, picture > 0, "MR", "T"), KINDS)
-    )
+    pictures = Pictures(picture, picture > 0, "MR", "T")
+    layers = layers_of(result_layers(still, frame, pictures), OVER)
     for name, layer in layers.items():
         assert layer.ndim == 3, name
         assert layer.name.endswith(f"({'zyx'[order[0]]} = 5)"), name
@@ -182,10 +191,11 @@ def test_arrows_carry_the_whole_solution_with_its_frame():
 def test_folds_are_counted():
     folded = solution((0.0, 0.0))
     folded.displacement[:, 20] = (0, 5)
-    outputs = result_layers(folded, kinds=KINDS)
+    outputs = result_layers(folded)
     assert outputs.folds > 0
-    assert outputs.layers["folds"].data.sum() == outputs.folds
-    assert outputs.layers["folds"].data[outputs.worst] == 1
+    layer = layers_of(outputs, ["folds"])["folds"]
+    assert layer.data.sum() == outputs.folds
+    assert layer.data[outputs.worst] == 1
     assert 19 <= outputs.worst[1] <= 25
     unfolded = result_layers(solution())
     assert (unfolded.folds, unfolded.worst) == (0, None)
@@ -195,7 +205,7 @@ def test_a_piece_that_covers_another_is_counted_though_nothing_folds():
     two = solution((0.0, 0.0))
     two.tissue[:, 14:16] = False
     two.displacement[:, :14] = (0, 6)
-    outputs = result_layers(two, pictures=Pictures(), kinds=("arrows",))
+    outputs = result_layers(two, pictures=Pictures())
     assert outputs.folds == 0
     assert outputs.overlaps == 30 * 4  # sites up to column 13 + 6 lie on those from column 16
     known = outputs.layers["arrows"].attributes["metadata"][METADATA]
@@ -214,9 +224,9 @@ def test_an_image_of_the_largest_numbers_of_its_type_is_deformed(dtype):
 
 
 def test_the_level_of_a_multiscale_image_is_kept_with_the_result():
-    outputs = result_layers(solution(), pictures=Pictures(spot(), level=0), kinds=KINDS)
-    for made in outputs.layers.values():
-        assert made.attributes["metadata"][METADATA]["level"] == 0
+    outputs = result_layers(solution(), pictures=Pictures(spot(), level=0))
+    for layer in layers_of(outputs, OVER).values():
+        assert layer.metadata[METADATA]["level"] == 0
     plain = result_layers(solution(), pictures=Pictures(spot())).layers["image"]
     assert "level" not in plain.attributes["metadata"][METADATA]
 
@@ -230,7 +240,7 @@ def test_the_work_can_be_stopped_between_its_parts():
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        result_layers(solution(), kinds=KINDS, checkpoint=stop)
+        result_layers(solution(), pictures=Pictures(spot()), checkpoint=stop)
 
 
 def test_what_was_given_can_be_seen_as_layers():
@@ -240,12 +250,11 @@ def test_what_was_given_can_be_seen_as_layers():
     m[:, 12:] = 20
     problem = Problem(y, c, m, spacing=(1.0, 2.0))
     solved = solve(problem)
-    kinds = {"stiffness", "observed", "confidence"}
-    layers = result_layers(solved, kinds=kinds, problem=problem).layers
-    assert set(layers) == kinds
+    outputs = result_layers(solved, problem=problem)
+    layers = layers_of(outputs, ("stiffness", "observed", "confidence"))
     np.testing.assert_array_equal(layers["stiffness"].data, m)
     np.testing.assert_array_equal(layers["confidence"].data, c.max(axis=-1))
-    assert layers["confidence"].attributes["contrast_limits"] == (0.0, 1.0)
+    assert layers["confidence"].contrast_limits == [0.0, 1.0]
     starts, steps = layers["observed"].data[:, 0], layers["observed"].data[:, 1]
     assert set(starts[:, 0]) == {0, 19}, "where something is known, and nowhere else"
     np.testing.assert_allclose(steps[starts[:, 0] == 19], [(0, 1.5)] * 24)

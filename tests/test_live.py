@@ -177,6 +177,19 @@ def test_a_glance_comes_first_where_a_solve_takes_long(monkeypatch, live, update
     assert furthest(answer.solution, exact) <= live_module.TOLERANCE
 
 
+def test_without_a_glance_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypatch, live, updates):
+    monkeypatch.setattr(live_module, "PATIENCE", 0.0)
+    live.submit(pulled((3.0, 0.0)))
+    assert live.wait(LONG)
+    live.forget()
+    updates.clear()
+    live.submit(pulled(), glance=False)
+    assert live.wait(LONG)
+    (answer,) = updates
+    cold = solve(pulled(), live.prior, optimizer=live.optimizer, backend="cpu")
+    assert np.array_equal(answer.solution.displacement, cold.displacement)
+
+
 def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     updates = []
@@ -222,7 +235,9 @@ def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
 def test_what_is_dropped_is_never_shown(updates, pause, end):
     live = LiveSolver(updates.append, backend="cpu")
     live.submit(pulled())
+    assert live.busy
     getattr(live, end)()
+    assert not live.busy, "nothing is to come, whatever the thread does"
     pause.set()
     assert live.wait(LONG)
     assert updates == []
@@ -267,6 +282,15 @@ def test_the_papers_prior_lives_too(updates, prior, optimizer):
             assert live.wait(LONG)
     expected = solve(pulled((2.0, 0.0)), prior, optimizer=optimizer, backend="cpu")
     assert furthest(updates[-1].solution, expected) <= 0.02
+
+
+def test_the_backend_may_change_with_the_edits(live, updates):
+    for backend in ("abacus", "cpu"):
+        live.backend = backend
+        live.submit(pulled())
+        assert live.wait(LONG)
+    assert "abacus" in str(updates[0].error)
+    assert updates[1].error is None
 
 
 def test_the_prior_may_change_with_the_edits(live, updates):

@@ -491,6 +491,15 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
     assert not widget._form.footer.steps.undo.enabled
 
 
+def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edited(living):
+    widget, (_, tissue, _) = living
+    widget.boundary = tissue
+    before = widget.materials, widget.rules
+    Cell(widget._form.tissue.seen, 1, 2).write("33")
+    widget.undo()
+    assert (widget.materials, widget.rules) == before
+
+
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
@@ -528,8 +537,19 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
     assert widget.result is by_name(widget, "MR arrows, elastic")
-    assert widget._view.shown.result.solution.displacement is widget.solution.displacement
+    assert widget._view.shown.answer.solution.displacement is widget.solution.displacement
     assert_newest(widget)
+
+
+def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(pulling, settle, run):
+    person, widget = pulling
+    person.drag((30, 30), (34, 32), (34, 34))
+    settle(widget)
+    assert widget.status == widget.invitation, "while the mouse pulls, how it does is said"
+    for _ in range(2):
+        assert run(widget) is not None
+        assert widget.active
+        assert widget.status.startswith("Tissue moved up to")
 
 
 def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling, settle):
@@ -545,4 +565,4 @@ def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling
     settle(widget)
     assert widget.active
     assert widget.status == how
-    assert viewer.layers.selection.active.name == "Arrows"
+    assert viewer.layers.selection.active.name == "Motion"

@@ -112,7 +112,7 @@ def test_what_cannot_be_pulled_is_said_of_the_layer():
     with pytest.raises(ProblemError, match=r"^confidence: leaves") as refused:
         solve(problem, prior)
     assert ground.study.in_words(refused.value).sentence.startswith(
-        "'Arrows' leaves a piece of tissue"
+        "'Motion' leaves a piece of tissue"
     )
 
 

@@ -74,10 +74,10 @@ def test_what_is_pulled_goes_on_from_what_was_deformed(at_hand, run, settle):
     assert seen(viewer) >= DEFORMED
     grab(dock)
     settle(dock)
-    assert seen(viewer) == {*DEFORMED, "Arrows"}, "paint would tint what has moved"
+    assert seen(viewer) == {*DEFORMED, "Motion"}, "paint would tint what has moved"
     person.drag((24, 30), (28, 36))
     settle(dock)
-    assert seen(viewer) == {*DEFORMED, "Arrows"}
+    assert seen(viewer) == {*DEFORMED, "Motion"}
 
 
 def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(at_hand, run, settle):
@@ -106,7 +106,7 @@ def test_choosing_the_layer_goes_on_pulling(at_hand, settle):
     pulled = viewer.layers["MR deformed, elastic"].data.copy()
     viewer.layers.selection = {viewer.layers["MR"]}
     assert not dock.active
-    viewer.layers.selection = {viewer.layers["Arrows"]}
+    viewer.layers.selection = {viewer.layers["Motion"]}
     assert dock.active
     assert np.array_equal(viewer.layers["MR deformed, elastic"].data, pulled)
 
@@ -150,7 +150,7 @@ def pulled(at_hand, run, settle):
 def test_what_was_pulled_is_seen_as_it_was_too(pulled):
     viewer, dock = pulled
     dock.before = True
-    assert seen(viewer) <= {"Arrows"}
+    assert seen(viewer) <= {"Motion"}
     dock.before = False
     assert viewer.layers["MR deformed, elastic"].visible
 
@@ -282,7 +282,7 @@ def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
     drag_a_patch(person, dock, settle)
     dock.rules = (dock.rules[0], BoundaryRule(2, "move", vector=(0.0, 2.0)))
     run(dock)
-    assert seen(viewer) == {"MR deformed, elastic", "Arrows"}
+    assert seen(viewer) == {"MR deformed, elastic", "Motion"}
 
 
 def test_results_of_another_slice_stay_as_they_are(
@@ -548,7 +548,7 @@ def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, sma
     small_sample(viewer)
     at_rest()
     assert not widget.active, "tissue follows what is painted, and the mouse moves the view"
-    assert "Arrows" not in viewer.layers
+    assert "Motion" not in viewer.layers
 
 
 # What is painted on
@@ -588,15 +588,15 @@ def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
     puller.tool = "move"
     person.paint((20, 20), (24, 26), (30, 30))
     settle(puller)
-    drawn = len(viewer.layers["Arrows"].data)
-    viewer.layers["Arrows"].visible = False
+    drawn = len(viewer.layers["Motion"].data)
+    viewer.layers["Motion"].visible = False
     puller.drawing = Drawing(puller.drawing.marks[1:])  # napari's own code ran out of lines here
     settle(puller)
-    assert len(viewer.layers["Arrows"].data) < drawn
+    assert len(viewer.layers["Motion"].data) < drawn
     puller.drawing = Drawing((Arrow((20, 20), (2, 2), 6.0),))
-    viewer.layers["Arrows"].visible = True
+    viewer.layers["Motion"].visible = True
     settle(puller)
-    arrows = viewer.layers["Arrows"]
+    arrows = viewer.layers["Motion"]
     assert len(arrows.edge_color) == len(arrows.data)
 
 

@@ -18,8 +18,8 @@ from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.tissue.drawing.hands import Pull
 from napari_hmrf.tissue.usual_lengths import usual_radius
+from napari_hmrf.ui.motion.hands import Pull
 
 SPACING = (1.0, 2.0)
 GRIP = Arrow((0, 0), (0, 0), 3.0)

@@ -109,7 +109,7 @@ def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
     see_all(widget, at_rest)
-    assert [name for name in names(viewer_of(widget)) if name != "Arrows"] == [
+    assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
         "MR",
         "MR deformed",
         "MR displacement (px)",
@@ -328,7 +328,7 @@ def test_rows_wear_the_colour_of_their_label(widget, small_sample):
 def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sample, preset):
     small_sample(viewer_of(widget))
     widget.materials = (*widget.materials, Material(9, "odd", 1e6))
-    widget._form.tissue.table.apply_preset(preset)
+    widget.take_materials(preset)
     by_label = {material.label: material for material in widget.materials}
     assert by_label[0].stiffness == 0  # void stays void
     assert by_label[1] == preset.materials[0]
@@ -659,7 +659,7 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     def fail(*_, **__):
         raise MemoryError("no room")
 
-    monkeypatch.setattr("napari_hmrf.study.engine.run_here", fail)
+    monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
     assert run(docked) is None
     assert "MemoryError: no room" in docked.status
     assert [each.severity for each in popped_up] == ["error"], "it stays"

@@ -17,13 +17,13 @@ from vispy.visuals import AxisVisual
 from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.contributions import open_solution
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.overlay import quantity_layer
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
@@ -261,15 +261,14 @@ def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_t
     assert layer.visible
 
 
-def test_lines_that_are_still_to_be_drawn_are_not_drawn_over_what_came_since(look, set_to):
+def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(look, set_to):
+    viewer = viewer_of(look)
     set_to(look, overlay="grid", percent=50)
-    moving, drawn = look._view._moving, look._view._moving._drawn
+    look.percent = 20
     set_to(look, overlay="labels")
-    labels = viewer_of(look).layers["Tissue deformed"]
-    before = labels.data
-    moving._drawn = drawn
-    moving._draw_lines()
-    assert labels.data is before
+    labels = viewer.layers["Tissue deformed"]
+    assert known_of(labels)["percent"] == look.percent == 20
+    assert "MR grid" not in names(viewer)
 
 
 def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
@@ -621,7 +620,7 @@ def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
 
 
 def test_a_picture_has_the_scale_that_the_viewer_shows(look):
-    result = look._view.shown.result
+    result = look._view.shown.answer
     for quantity, drawn in (
         ("jacobian", jacobian_picture),
         ("equivalent", strain_picture),

@@ -22,6 +22,8 @@ FloatArray = npt.NDArray[np.float32]
 _STRIP = 64
 # Lines that are farther apart than any image is large.
 _FAR = 2**31
+# What moves by less than this part of the farthest has no arrow beside others: it would be a dot.
+_LEAST = 0.1
 
 
 def magnitude(displacement: npt.ArrayLike) -> FloatArray:
@@ -233,6 +235,50 @@ def arrows(
         starts = sites[:: max(1, round(len(sites) / about))]
     ends = moved[tuple(starts.T)]
     return np.stack([starts, ends - starts], axis=1).astype(np.float32)
+
+
+def arrows_apart(
+    displacement: npt.ArrayLike,
+    *,
+    spacing: Sequence[float] = (1.0, 1.0),
+    tissue: npt.ArrayLike | None = None,
+    about: int = 1000,
+) -> FloatArray:
+    """Pick `arrows` of which none lies on another; what hardly moves has none.
+
+    The parameters, what is returned and errors are those of `arrows`.
+    """
+    found = arrows(displacement, spacing=spacing, tissue=tissue, about=about)
+    lengths = np.linalg.norm(found[:, 1], axis=1)
+    found = found[lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)]
+    sites = np.size(displacement) / 2 if tissue is None else np.sum(tissue)
+    gap = max(1.0, math.sqrt(sites / about)) * math.sqrt(math.prod(spacing)) / 4
+    chosen: FloatArray = found[_apart(found, gap, spacing)]
+    return chosen
+
+
+def _apart(arrows: FloatArray, gap: float, spacing: Sequence[float]) -> npt.NDArray[np.intp]:
+    """Choose arrows with a gap, in the unit of `spacing`, between them; the longest stay."""
+    if not len(arrows):
+        return np.zeros(0, dtype=np.intp)
+    # In cells as wide as the gap: a kept line claims its cells and those around them.
+    starts, steps = arrows[:, 0] * spacing / gap, arrows[:, 1] * spacing / gap
+    lowest = np.minimum(starts, starts + steps).min(axis=0) - 1
+    starts = starts - lowest
+    size = np.maximum(starts, starts + steps).max(axis=0).astype(int) + 3
+    claimed = np.zeros(size, dtype=bool)
+    lengths = np.linalg.norm(steps, axis=1)
+    kept = []
+    for number in np.argsort(-lengths, kind="stable"):
+        along = np.linspace(0, 1, int(2 * lengths[number]) + 2)[:, None]
+        rows, cols = (starts[number] + along * steps[number]).astype(int).T
+        if claimed[rows, cols].any():
+            continue
+        kept.append(number)
+        for row in (-1, 0, 1):
+            for col in (-1, 0, 1):
+                claimed[rows + row, cols + col] = True
+    return np.sort(np.array(kept, dtype=np.intp))
 
 
 def _lattice(sites: float, spacing: Sequence[float]) -> tuple[int, int]:

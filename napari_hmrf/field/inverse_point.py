@@ -1,4 +1,4 @@
-"""Where what is seen at a point of the moved picture was before it moved."""
+"""Where what is seen at a point of the moved picture was before it moved, and the other way."""
 
 from __future__ import annotations
 

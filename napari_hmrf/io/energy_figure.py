@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.solver.model_names import is_multigrid
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.models import is_multigrid
 
 _LINE = "#4ea6dc"
 

@@ -15,24 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.field.colormaps import (
-    DIVERGING,
-    FOLDED,
-    OPACITY,
-    RISING,
-    SMALLEST,
-    area_limits,
-    opacity,
-    reach_of,
-)
-from napari_hmrf.field.deformation import (
-    arrows,
-    deformation_grid,
-    jacobian_determinant,
-    magnitude,
-    pixels_between,
-)
-from napari_hmrf.field.strain import equivalent_strain, folds, green_lagrange_strain
+from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
+from napari_hmrf.field.deformation import arrows, deformation_grid, pixels_between
+from napari_hmrf.field.quantities import Quantity, coloured
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.energy_figure import draw_energy
 from napari_hmrf.solver.problem import Problem
@@ -118,6 +103,20 @@ def save_result_pictures(
     return _saved(folder, figures)
 
 
+def new_folder(parent: Path, name: str) -> Path:
+    """Make a folder of a name that is not taken, so that no file is replaced."""
+    kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
+    folder, number = parent / kept, 1
+    while True:
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            folder = parent / f"{kept} {number}"
+        else:
+            return folder
+
+
 def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
     """Save figures by their names, each whole or not at all."""
     written = []
@@ -184,34 +183,17 @@ def magnitude_picture(
     solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
 ) -> Figure:
     """Draw how far the tissue goes, where it was before it moved."""
-    length = np.where(solution.tissue, magnitude(solution.displacement), np.nan)
-    return _map(solution, length, f"displacement / {unit}", image, (0.0, reach_of(length)))
+    return _map(solution, "magnitude", f"displacement / {unit}", image)
 
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw by which factor the area of the tissue changes; folds (0 or below) are yellow."""
-    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    change = jacobian_determinant(d, spacing=spacing, tissue=tissue)
-    folded = folds(d, spacing=spacing, tissue=tissue)
-    limits = area_limits(change, bool(folded.any()))
-    figure = _map(solution, change, "area ratio (Jacobian)", image, limits, signed=True)
-    if folded.any():
-        from matplotlib.colors import ListedColormap
-
-        marked = np.where(folded, 1.0, np.nan)
-        axes = figure.axes[0]
-        axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
-    return figure
+    return _map(solution, "jacobian", "area ratio (Jacobian)", image)
 
 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
-    strain = green_lagrange_strain(
-        solution.displacement, spacing=solution.spacing, tissue=solution.tissue
-    )
-    percent = 100 * equivalent_strain(strain)
-    limits = 0.0, reach_of(percent, least=100 * SMALLEST)
-    return _map(solution, percent, "equivalent strain (%)", image, limits)
+    return _map(solution, "equivalent", "equivalent strain (%)", image)
 
 
 def energy_picture(solution: Solution) -> Figure:
@@ -223,23 +205,15 @@ def energy_picture(solution: Solution) -> Figure:
     return figure
 
 
-def _map(
-    solution: Solution,
-    values: npt.NDArray[Any],
-    title: str,
-    image: npt.ArrayLike | None,
-    limits: tuple[float, float],
-    signed: bool = False,
-) -> Figure:
-    """Draw one number per site as colours on the image, with their scale, as the viewer does."""
-    # Nothing where there is no tissue. No change is at the lower of the scale's limits, or, if it
-    # is `signed`, in their middle.
+def _map(solution: Solution, quantity: Quantity, title: str, image: npt.ArrayLike | None) -> Figure:
+    """Draw a quantity as colours on the image, with their scale, as the viewer does."""
     import matplotlib
     from matplotlib.colors import ListedColormap
 
     figure, (axes,) = _figure(solution.spacing, _BEFORE.format(title))
     if image is not None:
         _show(axes, np.asarray(image))
+    values, limits, signed, folded = coloured(solution, quantity)
     part = np.linspace(0, 1, 256)
     colours = matplotlib.colormaps[DIVERGING if signed else RISING](part)
     colours[:, 3] = opacity(part, signed)
@@ -254,6 +228,9 @@ def _map(
     above, below = (values > limits[1]).any(), (values < limits[0]).any() and signed
     ends = "both" if above and below else "max" if above else "min" if below else "neither"
     figure.colorbar(shown, ax=axes, shrink=0.8, extend=ends)
+    if folded:
+        marked = np.where(values <= 0, 1.0, np.nan)
+        axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
     return figure
 
 

@@ -25,14 +25,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+import pydantic
 
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
@@ -81,7 +74,7 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
     }
     try:
         text = _File.model_validate(values).model_dump_json(indent=2)
-    except ValidationError as error:
+    except pydantic.ValidationError as error:
         raise _bad(target, error) from error
     write_whole(target, f"{text}\n".encode())
     return target
@@ -111,41 +104,40 @@ def load_materials(path: str | Path) -> Preset:
         raise FileFormatError(f"{source.name} is too large to be a file of materials.")
     try:
         file = _File.model_validate_json(source.read_bytes())
-    except ValidationError as error:
+    except pydantic.ValidationError as error:
         raise _bad(source, error) from error
     materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
     return Preset(file.name or source.stem, file.unit, file.source, materials)
 
 
-class _Row(BaseModel):
+class _Row(pydantic.BaseModel, strict=True):
     """A material as a file says it."""
 
-    model_config = ConfigDict(strict=True)
-
-    label: int = Field(ge=0)
+    label: int = pydantic.Field(ge=0)
     name: str = ""
     # Only the word says rigid: JSON has no infinite number, and one like 1e999 is a slip.
     stiffness: Annotated[
-        Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["rigid"],
-        BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
+        Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] | Literal["rigid"],
+        pydantic.BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
     ]
-    poisson: float = Field(USUAL_POISSON, ge=POISSON_RANGE[0], le=POISSON_RANGE[1])
+    poisson: float = pydantic.Field(USUAL_POISSON, ge=POISSON_RANGE[0], le=POISSON_RANGE[1])
 
 
-class _File(BaseModel):
+class _File(pydantic.BaseModel, strict=True):
     """All that a file says."""
 
-    model_config = ConfigDict(strict=True)
-
     format: _Format
-    version: int = Field(ge=1, le=VERSION)
+    version: int = pydantic.Field(ge=1)
     name: str = ""
     unit: str = ""
     source: str = ""
-    materials: list[_Row] = Field(min_length=1)
+    materials: list[_Row] = pydantic.Field(min_length=1)
 
-    @model_validator(mode="after")
+    @pydantic.model_validator(mode="after")
     def _go_together(self) -> _File:
+        if self.version > VERSION:
+            newer = f"was written by a newer napari-hmrf (version {self.version})"
+            raise ValueError(f"{newer}. Install the newest one")
         labels = [row.label for row in self.materials]
         for label in labels:
             if labels.count(label) > 1:
@@ -155,13 +147,13 @@ class _File(BaseModel):
         return self
 
 
-def _bad(path: Path, error: ValidationError) -> FileFormatError:
+def _bad(path: Path, error: pydantic.ValidationError) -> FileFormatError:
     """What is wrong with a file first, where, and what would be right."""
     first = error.errors(include_url=False)[0]
-    where, kind, message = first["loc"], first["type"], first["msg"]
+    kind, message = first["type"], first["msg"]
     place = " ".join(
         str(part + 1) if isinstance(part, int) else part.replace("materials", "material")
-        for part in where[:3]
+        for part in first["loc"][:3]
     )
     if kind == "value_error":
         said = message.removeprefix("Value error, ")
@@ -171,10 +163,6 @@ def _bad(path: Path, error: ValidationError) -> FileFormatError:
         said = f'is no file of materials: it does not say "format": "{FORMAT}"'
     elif kind == "missing":
         said = f"lacks {place}"
-    elif place == "version" and kind == "less_than_equal":
-        said = (
-            f"was written by a newer napari-hmrf (version {first['input']}). Install the newest one"
-        )
     else:
         right = message.removeprefix("Input should be ").removeprefix("a valid ")
         if "stiffness" in place:

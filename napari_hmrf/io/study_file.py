@@ -20,11 +20,11 @@ from pydantic import TypeAdapter
 from napari_hmrf import array_file
 from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.layer_names import Named
-from napari_hmrf.study.models import optimizer_from_dict, prior_from_dict
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing

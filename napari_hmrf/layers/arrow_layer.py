@@ -18,7 +18,7 @@ from napari_hmrf.layers.label_colours import DRAWN, SELECTED
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
-from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 
 FloatArray = npt.NDArray[np.float32]
@@ -26,9 +26,10 @@ FloatArray = npt.NDArray[np.float32]
 #: (start, step) of each line, and its colour.
 Lines = tuple[FloatArray, FloatArray]
 
-NAME = "Arrows"
-#: Sides of the outline of a patch.
-_SIDES = 20
+NAME = "Motion"
+#: The outline of a patch of radius 1, around its middle.
+_TURN = np.linspace(0, 2 * np.pi, 21)
+_OUTLINE = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=-1)
 #: Length of the barbs and of a pin's cross, in radii of the patch.
 _BARB = 0.5
 #: How far a double arrow goes, in radii of the patch, and the length of its barbs in parts of that.
@@ -65,37 +66,26 @@ def arrow_lines(
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
     """
-    lines: list[npt.NDArray[np.float64]] = []
-    colours: list[npt.NDArray[np.float64]] = []
+    lines, colours = [np.zeros((0, 2, 2))], [np.zeros((0, 4))]
     marks = list(enumerate(drawing.marks))
     if pending is not None:
         marks.append((-1, Arrow(pending, (0.0, 0.0), radius)))
         selected = -1
     for number, mark in marks:
-        base = np.zeros((0, 2, 2))
-        if isinstance(mark, Landmark):
-            mark = mark.arrow(spacing)
-            base = _cross(np.array(mark.at), 0.5 * _BARB * mark.radius / np.array(spacing))
-        if not isinstance(mark, Arrow):
+        if isinstance(mark, Stroke):
             continue
-        one_way = np.zeros((0, 2, 2))
-        if mark.components != "both":
-            head, axis = np.array([mark.head(spacing)]), ("row", "col").index(mark.components)
-            one_way = double_arrows(head * spacing, axis, _BEYOND * mark.radius) / spacing
-        drawn = np.concatenate([_lines_of(mark, spacing), one_way, base])
+        drawn = _lines_of(mark, spacing)
         colour = np.array(SELECTED if number == selected else DRAWN)
         colour[3] = _PALEST + (1 - _PALEST) * mark.confidence
         lines.append(drawn)
         colours.append(np.tile(colour, (len(drawn), 1)))
-    if not lines:
-        return np.zeros((0, 2, 2), np.float32), np.zeros((0, 4), np.float32)
     return (
         np.concatenate(lines).astype(np.float32),
         np.concatenate(colours).astype(np.float32),
     )
 
 
-def arrow_layer(frame: Frame, shape: tuple[int, int]) -> LayerData:
+def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     """A Vectors layer to show arrows in, still without any."""
     attributes: dict[str, Any] = {
         **frame.placement(),
@@ -138,30 +128,52 @@ def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[
     )
 
 
-def _cross(at: npt.NDArray[np.float64], arms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(start, step) of two lines in pixels; a landmark's base has one, as it is a place."""
-    ends = np.diag(arms)
-    return np.stack([at - ends, 2 * ends], axis=1)
+def barbed(
+    at: npt.NDArray[Any], by: npt.NDArray[Any], back: npt.NDArray[Any] | float
+) -> npt.NDArray[np.float64]:
+    """Arrows: shafts, and two barbs at the head of each.
+
+    Parameters
+    ----------
+    at, by : ndarray, shape (N, 2)
+        Where they begin, and how far they go, which is not nowhere; in the unit of the spacing.
+    back : float or ndarray, shape (N, 1)
+        How far the barbs go back along the shaft.
+
+    Returns
+    -------
+    ndarray, shape (3 N, 2, 2), float64
+        (start, step) of each line, in the unit of the spacing.
+    """
+    along = by / np.linalg.norm(by, axis=-1, keepdims=True)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    barbs = [np.stack([at + by, -back * (along + side * 0.5 * across)], axis=1) for side in (-1, 1)]
+    return np.concatenate([np.stack([at, by], axis=1), *barbs])
 
 
-def _lines_of(arrow: Arrow, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:
+def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """(start, step) of two lines through each of some places, (N, 2), along two `arms`, (2, 2)."""
+    return np.concatenate(
+        [np.stack([at - arm, np.broadcast_to(2 * arm, at.shape)], axis=1) for arm in arms]
+    )
+
+
+def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:
     """(start, step) of every line, in pixels."""
-    size = np.array(spacing)
-    base, by = np.array(arrow.at) * size, np.array(arrow.by)
-    head, length = base + by, math.hypot(*arrow.by)
-    turn = np.linspace(0, 2 * np.pi, _SIDES + 1)
-    outline = head + arrow.radius * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
-    starts, ends = [*outline[:-1]], [*outline[1:]]
-    barb = _BARB * arrow.radius
-    if length > 0.1 * arrow.radius:
-        along = by / length
-        across = np.array([-along[1], along[0]])
-        back = min(barb, 0.5 * length)
-        starts += [base, head, head]
-        ends += [head, *(head - back * (along + side * 0.5 * across) for side in (-1, 1))]
-    elif arrow.components == "both":  # held in place: a cross
-        arms = np.diag([barb, barb])
-        starts += [*(head - arms)]
-        ends += [*(head + arms)]
-    first, last = np.array(starts) / size, np.array(ends) / size
-    return np.stack([first, last - first], axis=1)
+    arrow = mark.arrow(spacing) if isinstance(mark, Landmark) else mark
+    size, radius, length = np.array(spacing), arrow.radius, math.hypot(*arrow.by)
+    base, by = np.array([arrow.at]) * size, np.array([arrow.by])
+    head, barb = base + by, _BARB * radius
+    outline = head + radius * _OUTLINE
+    parts = [np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)]
+    if length > 0.1 * radius:
+        parts.append(barbed(base, by, min(barb, 0.5 * length)))
+    elif arrow.components == "both":  # held in place
+        parts.append(crosses(head, barb * np.eye(2)))
+    if arrow.components != "both":
+        axis = ("row", "col").index(arrow.components)
+        parts.append(double_arrows(head, axis, _BEYOND * radius))
+    if isinstance(mark, Landmark):  # its base is a place, too
+        parts.append(crosses(base, 0.5 * barb * np.eye(2)))
+    lines: npt.NDArray[np.float64] = np.concatenate(parts) / size
+    return lines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -213,55 +213,38 @@ class UndoKeys:
     """
 
     def __init__(self, viewer: Any, steps: ViewerSteps) -> None:
-        self._steps, self._edits = steps, steps.edits
-        self._bound: list[tuple[Any, str]] = []
-        self._layer: weakref.ref[Any] | None = None
+        self._steps, self._edits, self._selection = steps, steps.edits, viewer.layers.selection
         #: Whether what was done last was an edit of ours.
         self._ours = False
-        self._bind(viewer)
+        # What is done to leave the keys, of all layers and of the active one, as they were.
+        self._all, self._of_layer = self._bind(viewer), ExitStack()
         self._edits.moved.connect(self._on_moved)
-        self._viewer = weakref.ref(viewer)
-        viewer.layers.selection.events.active.connect(self._on_active)
+        self._selection.events.active.connect(self._on_active)
         self._on_active()
 
     def release(self) -> None:
         """Leave all keys as they were."""
-        self._leave()
         self._edits.moved.disconnect(self._on_moved)
-        viewer = self._viewer()
-        if viewer is not None:
-            viewer.layers.selection.events.active.disconnect(self._on_active)
-            self._unbind(viewer)
+        self._selection.events.active.disconnect(self._on_active)
+        self._of_layer.close()
+        self._all.close()
 
-    def _bind(self, owner: Any) -> None:
+    def _bind(self, owner: Any) -> ExitStack:
+        bound = ExitStack()
         for key, name in KEYS.items():
             with suppress(ValueError):  # somebody else's
                 owner.bind_key(key, lambda each, name=name: self._choose(each, name))
-                self._bound.append((owner, key))
-
-    def _unbind(self, owner: Any) -> None:
-        for each, key in self._bound:
-            if each is owner:
-                owner.bind_key(key, None)
-        self._bound = [bound for bound in self._bound if bound[0] is not owner]
+                bound.callback(owner.bind_key, key, None)
+        return bound
 
     def _on_active(self, *_: Any) -> None:
-        viewer = self._viewer()
-        active = None if viewer is None else viewer.layers.selection.active
-        self._leave()
+        self._of_layer.close()
+        active = self._selection.active
         # Without its history napari keeps the keys, and all is as it is without us.
-        if not isinstance(active, Labels) or paint_steps(active, "undo") is None:
-            return
-        self._layer = weakref.ref(active)
-        active.events.paint.connect(self._on_paint)
-        self._bind(active)
-
-    def _leave(self) -> None:
-        """Let go of the layer that was the active one."""
-        layer, self._layer = None if self._layer is None else self._layer(), None
-        if layer is not None:
-            layer.events.paint.disconnect(self._on_paint)
-            self._unbind(layer)
+        if isinstance(active, Labels) and paint_steps(active, "undo") is not None:
+            self._of_layer = self._bind(active)
+            active.events.paint.connect(self._on_paint)
+            self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
 
     def _choose(self, owner: Any, name: str) -> None:
         """Take back, or do again, what is ours, or a layer's paint."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from napari.layers import Layer
+from napari.layers import Layer, Vectors
 from psygnal import Signal
 
 from napari_hmrf.layers.metadata import METADATA, known_of
@@ -16,8 +16,10 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: A layer of a result: what was made with it, what it is looked at with, one thing at a time, or
-#: the confidence that was painted.
+#: The confidence that was painted.
+CONFIDENCE: Literal["painted confidence"] = "painted confidence"
+#: A layer of a result: what was made with it, the confidence that was painted, or what it is looked
+#: at with, one thing at a time.
 Part = Kind | Literal["overlay", "painted confidence"]
 #: Of an overlay's looks, those that belong to the numbers it shows.
 _LOOKS = ("colormap", "contrast_limits")
@@ -33,12 +35,12 @@ class _Held:
     #: The name meant for it, and what napari made of that.
     meant: str
     name: str
-    #: Whether it was hidden, not by hand, as a newer result does not have it yet.
-    stale: bool = False
-    #: Whether it was put there to be looked at, and not made with the result.
-    added: bool = False
-    #: Whether somebody else made it, and says what it shows.
-    taken: bool = False
+    #: Whether somebody wants to see it.
+    wanted: bool = True
+    #: Whether it is of the newest result, and does not wait for what that will have.
+    current: bool = True
+    #: Whether it was seen when we looked last: if it is otherwise now, that was done by hand.
+    seen: bool = True
     #: Its data, if nobody else holds them: they can be written to.
     own: Any = None
     #: Its data while it shows a part of the deformation, and those of all of it.
@@ -49,6 +51,9 @@ class _Held:
 class Result:
     """The layers of one result.
 
+    A layer is seen if somebody wants to see it, if it is of the newest result, and if the image is
+    not looked at as it was before it moved.
+
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
@@ -56,6 +61,11 @@ class Result:
         What was deformed; of a result from a file the layer of arrows that holds it.
     where : str
         The slice, as in the layers' metadata.
+
+    Attributes
+    ----------
+    is_before : bool
+        Whether the image is seen as it was.
     """
 
     #: Whether more will follow soon than what was shown last.
@@ -64,11 +74,11 @@ class Result:
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
         self._viewer_ref, self._anchor = weakref.ref(viewer), weakref.ref(anchor)
         self.where = where
-        #: Whether its layers go by our own doing.
-        self.leaving = False
+        self.is_before = False
+        # The image, if it is only seen as long as it is seen as it was.
+        self._opened: Callable[[], Any] = lambda: None
         self._frame: Frame | None = None
         self._held: dict[Part, _Held] = {}
-        self._before: list[tuple[weakref.ref[Any], bool]] = []
 
     @property
     def _viewer(self) -> Any:
@@ -82,22 +92,21 @@ class Result:
         return still_there(self._viewer, None if held is None else held.layer())
 
     def part_of(self, layer: Any) -> Part | None:
-        """Which part a layer is, or was until it was removed; None if it is none of these."""
+        """Which part a layer is, or was until somebody removed it; None if it is none of these."""
         return next((part for part, held in self._held.items() if held.layer() is layer), None)
 
     def wants(self, part: Part) -> bool:
         """Whether a part is seen, or will be with what comes next."""
         layer = self.layer(part)
-        return layer is not None and (layer.visible or self._held[part].stale)
-
-    def is_added(self, part: Part) -> bool:
-        """Whether a part was put there to be looked at."""
-        return part in self._held and self._held[part].added
+        if layer is None:
+            return False
+        held = self._held[part]
+        return bool(layer.visible if layer.visible != held.seen else held.wanted)
 
     @property
     def visible(self) -> bool:
         """Whether anything of it is seen."""
-        return any(layer.visible for layer, _ in self._there())
+        return any(layer.visible for _, layer, _ in self._there())
 
     @property
     def percent(self) -> int:
@@ -112,11 +121,12 @@ class Result:
 
     def take(self, part: Part, layer: Any) -> None:
         """Have a layer that somebody else made."""
-        self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name, taken=True)
-        self._keep_before()
+        seen = layer.visible
+        self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name, seen, seen=seen)
+        self._set_eyes()
 
-    def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> Any:
-        """Have one more layer of the result there is; returns it.
+    def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
+        """Have one more layer of the result there is.
 
         Parameters
         ----------
@@ -127,32 +137,20 @@ class Result:
         show : bool
             Whether it is shown though somebody has hidden it.
         """
-        seen = show or self.layer(part) is None or self.wants(part) or self.is_before
-        held = self._put(part, made, source)
-        layer, held.added = held.layer(), True
-        layer.visible, held.stale = seen, False
-        self._keep_before()
-        return layer
+        self._put(part, made, source)
+        self._held[part].current = True
+        self.want(part, show or self.wants(part))
 
-    def show(
-        self, frame: Frame, layers: Mapping[Kind, LayerData], moving: bool = False
-    ) -> dict[Kind, Any]:
+    def show(self, frame: Frame, layers: Mapping[Part, LayerData], moving: bool = False) -> None:
         """Show another state of the result; as of `ResultLayers.show`."""
         quick = moving and frame == self._frame
         self._frame, self.moving = frame, moving
-        for kind, held in self._held.items():
-            if kind not in layers and not held.taken:
-                self._hide(held)
-        shown: dict[Kind, Any] = {}
-        for kind, made in layers.items():
-            if not (quick and self._overwrite(kind, made)):
-                self._put(kind, made)
-            held = self._held[kind]
-            layer = shown[kind] = held.layer()
-            if held.stale:
-                layer.visible, held.stale = True, False
-        self._keep_before()
-        return shown
+        for part, made in layers.items():
+            if not (quick and self._overwrite(part, made)):
+                self._put(part, made)
+        for part, held in self._held.items():
+            held.current = part in layers
+        self._set_eyes()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
         """Show a part of the deformation, until `show_whole` or a newer result."""
@@ -170,88 +168,79 @@ class Result:
 
     def show_whole(self) -> None:
         """Put back what was there before a part was shown, where nobody else has drawn since."""
-        for layer, held in self._there():
+        for part, layer, held in self._there():
             if held.part is not None and layer.data is held.part:
                 if held.whole is not None:
                     layer.data = held.whole
                     _know(layer)
                 elif _percent_of(layer) != _WHOLE:
-                    layer.visible = False
+                    self.want(part, False)
             held.part = held.whole = None
 
     # What is hidden
 
-    def hide(self, part: Part) -> None:
-        """Hide a part that nobody wants to see; no result brings it back."""
+    def want(self, part: Part, wanted: bool) -> None:
+        """Have a part be seen, or not; no result brings back what nobody wants to see."""
         if (layer := self.layer(part)) is not None:
-            layer.visible, self._held[part].stale = False, False
+            held = self._held[part]
+            held.wanted, held.seen = wanted, layer.visible
+            held.current = held.current or wanted
+            self._set_eyes()
 
     def drop(self, part: Part) -> None:
         """Take a part out of the viewer; one that somebody has named is theirs, and hidden."""
-        layer = self.layer(part)
-        if layer is not None and layer.name == self._held[part].name:
-            self._take_out(layer)
-        elif layer is not None:
-            layer.visible = False
-        self._held.pop(part, None)
+        layer, held = self.layer(part), self._held.pop(part, None)
+        if held is not None and layer is not None:
+            if layer.name == held.name:
+                self._viewer.layers.remove(layer)
+            else:
+                layer.visible = False
 
     def leave(self) -> None:
-        """Hide what was added, as another result is looked at."""
-        for held in self._held.values():
-            if held.added:
-                self._hide(held)
+        """Hide what was put there to be looked at, as another result is."""
+        self.want("overlay", False)
+        if self._anchor() is self.layer("arrows"):  # of a file: its image was not made with it
+            self.want("image", False)
 
     def hold_before(self, source: Any) -> None:
         """Show the image as it was, and nothing of the result, until `release`."""
-        if self._before:
-            return
-        self._put_aside()
-        if self._before and still_there(self._viewer, source) is not None:
-            self._before.append((weakref.ref(source), source.visible))
-            source.visible = True
+        if not self.is_before and self.visible:
+            self.is_before = True
+            self._set_eyes()
+            if still_there(self._viewer, source) is not None and not source.visible:
+                self._opened, source.visible = weakref.ref(source), True
 
     def release(self) -> None:
         """Show again what `hold_before` hid."""
-        before, self._before = self._before, []
-        for reference, visible in before:
-            if (layer := reference()) is not None:
-                layer.visible = visible
-
-    @property
-    def is_before(self) -> bool:
-        """Whether the image is seen as it was."""
-        return bool(self._before)
+        if self.is_before:
+            self.is_before = False
+            self._set_eyes()
+            if (source := self._opened()) is not None:
+                source.visible = False
+            self._opened = lambda: None
 
     def remove(self) -> None:
         """Take the layers out of the viewer, but for those that somebody has named."""
-        for layer, held in self._there():
+        for part, layer, held in self._there():
             if layer.name == held.name:
-                self._take_out(layer)
+                self.drop(part)
 
     # How it is done
 
-    def _take_out(self, layer: Any) -> None:
-        self.leaving = True
-        self._viewer.layers.remove(layer)
-        self.leaving = False
-
-    def _keep_before(self) -> None:
-        """What comes while the image is seen as it was is seen later."""
-        if self._before:
-            self._put_aside()
-
-    def _put_aside(self) -> None:
-        """Hide what is seen, until `release`."""
-        for layer, _ in self._there():
-            if layer.visible:
-                self._before.append((weakref.ref(layer), True))
-                layer.visible = False
-
-    def _there(self) -> Iterator[tuple[Any, _Held]]:
+    def _there(self) -> Iterator[tuple[Part, Any, _Held]]:
         """The layers that are in the viewer."""
         for part, held in [*self._held.items()]:
             if (layer := self.layer(part)) is not None:
-                yield layer, held
+                yield part, layer, held
+
+    def _set_eyes(self) -> None:
+        """Have each layer be seen or not, as it should."""
+        for _, layer, held in self._there():
+            if layer.visible != held.seen:
+                held.wanted = layer.visible
+            held.seen = held.wanted and held.current and not self.is_before
+            if layer.visible != held.seen:
+                layer.visible = held.seen
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
         """Give a layer other pixels where nothing else of it is another; whether that is so."""
@@ -262,46 +251,43 @@ class Result:
             layer.data = held.own = np.array(made.data)
         return True
 
-    def _put(self, part: Part, made: LayerData, source: Any = None) -> _Held:
+    def _put(self, part: Part, made: LayerData, source: Any = None) -> None:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
-        name, is_scale = made.attributes["name"], part == "overlay" and made.kind == "image"
+        name, is_scale = made.attributes["name"], part != "image" and made.kind == "image"
         with same_selection(self._viewer):
             if held is None or layer is None or not _fits(layer, made):
+                wanted = layer is None or self.wants(part)
                 self.drop(part)
                 layer = Layer.create(*made)
                 # Who hears that it comes can ask whose it is.
-                held = self._held[part] = _Held(weakref.ref(layer), name, name)
+                held = self._held[part] = _Held(weakref.ref(layer), name, name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 held.name = layer.name
                 if is_scale:
                     layer.colorbar.visible = True
             else:
                 update_layer(layer, made)
-                for look in _LOOKS if is_scale else ():
+                for look in _LOOKS if is_scale and part == "overlay" else ():
                     setattr(layer, look, made.attributes[look])
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
-        held.added, held.own, held.part, held.whole = False, None, None, None
-        return held
+        held.own = held.part = held.whole = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
         """Pictures go directly above what was deformed and has moved, lines on top."""
         layers = self._viewer.layers
         if made.kind == "vectors":
             return len(layers)
+        if part == CONFIDENCE:  # with what else is painted
+            return next((at for at, each in enumerate(layers) if _is_drawn(each)), len(layers))
         below = [] if part == "image" else [self.layer("image")]
         if source is None:
             below.append(self._anchor())
         else:
             below += [source, *(each for each in layers if _is_moved(each, self.where))]
         return max((layers.index(each) + 1 for each in below if each in layers), default=0)
-
-    def _hide(self, held: _Held) -> None:
-        layer = held.layer()
-        if layer is not None and layer.visible:
-            layer.visible, held.stale = False, True
 
 
 def _percent_of(layer: Any) -> int:
@@ -321,6 +307,11 @@ def _fits(layer: Any, made: LayerData) -> bool:
     same = made.kind == "image" or known_of(layer).get("kind") == kind
     same = same and made.kind == type(layer).__name__.lower()
     return bool(same and layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
+
+
+def _is_drawn(layer: Any) -> bool:
+    """Whether a layer is of lines, or shows what brushes have painted."""
+    return isinstance(layer, Vectors) or known_of(layer).get("kind") == "painted"
 
 
 def _is_moved(layer: Any, where: str) -> bool:
@@ -343,12 +334,9 @@ class ResultLayers:
     ----------
     changed : Signal(Result)
         Another result, or none, is seen in a place.
-    orphaned : Signal
-        An image is gone: `remove_orphans` is to be called, once napari is done with its own layers.
     """
 
     changed = Signal(object)
-    orphaned = Signal()
 
     def __init__(self, viewer: Any) -> None:
         self._viewer_ref = weakref.ref(viewer)
@@ -386,13 +374,14 @@ class ResultLayers:
         self,
         source: Any,
         frame: Frame,
-        layers: Mapping[Kind, LayerData],
+        layers: Mapping[Part, LayerData],
         *,
         moving: bool = False,
-    ) -> dict[Kind, Any]:
+    ) -> None:
         """Show a result in place of the one there is of the same layer and slice.
 
-        What that had and this does not is hidden until there is a result that has it.
+        What that had and this does not is hidden until there is a result that has it. Nothing is
+        shown if what was deformed is gone.
 
         Parameters
         ----------
@@ -400,25 +389,18 @@ class ResultLayers:
             What was deformed.
         frame : Frame
             Where.
-        layers : dict of kind to LayerData
+        layers : dict of part to LayerData
             In stacking order.
         moving : bool
             Whether more will follow soon, and only the canvas counts.
-
-        Returns
-        -------
-        dict of kind to layer
-            Empty if what was deformed is gone.
         """
-        if source not in self._viewer.layers:
-            return {}
-        result = self.at(source, frame.slice_name)
-        shown = result.show(frame, layers, moving)
-        self.changed.emit(result)
-        return shown
+        if source in self._viewer.layers:
+            result = self.at(source, frame.slice_name)
+            result.show(frame, layers, moving)
+            self.changed.emit(result)
 
     def remove_orphans(self) -> None:
-        """Remove what is left of images that are gone."""
+        """Remove what is left of images that are gone, once napari is done with its own layers."""
         orphans, self._orphans = self._orphans, []
         for result in orphans:
             result.remove()
@@ -427,7 +409,4 @@ class ResultLayers:
         return [result for known in [*self._results.values()] for result in known.values()]
 
     def _on_removed(self, event: Any) -> None:
-        results = self._results.pop(event.value, {})
-        if results:
-            self._orphans += results.values()
-            self.orphaned.emit()
+        self._orphans += self._results.pop(event.value, {}).values()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -65,43 +64,42 @@ def read_landmarks(
         Naming the layer: if the layers do not hold as many points, or none, or a shape is no line,
         or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
-    where, should = ends = ends_of(where, should)
-    what = where.what
-    sources, targets = (each.in_pixels(frame) for each in ends)
-    here, there = (
-        each.on_slice(places, frame, view)
-        for each, places in zip(ends, (sources, targets), strict=True)
-    )
+    what: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
+    begins, ends = _ends_of_lines(where) if what == "line" else _paired(where, should)
+    should = where if what == "line" else should
+    sources, targets = _in_pixels(where, begins, what, frame), _in_pixels(should, ends, what, frame)
+    here = _on_slice(where, begins, sources, frame, view)
+    there = _on_slice(should, ends, targets, frame, view)
     numbers = np.flatnonzero(here)
     if not len(numbers):
         here_said = frame.slice_seen or "this slice"
-        raise LayerError(where.layer, f"has no {what}s on {here_said}. Go to one that has.")
+        raise LayerError(where, f"has no {what}s on {here_said}. Go to one that has.")
     if not there[here].all():
         leaves = numbers[~there[here]][0]
         raise LayerError(
-            should.layer,
+            should,
             f"has line {leaves}, which ends on another slice: tissue moves within a slice. Remove "
             "it."
-            if should.layer is where.layer
-            else f"has point {leaves} on another slice than '{where.layer.name}': tissue moves "
+            if what == "line"
+            else f"has point {leaves} on another slice than '{where.name}': tissue moves "
             "within a slice. Move the point, or remove both.",
         )
     at, to = (places[here][:, list(frame.plane)] for places in (sources, targets))
     outside = np.flatnonzero(_outside(at, shape))
     if len(outside):
         raise LayerError(
-            where.layer,
+            where,
             f"has {what} {numbers[outside[0]]}{', which begins' if what == 'line' else ''} outside "
             "the image. Move it, or remove it.",
         )
     _refuse_contradiction(where, at, to, numbers)
     beyond = [
-        f"{what} {number} of '{should.layer.name}' {'ends' if what == 'line' else 'lies'} outside "
+        f"{what} {number} of '{should.name}' {'ends' if what == 'line' else 'lies'} outside "
         "the image"
         for number in numbers[_outside(to, shape)]
     ]
     radii = _radii(at, radius, frame, shape)
-    with naming(observed=where.layer, confidence=where.layer):
+    with naming(observed=where, confidence=where):
         marks = tuple(
             Landmark((a[0], a[1]), (b[0], b[1]), size, confidence)
             for a, b, size in zip(at.tolist(), to.tolist(), radii, strict=True)
@@ -114,7 +112,7 @@ def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_
 
 
 def _refuse_contradiction(
-    where: Ends, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
+    where: Any, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
 ) -> None:
     """Refuse landmarks of one pixel that should go to different places."""
     first: dict[tuple[float, ...], int] = {}
@@ -122,10 +120,10 @@ def _refuse_contradiction(
         earlier = first.setdefault(tuple(pixel), each)
         if not np.allclose(to[each] - at[each], to[earlier] - at[earlier], atol=1e-3):
             raise LayerError(
-                where.layer,
+                where,
                 f"has lines {numbers[earlier]} and {numbers[each]}, which begin in one pixel "
                 "and lead to different places. Remove one of them."
-                if where.what == "line"
+                if isinstance(where, Shapes)
                 else f"has points {numbers[earlier]} and {numbers[each]} in one pixel, which "
                 "should go to different places. Remove one of them, and its partner.",
             )
@@ -150,91 +148,45 @@ def _radii(
 _LINES = ("line", "path")
 
 
-@dataclass(frozen=True, eq=False)
-class Ends:
-    """One end of each landmark, in the order of a layer.
-
-    Attributes
-    ----------
-    layer : napari.layers.Points or napari.layers.Shapes
-    places : ndarray, shape (N, D)
-        In the layer's own coordinates.
-    what : {"point", "line"}
-        What errors call them.
-    """
-
-    layer: Any
-    places: FloatArray
-    what: Literal["point", "line"] = "point"
-
-    def in_pixels(self, frame: Frame) -> FloatArray:
-        """Where they lie in the pixels of the layer a frame is of, shape (N, D).
-
-        Raises
-        ------
-        ProblemError
-            Naming the layer, if a place is no number or measured otherwise.
-        """
-        layer, places = self.layer, self.places
-        bad = np.flatnonzero(~np.isfinite(places).all(axis=1))
-        if len(bad):
-            raise LayerError(layer, f"has NaN or infinity in {self.what} {bad[0]}. Remove it.")
-        own = np.array([layer.data_to_world(place) for place in places], dtype=float)
-        # Where they lack an axis they lie on the slice.
-        matrix = np.array(frame.matrix)
-        world = np.tile((matrix @ np.array([*frame.index, 1.0]))[:-1], (len(places), 1))
-        shared = min(own.shape[1], frame.ndim)
-        units = zip(layer.units[-shared:], frame.units[-shared:], strict=True)
-        factors = np.array([unit_factor(str(unit), to) for unit, to in units])
-        if not np.isfinite(factors).all():
-            raise LayerError(
-                layer, "is measured in other units than the image. Give both a unit of length."
-            )
-        world[:, -shared:] = own[:, -shared:] * factors
-        placed: FloatArray = np.linalg.solve(
-            matrix, np.concatenate([world, np.ones((len(world), 1))], axis=1).T
-        ).T[:, :-1]
-        return placed
-
-    def on_slice(
-        self, pixels: FloatArray, frame: Frame, view: View | None
-    ) -> npt.NDArray[np.bool_]:
-        """Which lie on the slice of the image; and on that shown, on axes it has not.
-
-        Parameters
-        ----------
-        pixels : ndarray
-            As `in_pixels`.
-        frame : Frame
-        view : View, optional
-        """
-        others = [axis for axis in range(frame.ndim) if axis not in frame.plane]
-        here: npt.NDArray[np.bool_]
-        here = (np.rint(pixels[:, others]) == np.array(frame.index)[others]).all(axis=1)
-        extra = self.layer.ndim - frame.ndim
-        if extra > 0 and view is not None:
-            shown = np.array(Frame.of(self.layer, view).index)[:extra]
-            here = here & (np.rint(self.places[:, :extra]) == shown).all(axis=1)
-        return here
+def _in_pixels(layer: Any, places: FloatArray, what: str, frame: Frame) -> FloatArray:
+    """Where places in a layer's own coordinates lie in the pixels of the image, shape (N, D)."""
+    bad = np.flatnonzero(~np.isfinite(places).all(axis=1))
+    if len(bad):
+        raise LayerError(layer, f"has NaN or infinity in {what} {bad[0]}. Remove it.")
+    own = np.array([layer.data_to_world(place) for place in places], dtype=float)
+    # Where they lack an axis they lie on the slice.
+    matrix = np.array(frame.matrix)
+    world = np.tile((matrix @ np.array([*frame.index, 1.0]))[:-1], (len(places), 1))
+    shared = min(own.shape[1], frame.ndim)
+    units = zip(layer.units[-shared:], frame.units[-shared:], strict=True)
+    factors = np.array([unit_factor(str(unit), to) for unit, to in units])
+    if not np.isfinite(factors).all():
+        raise LayerError(
+            layer, "is measured in other units than the image. Give both a unit of length."
+        )
+    world[:, -shared:] = own[:, -shared:] * factors
+    placed: FloatArray = np.linalg.solve(
+        matrix, np.concatenate([world, np.ones((len(world), 1))], axis=1).T
+    ).T[:, :-1]
+    return placed
 
 
-def ends_of(where: Any, should: Any) -> tuple[Ends, Ends]:
-    """The two ends of every landmark.
+def _on_slice(
+    layer: Any, places: FloatArray, pixels: FloatArray, frame: Frame, view: View | None
+) -> npt.NDArray[np.bool_]:
+    """Which places lie on the slice of the image; and on that shown, on axes it has not."""
+    others = list(frame.others)
+    here: npt.NDArray[np.bool_]
+    here = (np.rint(pixels[:, others]) == np.array(frame.index)[others]).all(axis=1)
+    extra = layer.ndim - frame.ndim
+    if extra > 0 and view is not None:
+        shown = np.array(Frame.of(layer, view).index)[:extra]
+        here = here & (np.rint(places[:, :extra]) == shown).all(axis=1)
+    return here
 
-    Parameters
-    ----------
-    where : napari.layers.Points or napari.layers.Shapes
-    should : napari.layers.Points or None
-        None with Shapes, whose lines lead from where things are to where they should be.
 
-    Raises
-    ------
-    ProblemError
-        Naming the layer: if two layers of points do not hold as many, or there are none, or
-        a shape is no line.
-    """
-    if isinstance(where, Shapes):
-        return _of_lines(where)
+def _paired(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
+    """The points of two layers."""
     if should is None:
         raise LayerError(
             where,
@@ -255,11 +207,10 @@ def ends_of(where: Any, should: Any) -> tuple[Ends, Ends]:
         )
     if not count:
         raise LayerError(where, "has no points. Add some, and as many to the other layer.")
-    first, last = (Ends(each, np.asarray(each.data, dtype=float)) for each in (where, should))
-    return first, last
+    return np.asarray(where.data, dtype=float), np.asarray(should.data, dtype=float)
 
 
-def _of_lines(layer: Any) -> tuple[Ends, Ends]:
+def _ends_of_lines(layer: Any) -> tuple[FloatArray, FloatArray]:
     """The first and the last place of every line."""
     for number, kind in enumerate(layer.shape_type):
         if kind not in _LINES:
@@ -274,8 +225,5 @@ def _of_lines(layer: Any) -> tuple[Ends, Ends]:
         raise LayerError(
             layer, "has no lines. Draw some, from where things are to where they should be."
         )
-    first, last = (
-        Ends(layer, np.array([line[end] for line in layer.data], dtype=float), "line")
-        for end in (0, -1)
-    )
-    return first, last
+    ends = np.array([line[[0, -1]] for line in layer.data], dtype=float)
+    return ends[:, 0], ends[:, 1]

@@ -2,123 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
-from napari_hmrf.field.strain import (
-    equivalent_strain,
-    green_lagrange_strain,
-    magnitude,
-    principal_strains,
+from napari_hmrf.field.animation import Motion, moved_grid
+from napari_hmrf.field.colormaps import OPACITY
+from napari_hmrf.field.deformation import pixels_between
+from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
+from napari_hmrf.field.strain import folds
+from napari_hmrf.layers.label_colours import (
+    OBSERVED,
+    fold_colours,
+    quantity_colours,
+    stiffness_colours,
 )
-from napari_hmrf.layers.animation import Motion
-from napari_hmrf.layers.label_colours import quantity_colours
-from napari_hmrf.layers.result_layers import (
-    OVER,
-    LayerData,
-    pixel_layer,
-    result_layers,
-    result_name,
-)
-from napari_hmrf.layers.result_lookup import FoundResult
-from napari_hmrf.layers.tissue_point import area_change
+from napari_hmrf.layers.result_layers import Answer, Array, LayerData
+from napari_hmrf.solver.problem import Problem
 
-Quantity = Literal[
-    "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
-]
-FloatArray = npt.NDArray[np.float32]
-_PER_CENT = 100.0
-#: What there is to show, and its unit; "" stands for that of the lengths. Strains are
-#: Green-Lagrange's, in per cent of the length.
-QUANTITIES: dict[Quantity, tuple[str, str]] = {
-    "magnitude": ("displacement", ""),
-    "jacobian": ("Jacobian", "area ratio"),
-    "equivalent": ("equivalent strain", "%"),
-    "stretch": ("largest stretch", "%"),
-    "squeeze": ("largest squeeze", "%"),
-    "rows": ("strain along rows", "%"),
-    "columns": ("strain along columns", "%"),
-    "shear": ("shear strain", "%"),
-}
-
-
-def quantity_of(result: FoundResult, quantity: Quantity) -> FloatArray:
-    """Compute a quantity of a result.
-
-    Parameters
-    ----------
-    result : FoundResult
-    quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
-"shear"}
-        The strains are Green-Lagrange's: "stretch" and "squeeze" the principal ones.
-
-    Returns
-    -------
-    ndarray, shape (H, W), float32
-        Of the tissue before it moved, in the unit of `QUANTITIES`: strains in per cent. NaN where
-        there is none. "jacobian" is as of `area_change`.
-    """
-    solution = result.solution
-    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    if quantity == "magnitude":
-        return np.where(tissue, magnitude(d), np.float32(np.nan))
-    if quantity == "jacobian":
-        return area_change(solution)
-    strain = green_lagrange_strain(d, spacing=spacing, tissue=tissue)
-    shown: FloatArray
-    if quantity == "equivalent":
-        shown = equivalent_strain(strain)
-    elif quantity in ("stretch", "squeeze"):
-        shown = principal_strains(strain)[..., 0 if quantity == "stretch" else 1]
-    else:
-        row, col = {"rows": (0, 0), "columns": (1, 1), "shear": (0, 1)}[quantity]
-        shown = strain[..., row, col]
-    return shown * np.float32(_PER_CENT)
-
-
-def quantity_layer(
-    result: FoundResult, quantity: Quantity, values: FloatArray | None = None
-) -> LayerData:
-    """Colour every pixel of tissue by a quantity of a result, before it moves.
-
-    What has two directions is drawn from purple (less) to orange (more), the rest from dark to
-    light, and where hardly anything happens the image is seen. Folds are yellow, which is the
-    colour of whatever is at the lower limit.
-
-    Parameters
-    ----------
-    result, quantity
-        As of `quantity_of`.
-    values : ndarray, shape (H, W), optional
-        What that gave, if it is known already.
-    """
-    values = quantity_of(result, quantity) if values is None else values
-    signed, folded = quantity not in ("magnitude", "equivalent"), False
-    if quantity == "jacobian":
-        folded = bool((values <= 0).any())
-        limits = area_limits(values, folded)
-    else:
-        least = SMALLEST * (_PER_CENT if QUANTITIES[quantity][1] == "%" else 1)
-        reach = reach_of(values, signed, least)
-        limits = (-reach if signed else 0.0, reach)
-    look = {"colormap": quantity_colours(signed, folded), "contrast_limits": limits, **OVER}
-    known = {"kind": quantity, **result.facts}
-    return pixel_layer(result.frame, values, _name(result, quantity), known, look)
-
-
-def _name(result: FoundResult, quantity: Quantity) -> str:
-    title, unit = QUANTITIES[quantity]
-    where = str(result.facts.get("slice_seen", ""))
-    parameters = result.solution.provenance.parameters
-    return result_name(result.source, f"{title} ({unit or result.unit})", parameters, where)
-
-
-Given = Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]
 #: What there is to lie over the image.
-Name = Quantity | Given
+Name = Quantity | Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]
+#: Arrows of what is given that fit beside each other across the image.
+_ACROSS = 40
+#: How quantities lie over the image.
+_OVER = {"blending": "translucent", "opacity": OPACITY}
 
 
 class Overlay(NamedTuple):
@@ -135,27 +42,94 @@ class Overlay(NamedTuple):
 
     name: Name
     layer: LayerData
-    picture: npt.NDArray[Any] | None = None
+    picture: Array | None = None
 
 
-def overlay_of(result: FoundResult, name: Name) -> Overlay | None:
+def overlay_of(answer: Answer, name: Name) -> Overlay | None:
     """Make what is to lie over the image of a result; on the compute thread only.
 
-    Quantities, the grid and the labels move with the tissue. Folds, and what was given, lie where
-    tissue was before it moved.
+    Quantities, the grid and the labels move with the tissue. Folds, and what was given, m, y and c
+    of the problem, lie where tissue was before it moved.
 
     Returns
     -------
     Overlay or None
         None if the result has nothing of that name: no folds, no labels, or no problem.
     """
-    solution, frame, pictures = result.solution, result.frame, result.pictures
+    solution, pictures, problem = answer.solution, answer.pictures, answer.problem
+    made: LayerData | None = None
+    look: dict[str, Any]
+    picture: Array | None = None
     if name in QUANTITIES:
-        values = quantity_of(result, name)
-        made = quantity_layer(result, name, values)
-        moved = np.asarray(Motion(solution, overlay=values).at(1).overlay)
-        return Overlay(name, made._replace(data=frame.put_image(moved)), values)
-    given = cast(Given, name)
-    layers = result_layers(solution, frame, pictures, {given}, problem=result.problem).layers
-    picture = pictures.labels if name == "labels" else None
-    return Overlay(name, layers[given], picture) if given in layers else None
+        shown = coloured(solution, name)
+        made, picture = quantity_layer(answer, name, shown), shown.values
+    elif name == "labels" and pictures.labels is not None:
+        look, source, picture = pictures.labels_look, pictures.labels_name, pictures.labels
+        made = answer.pixels(name, picture, "deformed", look, "labels", source)
+    elif name == "grid":
+        look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
+        made = answer.vectors(name, moved_grid(solution), name, look)
+    elif name == "folds":
+        made = _fold_layer(answer)
+    elif problem is not None and name != "labels":
+        made = _given_layer(answer, problem, name)
+    if made is not None and picture is not None:
+        moved = np.asarray(Motion(solution, overlay=picture).at(1).overlay)
+        made = made._replace(data=answer.frame.put_image(moved))
+    return None if made is None else Overlay(name, made, picture)
+
+
+def quantity_layer(answer: Answer, quantity: Quantity, shown: Coloured | None = None) -> LayerData:
+    """Colour every pixel of tissue by a quantity of a result, before it moves.
+
+    What has two directions is drawn from purple (less) to orange (more), the rest from dark to
+    light, and where hardly anything happens the image is seen. Folds are yellow, which is the
+    colour of whatever is at the lower limit.
+
+    Parameters
+    ----------
+    answer : Answer
+    quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
+"shear"}
+    shown : Coloured, optional
+        What `coloured` says of it, if that is known already.
+    """
+    shown = shown or coloured(answer.solution, quantity)
+    title, unit = QUANTITIES[quantity]
+    colours = quantity_colours(shown.signed, shown.folded)
+    look = {"colormap": colours, "contrast_limits": shown.limits, **_OVER}
+    return answer.pixels(quantity, shown.values, f"{title} ({unit or answer.unit})", look)
+
+
+def _fold_layer(answer: Answer) -> LayerData | None:
+    """Where the tissue folds over itself, before it moved; None if it does not."""
+    solution = answer.solution
+    folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    if not folded.any():
+        return None
+    look = {"colormap": fold_colours(), "opacity": 1.0}
+    return answer.pixels("folds", folded.astype(np.uint8), "folds", look, "labels")
+
+
+def _given_layer(answer: Answer, problem: Problem, name: Name) -> LayerData:
+    """What was given: how stiff tissue is (m), how it was to move (y), and how sure that is (c)."""
+    if name == "stiffness":
+        m = problem.stiffness
+        most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
+        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **_OVER}
+        return answer.pixels(name, m, name, look)
+    if name == "confidence":
+        c = problem.confidence.max(axis=-1)
+        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **_OVER}
+        return answer.pixels(name, c, name, look)
+    y, known = problem.observed, problem.known  # what was held has a dot
+    apart_by = pixels_between(_ACROSS, answer.shape, problem.spacing)
+    starts = np.argwhere(known.any(axis=-1))
+    if len(starts):
+        _, first = np.unique(starts // apart_by, axis=0, return_index=True)
+        starts = starts[first]
+    steps = np.where(known, y, 0)[tuple(starts.T)] / problem.spacing
+    arrows = np.stack([starts, steps], axis=1).astype(np.float32)
+    width = max(answer.shape) / 300
+    look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": width}
+    return answer.vectors(name, arrows, "motion given", look)

@@ -16,19 +16,19 @@ import numpy.typing as npt
 from napari.layers import Labels
 
 from napari_hmrf.field.colormaps import OPACITY
-from napari_hmrf.layers.arrow_layer import Lines, double_arrows
+from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows
 from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.tissue.drawing import Canvas, Stroke
-from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, brush_reach, distance_to, is_empty
+from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.palette import Palette
 
 FloatArray = npt.NDArray[np.float32]
 
-NAME = "Painted"
+NAME = "Motion, painted"
 #: Red, green and blue, 0 to 1.
 COLOURS: dict[str, tuple[float, float, float]] = {
     "pin": (0.90, 0.62, 0.0),
@@ -83,24 +83,23 @@ def show_painted(
         How sure is what is held or moved; the larger of its components.
     """
     assert canvas.kinds is not None
-    top, bottom, left, right = window
-    at = (slice(top, bottom), slice(left, right))
-    kinds = np.where(canvas.kinds[at] == KINDS["confidence"], np.uint8(0), canvas.kinds[at])
-    sure = canvas.confidence[at].max(axis=-1)
+    kinds = canvas.kinds[window]
+    kinds = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
+    sure = canvas.confidence[window].max(axis=-1)
     if confidence is not None:
-        confidence[at] = sure
+        confidence[window] = sure
     level = np.rint(sure * (_LEVELS - 1)).astype(np.uint8)
     level[kinds == KINDS["free"]] = _LEVELS - 1
     shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
     width = max(1, min(canvas.shape) // 90)
-    rows, cols = np.ogrid[top:bottom, left:right]
+    rows, cols = np.ogrid[window]
     stripe = (rows + cols) // width % 2 == 0
     shown[(kinds == KINDS["free"]) & stripe] = 0
     if canvas.labels is not None and base.labels is not None:
-        labels = canvas.labels[at]
-        tissue = (labels != base.labels[at]) & ((kinds == 0) | stripe)
+        labels = canvas.labels[window]
+        tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
         shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
-    picture[at] = shown
+    picture[window] = shown
 
 
 def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Any]:
@@ -203,8 +202,10 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
         sure = canvas.confidence[tuple(at.T)] > 0
-        both, at = sure.all(axis=-1), at * size
-        drawn = [_arrows(at, by), _crosses(at[both], by[both], 0.2 * apart)]
+        moves, at = by.any(axis=-1), at * size
+        both = sure.all(axis=-1)
+        back = 0.35 * np.linalg.norm(by[moves], axis=-1, keepdims=True)
+        drawn = [barbed(at[moves], by[moves], back), crosses(at[both & ~moves], 0.2 * apart * _X)]
         drawn += [double_arrows(at[sure[:, way] & ~both], way, 0.35 * apart) for way in (0, 1)]
         for part in drawn:
             lines.append(part / size)
@@ -217,6 +218,8 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
 
 #: What has marks beside its colour.
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
+#: The arms of their crosses.
+_X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
@@ -232,33 +235,10 @@ def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt
     return pixels[order[first]]
 
 
-def _arrows(at: FloatArray, by: FloatArray) -> npt.NDArray[np.float64]:
-    """(start, step) of shafts and barbs, where anything moves."""
-    length = np.linalg.norm(by, axis=-1, keepdims=True)
-    moves = length[:, 0] > 0
-    at, by, length = at[moves], by[moves], length[moves]
-    along = by / length
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    back = 0.35 * length
-    barbs = [np.stack([at + by, -back * (along + side * 0.5 * across)], axis=1) for side in (-1, 1)]
-    return np.concatenate([np.stack([at, by], axis=1), *barbs])
-
-
-def _crosses(at: FloatArray, by: FloatArray, arm: float) -> npt.NDArray[np.float64]:
-    """(start, step) of crosses, where nothing moves."""
-    at = at[~by.any(axis=-1)]
-    arms = [np.array([arm, arm]), np.array([arm, -arm])]
-    return np.concatenate(
-        [np.stack([at - a, np.broadcast_to(2 * a, at.shape)], axis=1) for a in arms]
-    )
-
-
 def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
     """Whether a stroke covers any pixel of a mask, shape (H, W)."""
-    top, bottom, left, right = box = box_of(stroke, canvas)
-    distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
-    covered = distance <= brush_reach(stroke.radius, canvas.spacing)
-    return bool((covered & where[top:bottom, left:right]).any())
+    box = box_of(stroke, canvas.spacing, canvas.whole)
+    return bool((covered(stroke, canvas.spacing, box) & where[box]).any())
 
 
 def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) -> Lines:
@@ -274,7 +254,7 @@ def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) ->
     """
     from skimage.measure import find_contours
 
-    box = box_of(stroke, canvas)
+    box = box_of(stroke, canvas.spacing, canvas.whole)
     lines = [np.zeros((0, 2, 2), np.float32)]
     if not is_empty(box):
         distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
@@ -283,7 +263,7 @@ def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) ->
         padded = np.pad(np.minimum(distance, 2 * reach), 1, constant_values=2 * reach)
         for contour in find_contours(padded, reach):
             places = contour[:: max(1, len(contour) // 400)]
-            seen = goes_to(places + np.array([box[0] - 1, box[2] - 1]))
+            seen = goes_to(places + np.array([box[0].start - 1, box[1].start - 1]))
             seen = np.concatenate([seen, seen[:1]])
             lines.append(np.stack([seen[:-1], np.diff(seen, axis=0)], axis=1).astype(np.float32))
     drawn = np.concatenate(lines)

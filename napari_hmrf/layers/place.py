@@ -82,12 +82,10 @@ class Frame:
             an axis it lacks, or beyond its ends.
         """
         ndim = int(layer.ndim)
-        origin = np.asarray(layer.data_to_world(np.zeros(ndim)), dtype=float)
-        steps = [
-            np.asarray(layer.data_to_world(unit), dtype=float) - origin for unit in np.eye(ndim)
-        ]
+        corners = np.concatenate([np.zeros((1, ndim)), np.eye(ndim)])
+        origin, *ends = (np.asarray(layer.data_to_world(corner), float) for corner in corners)
         matrix = np.eye(ndim + 1)
-        matrix[:ndim, :ndim] = np.stack(steps, axis=1)
+        matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
         matrix[:ndim, ndim] = origin
         if not np.isfinite(matrix).all():
             raise LayerError(

@@ -125,14 +125,14 @@ class _Reader:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
         tissue, notes = self._tissue(), self._notes()
-        names = {"image": Named.of(reference)}
-        if request.tissue is not None:
-            names["tissue"] = Named.of(request.tissue)
         motion, more = self._motion()
-        if request.boundary is not None:
-            names["boundary"] = Named.of(request.boundary)
-        if request.confidence is not None:
-            names["confidence"] = Named.of(request.confidence)
+        parts = {
+            "image": reference,
+            "tissue": request.tissue,
+            "boundary": request.boundary,
+            "confidence": request.confidence,
+        }
+        names = {part: Named.of(layer) for part, layer in parts.items() if layer is not None}
         drawing = request.drawing
         if drawing is not None and (drawing.marks or "boundary" not in names):
             names["drawing"] = Named(ARROWS, "Vectors layer")

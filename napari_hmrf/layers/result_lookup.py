@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,69 +14,18 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, layer_extents, unit_symbol
-from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.study import Pictures
+from napari_hmrf.layers.result_layers import Answer
+from napari_hmrf.layers.slice_view import View, layer_extents
 
 
-@dataclass(frozen=True, eq=False)
-class FoundResult:
-    """A result that a layer of arrows holds.
-
-    Attributes
-    ----------
-    solution : Solution
-    frame : Frame
-        Where it lies.
-    facts : dict
-        What the layer's metadata say of it beside.
-    pictures : Pictures
-        What moved with it, but for the image; nothing, of a result from a file.
-    problem : Problem, optional
-        What was solved; not known of a result from a file.
-    """
-
-    solution: Solution
-    frame: Frame
-    facts: dict[str, Any]
-    pictures: Pictures = field(default_factory=Pictures)
-    problem: Problem | None = None
-
-    @property
-    def unit(self) -> str:
-        """The unit of its lengths, as tables show it: "px", "mm"."""
-        return unit_symbol(self.frame.unit)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, cols = self.solution.tissue.shape
-        return int(rows), int(cols)
-
-    @property
-    def source(self) -> str:
-        """The name that the deformed image's layer had; empty for a result from a file."""
-        return str(self.facts.get("source") or "")
-
-
-def result_of(layer: Any) -> FoundResult | None:
-    """Read the result out of a layer of arrows; None if it holds none."""
+def result_of(layer: Any) -> Answer | None:
+    """The result that a layer of arrows holds; None if it holds none."""
     known = known_of(layer)
-    solution = known.get("solution")
-    if known.get("kind") != "arrows" or not isinstance(solution, Solution):
-        return None
-    try:
-        frame = Frame.of_solution(solution)
-    except ValueError:
-        return None
-    held = ("solution", "kind", "pictures", "problem")
-    facts = {key: value for key, value in known.items() if key not in held}
-    pictures = known.get("pictures", Pictures())
-    return FoundResult(solution, frame, facts, pictures, known.get("problem"))
+    answer = known.get("answer")
+    return answer if isinstance(answer, Answer) and known.get("kind") == "arrows" else None
 
 
-def source_of(layers: Iterable[Any], result: FoundResult) -> Any:
+def source_of(layers: Iterable[Any], result: Answer) -> Any:
     """Find the image that a result deforms: by its name, else one that lies where it does."""
     images = [layer for layer in layers if can_be_source(layer, result)]
     named = [layer for layer in images if layer.name == result.source]
@@ -84,13 +33,13 @@ def source_of(layers: Iterable[Any], result: FoundResult) -> Any:
     return next(iter([*named, *meant, *images]), None)
 
 
-def can_be_source(layer: Any, result: FoundResult) -> bool:
+def can_be_source(layer: Any, result: Answer) -> bool:
     """Whether a layer is an image on the pixels of a result, and not itself made of one."""
     own = isinstance(layer, Image) and "kind" not in known_of(layer)
     return own and frame_in(layer, result) is not None
 
 
-def tissue_of(layers: Iterable[Any], result: FoundResult) -> Any:
+def tissue_of(layers: Iterable[Any], result: Answer) -> Any:
     """Find the layer that says how stiff the tissue of a result is, or None.
 
     That is one of labels with a table, or one of stiffness.
@@ -100,7 +49,7 @@ def tissue_of(layers: Iterable[Any], result: FoundResult) -> Any:
     return next((each for each in reversed(described) if frame_in(each, result)), None)
 
 
-def frame_in(layer: Any, result: FoundResult) -> Frame | None:
+def frame_in(layer: Any, result: Answer) -> Frame | None:
     """The frame of the slice of a layer that lies on a result's pixels; None if none does."""
     try:
         own = Frame.of(layer)
@@ -119,7 +68,7 @@ def frame_in(layer: Any, result: FoundResult) -> Frame | None:
         return None
 
 
-def picture_of(layer: Any, result: FoundResult) -> npt.NDArray[Any] | None:
+def picture_of(layer: Any, result: Answer) -> npt.NDArray[Any] | None:
     """Copy what a layer shows on a result's pixels, rows first; None if it lies elsewhere.
 
     Raises
@@ -131,16 +80,14 @@ def picture_of(layer: Any, result: FoundResult) -> npt.NDArray[Any] | None:
     return None if own is None else copy_slice(layer, own)
 
 
-def place_at(
-    layer: Any, result: FoundResult, position: Any, view: View
-) -> tuple[float, float] | None:
+def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[float, float] | None:
     """Where a point of the world lies on the pixels of a result; None beside it or its slice.
 
     Parameters
     ----------
     layer : napari.layers.Layer
         That holds the result.
-    result : FoundResult
+    result : Answer
     position : sequence of float
         World coordinates, as of a viewer's cursor.
     view : View
@@ -165,14 +112,14 @@ def place_at(
     return (float(found[rows]), float(found[cols])) if inside else None
 
 
-def slices_apart(layer: Any, result: FoundResult, view: View) -> tuple[str, str] | None:
+def slices_apart(layer: Any, result: Answer, view: View) -> tuple[str, str] | None:
     """The names of the slice of a result and of the one that is shown, if they are two.
 
     Parameters
     ----------
     layer : napari.layers.Layer
         That holds the result.
-    result : FoundResult
+    result : Answer
     view : View
         What the viewer shows.
     """

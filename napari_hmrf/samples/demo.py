@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
+from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import solve
-from napari_hmrf.study.models import in_words
 
 #: The size that `sample_data` has phantoms and finite-element fields of, in pixels.
 SAMPLE_SIZE = 300

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 from napari_hmrf.errors import Cancelled, HmrfError
@@ -88,7 +89,7 @@ class LiveSolver:
         By default multigrid, to `TOLERANCE`. The paper's schedule works, but starts from nothing
         each time. `optimizer` may be set at any time, for the edits to come.
     backend : str
-        As for `solve`.
+        As for `solve`. `backend` may be set at any time, for the edits to come.
     progress : callable, optional
         Called with a `Monitor` on the compute thread: the first solve on a machine compiles for
         half a minute, and somebody is waiting.
@@ -126,7 +127,7 @@ class LiveSolver:
         )
         self.prior: Prior = prior or ElasticPrior()
         self.optimizer: Optimizer = optimizer or Multigrid(TOLERANCE)
-        self._backend = backend
+        self.backend = backend
         self._deliver = deliver
         self._progress = progress
         self._doing = doing
@@ -136,13 +137,15 @@ class LiveSolver:
         self._waiting: _Request | None = None
         # Whether a job of ours is queued or runs; there is never more than one.
         self._busy = False
+        # Whether what was submitted last is not answered yet, nor dropped.
+        self._owed = False
         self._closed = False
         # Set when nothing of what was submitted so far is wanted any more.
         self._dropped = threading.Event()
         # Only the compute thread looks at what was found.
         self._earlier = Earlier()
 
-    def submit(self, problem: Input | Callable[[], Input]) -> int:
+    def submit(self, problem: Input | Callable[[], Input], *, glance: bool = True) -> int:
         """Have this solved instead of whatever waits.
 
         Parameters
@@ -151,6 +154,9 @@ class LiveSolver:
             A callable is called on the compute thread, if its turn comes, and makes the problem;
             what it raises is delivered. Reading what is painted takes as long as a solve, and an
             edit that is replaced should not cost that.
+        glance : bool
+            Whether a first glance may be shown where the solution takes long. Without, what is
+            submitted after `forget` is solved bit by bit as `solve` does.
 
         Returns
         -------
@@ -171,10 +177,12 @@ class LiveSolver:
                 problem,
                 self.prior,
                 self.optimizer,
+                self.backend,
                 time.perf_counter(),
                 self._dropped,
+                glance,
             )
-            self._waiting = request
+            self._waiting, self._owed = request, True
             self._go_on()
             return self._number
 
@@ -187,7 +195,7 @@ class LiveSolver:
         with self._changed:
             self._dropped.set()
             self._dropped = threading.Event()
-            self._waiting = None
+            self._waiting, self._owed = None, False
 
     def close(self) -> None:
         """Drop everything, for good; harmless if repeated."""
@@ -210,7 +218,7 @@ class LiveSolver:
     def busy(self) -> bool:
         """Whether an answer is still to come."""
         with self._changed:
-            return self._busy
+            return self._owed
 
     @property
     def delay(self) -> str:
@@ -227,7 +235,7 @@ class LiveSolver:
     def _go_on(self) -> None:
         """Queue a job, if there is work for one; each solve is one, so that others get turns."""
         if self._waiting is None:
-            self._busy = False
+            self._busy = self._owed = False
             self._changed.notify_all()
         elif not self._busy:
             self._busy = True
@@ -256,13 +264,15 @@ class LiveSolver:
             check_arguments(problem=found, prior=prior)
             problem = found
             self._earlier.look_at(problem, request.dropped)
+            solve = partial(self._solve, problem, prior, request.backend)
             optimizer = request.optimizer
             stop: CancelFlag = request.dropped
-            if self._takes_long(problem) and isinstance(optimizer, Multigrid):
+            long = request.glance and self._takes_long(problem)
+            if long and isinstance(optimizer, Multigrid):
                 glance = replace(optimizer, tolerance=GLANCE)
-                self._say(request, problem, self._solve(problem, prior, glance, stop), final=False)
+                self._say(request, problem, solve(glance, stop), final=False)
                 stop = _Overtaken(self, request)
-            self._say(request, problem, self._solve(problem, prior, optimizer, stop))
+            self._say(request, problem, solve(optimizer, stop))
         except Cancelled:
             return
         except Exception as error:  # noqa: BLE001 - whoever edits hears of it, whatever it is
@@ -277,11 +287,16 @@ class LiveSolver:
         return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
-        self, problem: Problem, prior: Prior, optimizer: Optimizer, stop: CancelFlag
+        self,
+        problem: Problem,
+        prior: Prior,
+        backend: str,
+        optimizer: Optimizer,
+        stop: CancelFlag,
     ) -> Solution:
         """Solve from what is known, and know it."""
         initial = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
-        solution = run_here(problem, prior, optimizer, self._backend, self._progress, stop, initial)
+        solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 
@@ -313,8 +328,10 @@ class _Request(NamedTuple):
     problem: Input | Callable[[], Input]
     prior: Prior
     optimizer: Optimizer
+    backend: str
     submitted: float
     dropped: threading.Event
+    glance: bool
 
 
 class _Overtaken:

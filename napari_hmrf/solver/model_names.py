@@ -1,4 +1,4 @@
-"""What tissue was taken to be, in a name: of a result, of a choice, in files."""
+"""What tissue was taken to be, in a name or a few words: of a result, of a choice, in files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def model_name(parameters: Mapping[str, Any]) -> str:
         A `ModelName`, with "blanket" after "paper" where the prior is read so, as in "paper,
         blanket, converged"; "" if it is not told.
     """
-    prior, optimizer = parts(parameters)
+    prior, optimizer = _parts(parameters)
     if prior.get("name") == "ElasticPrior":
         return "elastic"
     if prior.get("name") != "SeilerPrior":
@@ -36,14 +36,31 @@ def model_name(parameters: Mapping[str, Any]) -> str:
     return ", ".join(["paper", *blanket, *(["converged"] if converged(optimizer) else [])])
 
 
-def parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """The parameters of the prior and of the optimizer, where there are such."""
-    known = parameters if isinstance(parameters, Mapping) else {}
-    prior, optimizer = (known.get(part) for part in ("prior", "optimizer"))
-    return (
-        prior if isinstance(prior, Mapping) else {},
-        optimizer if isinstance(optimizer, Mapping) else {},
-    )
+def in_words(parameters: Mapping[str, Any]) -> str:
+    """Which energy was minimised, and how; "unknown" if that is not told.
+
+    Parameters
+    ----------
+    parameters : mapping
+        As for `model_name`.
+    """
+    prior, optimizer = _parts(parameters)
+    if prior.get("name") == "ElasticPrior":
+        nu = prior.get("poisson")
+        ratio = f"{nu:g}" if isinstance(nu, int | float) else "by tissue"
+        what = f"elastic (Poisson's ratio {ratio}, plane {prior.get('plane')})"
+    elif prior.get("name") == "SeilerPrior":
+        what = f"the paper's prior ({prior.get('conditional')})"
+    else:
+        return "unknown"
+    if converged(optimizer):
+        return f"{what}, converged"
+    return f"{what}, {optimizer.get('iterations')} sweeps per level"
+
+
+def is_multigrid(parameters: Mapping[str, Any]) -> bool:
+    """Whether a result's iterations are cycles over all levels, not sweeps on each."""
+    return _parts(parameters)[1].get("name") == "Multigrid"
 
 
 def converged(optimizer: Mapping[str, Any]) -> bool:
@@ -52,3 +69,13 @@ def converged(optimizer: Mapping[str, Any]) -> bool:
     change = optimizer.get("energy_change", optimizer.get("tolerance"))
     exact = isinstance(change, int | float) and change <= _STILL
     return optimizer.get("name") == "Multigrid" or exact
+
+
+def _parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """The parameters of the prior and of the optimizer, where there are such."""
+    known = parameters if isinstance(parameters, Mapping) else {}
+    prior, optimizer = (known.get(part) for part in ("prior", "optimizer"))
+    return (
+        prior if isinstance(prior, Mapping) else {},
+        optimizer if isinstance(optimizer, Mapping) else {},
+    )

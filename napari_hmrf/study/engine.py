@@ -10,26 +10,23 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.resample import emptiness
-from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.solve import run_here
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
@@ -69,18 +66,15 @@ class Engine:
         overlay: Overlay | None = None,
     ) -> None:
         self._tell = deliver
-        self._doing = doing
         self._overlay = overlay
-        self._live: LiveSolver | None = None
-        self._backend = ""
+        self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
-        self._closed = threading.Event()
-        self._cancelled = threading.Event()
-        self._settling: Future[Any] | None = None
-        self._beside: Future[Any] | None = None
-        # What follows only the compute thread looks at.
+        #: Set once everything was dropped, for good.
+        self.closed = threading.Event()
+        self._dropped = threading.Event()
+        #: The newest answer; only for the compute thread, as is what follows.
+        self.latest: Deformation | None = None
         self._asked: Deformation | None = None
-        self._latest: Deformation | None = None
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
         self._warper: tuple[Array | None, Pictures, Warper] | None = None
@@ -90,21 +84,15 @@ class Engine:
     @property
     def busy(self) -> bool:
         """Whether an answer is still to come."""
-        return self.settling or (self._live is not None and self._live.busy)
-
-    @property
-    def settling(self) -> bool:
-        """Whether a study is solved from nothing, or will be."""
-        return self._settling is not None and not self._settling.done()
+        return self._live.busy
 
     @property
     def monitor(self) -> Monitor:
         """What is going on, or waited for."""
-        waits = "" if self._beside is None else compute_thread.delays(self._beside)
-        waits = waits or ("" if self._live is None else self._live.delay)
+        waits = self._live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
-    def submit(self, study: Study, backend: str = "auto") -> None:
+    def submit(self, study: Study, backend: str = "auto", settle: bool = False) -> None:
         """Have this answered instead of what waits.
 
         Parameters
@@ -112,86 +100,33 @@ class Engine:
         study : Study
         backend : str
             As for `solve`.
+        settle : bool
+            Whether to solve it from nothing, bit by bit as `solve_study` does; then it is an error
+            that nothing is held or moved.
         """
-        live = self._live
-        if live is None or backend != self._backend:
-            if live is not None:
-                live.close()
-            self._backend = backend
-            live = self._live = LiveSolver(
-                self._deliver,
-                backend=backend,
-                progress=self.report,
-                doing=self._doing,
-            )
-        live.optimizer = study.optimizer
-        live.submit(lambda: self._state(study))
-
-    def settle(self, study: Study, backend: str = "auto") -> None:
-        """Have a study solved from nothing, bit by bit as `solve_study` does; drop what waits.
-
-        It is an error that nothing is held or moved.
-        """
-        self.forget()
-        cancelled = self._cancelled
-        self._reached = Monitor("reading what is painted", 0.0)
+        if settle:
+            self.forget()
+            self._reached = Monitor("reading what is painted", 0.0)
+        self._live.optimizer, self._live.backend = study.optimizer, backend
+        dropped = self._dropped
 
         def checkpoint() -> None:
-            if cancelled.is_set():
+            if dropped.is_set():
                 raise Cancelled
 
-        def run(_: Deformation | None) -> None:
-            solution, failure = None, None
-            try:
-                checkpoint()
-                problem, prior = self._state(study, checkpoint, settle=True)
-                optimizer, report = study.optimizer, self.report
-                solution = run_here(problem, prior, optimizer, backend, report, cancelled)
-                checkpoint()
-            except Cancelled:
-                return
-            except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
-                if not isinstance(error, HmrfError | ValueError):
-                    _log.exception("the deformation failed")
-                failure = error
-            self._deliver(Update(0, None, solution, failure, True, 0.0))
-
-        self._settling = self.beside(run, self._doing)
-
-    def beside(self, job: Callable[[Deformation | None], object], doing: str) -> Future[None]:
-        """Have a job done on the compute thread, in its turn, given the latest deformation.
-
-        Parameters
-        ----------
-        job : callable
-        doing : str
-            What those who wait for it are told.
-        """
-        cancelled = self._cancelled
-        self._beside = compute_thread.submit(
-            lambda: job(self._latest), lambda: STOPPED if cancelled.is_set() else doing
-        )
-        return self._beside
+        self._live.submit(lambda: self._state(study, checkpoint, settle), glance=not settle)
 
     def forget(self) -> None:
         """Drop what waits, what is being solved, and what was found."""
-        self._cancelled.set()
-        self._cancelled = threading.Event()
-        self._settling = None
-        if self._live is not None:
-            self._live.forget()
+        self._dropped.set()
+        self._dropped = threading.Event()
+        self._live.forget()
 
     def close(self) -> None:
         """Drop everything, for good."""
-        self._closed.set()
+        self.closed.set()
         self.forget()
-        if self._live is not None:
-            self._live.close()
-
-    @property
-    def closed(self) -> threading.Event:
-        """Set once everything was dropped: what is done beside must not go on."""
-        return self._closed
+        self._live.close()
 
     def report(self, monitor: Monitor) -> None:
         """Say how far something is."""
@@ -200,10 +135,7 @@ class Engine:
     # On the compute thread
 
     def _state(
-        self,
-        study: Study,
-        checkpoint: Callable[[], None] = lambda: None,
-        settle: bool = False,
+        self, study: Study, checkpoint: Callable[[], None], settle: bool
     ) -> tuple[Problem, Prior]:
         """State the problem of a study, making anew only what differs from the one before."""
         before, self._asked = self._asked, Deformation(study, settled=settle)
@@ -224,13 +156,13 @@ class Engine:
         return stated.problem, stated.prior
 
     def _deliver(self, update: Update) -> None:
-        asked, error, latest = self._asked, update.error, self._latest
+        asked, error, latest = self._asked, update.error, self.latest
         assert asked is not None
         if update.solution is not None or isinstance(error, _StillError):
             try:
                 image, over = self._moved(asked, update.solution)
                 answer = replace(asked, solution=update.solution, image=image, overlay=over)
-                self._latest = answer
+                self.latest = answer
                 self._tell(answer)
                 return
             except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
@@ -317,14 +249,7 @@ class Deformation:
         """Where tissue that was at points, (N, 2) in pixels, is seen."""
         if self.solution is None or not len(points):
             return points
-        field, size = self.solution.displacement, self.study.grid.spacing
-        interpolated = scipy.ndimage.map_coordinates
-        steps = [
-            interpolated(field[..., axis], points.T, order=1, mode="nearest") / size[axis]
-            for axis in (0, 1)
-        ]
-        seen: npt.NDArray[np.float64] = points + np.stack(steps, axis=-1)
-        return seen
+        return moved_points(points, self.solution.displacement, spacing=self.study.grid.spacing)
 
     def is_inside(self, point: Point) -> bool:
         """Whether a point is one of the grid."""
@@ -339,6 +264,4 @@ class Deformation:
     def _holds(self, point: Point, image: Array | None) -> bool:
         """Whether an image is above 0 at a point."""
         row, col = (round(along) for along in point)
-        rows, cols = self.study.grid.shape
-        inside = 0 <= row < rows and 0 <= col < cols
-        return image is not None and inside and bool(image[row, col] > 0)
+        return image is not None and self.is_inside((row, col)) and bool(image[row, col] > 0)

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.caveats import caveats
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem, as_stiffness
@@ -17,7 +18,6 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.refusals import (
-    caveats,
     holes,
     lack,
     refuse_nothing,
@@ -90,8 +90,6 @@ class Ground:
         The tissues that can be painted; the labels of `base` are theirs.
     notes : tuple of str
         What people should know of how the study was understood, as clauses.
-    ignored : int
-        Pixels of what is painted, or observed, where there is no tissue.
     """
 
     study: Study
@@ -101,7 +99,6 @@ class Ground:
     body: npt.NDArray[np.bool_]
     palette: Palette
     notes: tuple[str, ...] = ()
-    ignored: int = 0
 
     @classmethod
     def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
@@ -131,6 +128,9 @@ class Ground:
         base = replace(base, kinds=np.zeros(study.grid.shape, dtype=np.uint8))
         notes += _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
+        if ignored:
+            what = "1 boundary pixel" if ignored == 1 else f"{ignored} boundary pixels"
+            notes.insert(0, f"{what} outside tissue {'was' if ignored == 1 else 'were'} ignored")
         checkpoint()
         if study.motion.hold_edge:
             free = ~(base.confidence > 0).any(axis=-1)
@@ -138,7 +138,7 @@ class Ground:
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
         said = tuple(filter(None, notes))
-        return cls(study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, said, ignored)
+        return cls(study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, said)
 
     @property
     def shape(self) -> tuple[int, int]:

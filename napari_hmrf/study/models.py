@@ -1,21 +1,18 @@
-"""Which energy tissue has and how far it is minimised: chosen in a word, and told in a few."""
+"""Which energy tissue has and how far it is minimised, chosen in a word."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, get_args
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.solver.model_names import ModelName, converged, model_name, parts
+from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
-
-_Kind = TypeVar("_Kind")
 
 
 def _words(label: str, tooltip: str, **options: Any) -> dict[str, Any]:
@@ -173,89 +170,3 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
         listed = ", ".join(f'"{each}"' for each in known)
         raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
     return prior_of(known[name]), optimizer_of(known[name])
-
-
-def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior:
-    """The prior of these `parameters`; a map of Poisson's ratios is given beside them.
-
-    Raises
-    ------
-    ArgumentError
-        If there is none of that name or with such parameters.
-    """
-    kinds: dict[str, type[Prior]] = {"ElasticPrior": ElasticPrior, "SeilerPrior": SeilerPrior}
-    more: dict[str, Any] = {} if poisson is None else {"poisson": poisson}
-    if parameters.get("penalty") == "inf":
-        more["penalty"] = math.inf
-    return _made(kinds, {**parameters, **more})
-
-
-def optimizer_from_dict(parameters: Mapping[str, Any]) -> Optimizer:
-    """The optimizer of these `parameters`.
-
-    Raises
-    ------
-    ArgumentError
-        As of `prior_from_dict`.
-    """
-    kinds: dict[str, type[Optimizer]] = {"ICM": ICM, "Multigrid": Multigrid}
-    return _made(kinds, parameters)
-
-
-def _made(kinds: Mapping[str, type[_Kind]], parameters: Mapping[str, Any]) -> _Kind:
-    values = dict(parameters)
-    name = values.pop("name", None)
-    if name not in kinds:
-        raise ArgumentError(f"there is no {name!r}. Take one of {', '.join(kinds)}.")
-    try:
-        return kinds[name](**values)
-    except TypeError as error:
-        raise ArgumentError(f"{name} cannot have been made of {values}") from error
-
-
-def converges(optimizer: Optimizer) -> bool:
-    """Whether an optimizer goes on until the field no longer changes."""
-    return converged(optimizer.parameters)
-
-
-def is_multigrid(parameters: Mapping[str, Any]) -> bool:
-    """Whether a result's iterations are cycles over all levels, not sweeps on each."""
-    return parts(parameters)[1].get("name") == "Multigrid"
-
-
-def short_name(parameters: Mapping[str, Any]) -> str:
-    """What tells a result from that of the paper's prior and schedule; nothing, for those.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Of a solution's provenance; from a file they may be anything.
-
-    Returns
-    -------
-    str
-        Such as "elastic", "converged" or "".
-    """
-    return model_name(parameters).removeprefix("paper").removeprefix(", ")
-
-
-def in_words(parameters: Mapping[str, Any]) -> str:
-    """Which energy was minimised, and how; "unknown" if that is not told.
-
-    Parameters
-    ----------
-    parameters : mapping
-        As for `short_name`.
-    """
-    prior, optimizer = parts(parameters)
-    if prior.get("name") == "ElasticPrior":
-        nu = prior.get("poisson")
-        ratio = f"{nu:g}" if isinstance(nu, int | float) else "by tissue"
-        what = f"elastic (Poisson's ratio {ratio}, plane {prior.get('plane')})"
-    elif prior.get("name") == "SeilerPrior":
-        what = f"the paper's prior ({prior.get('conditional')})"
-    else:
-        return "unknown"
-    if converged(optimizer):
-        return f"{what}, converged"
-    return f"{what}, {optimizer.get('iterations')} sweeps per level"

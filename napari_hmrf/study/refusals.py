@@ -12,20 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from napari_hmrf.study.layer_names import LayerError
-from napari_hmrf.study.models import converges
 from napari_hmrf.study.study import Study
 
 FloatArray = npt.NDArray[np.float32]
-
-# How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
-# of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
-_ENOUGH = 0.32
-_SMALLEST_TREE = 6
 
 
 def refuse_rigid(study: Study) -> None:
@@ -143,20 +135,6 @@ def rounding(study: Study, stiffness: npt.NDArray[Any]) -> str:
     return f"{rounded} whole numbers of '{name}' above 2^24 were rounded" if rounded else ""
 
 
-def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> list[str]:
-    """Say what may surprise, as clauses for people; nothing that is refused anyway.
-
-    Parameters
-    ----------
-    problem : Problem
-    prior : SeilerPrior or ElasticPrior
-    optimizer : ICM or Multigrid
-    """
-    if isinstance(prior, ElasticPrior):
-        return [_held_exactly(problem) if prior.penalty == math.inf else ""]
-    return ["" if converges(optimizer) else _thin_boundary(problem), _loose_pieces(problem)]
-
-
 def lack(
     problem: Problem, painted: npt.NDArray[np.floating[Any]], tissue: npt.NDArray[np.bool_]
 ) -> str:
@@ -195,52 +173,3 @@ def lack(
         "nothing holds the tissue, so that all of it gives way: paint what stays where it is, such "
         "as bone, as 'fixed'"
     )
-
-
-def _held_exactly(problem: Problem) -> str:
-    """Say so where a doubt about the boundary does not count."""
-    doubted = problem.known & (problem.confidence < 1)
-    count = int(doubted.any(axis=-1).sum())
-    if not count:
-        return ""
-    what = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
-    return (
-        f"{what} held exactly, though of a confidence below 1, as beside rigid tissue nothing may "
-        "slip"
-    )
-
-
-def _thin_boundary(problem: Problem) -> str:
-    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary."""
-    # There its motion begins; what they miss, the sweeps on the finest level do not make up for.
-    tree = levels(problem.shape)
-    if len(tree) <= _SMALLEST_TREE:
-        return ""
-    seen = np.asarray(problem.known.any(axis=-1))
-    shares = []
-    for level in tree[1:4]:
-        rows, cols = nearest_pixels(level, problem.shape)
-        size = 2**level.number
-        there = seen
-        for axis, extent in enumerate(seen.shape):
-            there = np.logical_or.reduceat(there, np.arange(0, extent, size), axis=axis)
-        sampled = seen.take(rows, axis=0).take(cols, axis=1)
-        shares.append(float(sampled.sum()) / max(1.0, float(there.sum())))
-    if np.mean(shares) > _ENOUGH:
-        return ""
-    return (
-        "most of the boundary is so thin that the coarse levels miss it, and the motion falls "
-        "short: make it at least 3 pixels wide"
-    )
-
-
-def _loose_pieces(problem: Problem) -> str:
-    """Say so where tissue hangs on nothing that was observed."""
-    pieces, count = scipy.ndimage.label(problem.tissue, structure=np.ones((3, 3)))
-    held = np.unique(pieces[problem.known.any(axis=-1)])
-    loose = count - int((held > 0).sum())
-    if not loose:
-        return ""
-    pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
-    what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{what} no boundary ({pixels} pixels): how it moves is not determined"

@@ -105,9 +105,11 @@ class StudyModel:
         word : str
             What was done, in the past tense: "removed an arrow".
         """
-        self.begin(slot, word)
-        self.update(value)
         self.end()
+        before = self._now[slot]
+        if value != before:
+            self._keep(Step(slot, before, word))
+            self._show(slot, value)
 
     def begin(self, slot: Hashable, word: str) -> None:
         """Begin an edit that takes a while, as a drag does: however it goes on, it is one step.
@@ -120,8 +122,15 @@ class StudyModel:
         self.end()
         self._begun = Step(slot, self._now[slot], word)
 
-    def update(self, value: Any) -> None:
+    def update(self, value: Any, word: str = "") -> None:
         """Go on with the edit in progress.
+
+        Parameters
+        ----------
+        value : object
+            What the slot holds from now on.
+        word : str, optional
+            What is done, if that turns out to be something else than was begun.
 
         Raises
         ------
@@ -130,21 +139,22 @@ class StudyModel:
         """
         if self._begun is None:
             raise RuntimeError("no edit was begun; call begin() first, or do()")
+        self._begun = self._begun._replace(word=word or self._begun.word)
         self._show(self._begun.slot, value)
 
-    def end(self, word: str = "") -> None:
-        """End the edit in progress, if there is one; it can be undone from now on.
+    def end(self) -> Step | None:
+        """End the edit in progress, if there is one.
 
-        Parameters
-        ----------
-        word : str, optional
-            What was done, if that turned out to be something else than was begun.
+        Returns
+        -------
+        Step or None
+            What can be undone from now on; None if nothing has changed.
         """
         begun, self._begun = self._begun, None
-        if begun is not None and begun.value != self._now[begun.slot]:
-            self._past.append(begun._replace(word=word or begun.word))
-            self._future.clear()
-            self.moved.emit()
+        if begun is None or begun.value == self._now[begun.slot]:
+            return None
+        self._keep(begun)
+        return begun
 
     def cancel(self) -> None:
         """Drop the edit in progress: all is as before it, and nothing is to be undone."""
@@ -186,6 +196,11 @@ class StudyModel:
         self._now = {slot: value for slot, value in self._now.items() if not unwanted(slot)}
         if len(self._past) + len(self._future) != before:
             self.moved.emit()
+
+    def _keep(self, step: Step) -> None:
+        self._past.append(step)
+        self._future.clear()
+        self.moved.emit()
 
     def _go(self, source: Any, target: Any) -> Step | None:
         if not source:
@@ -257,17 +272,16 @@ class History:
         word : str
             What was done, in the past tense: "removed an arrow".
         """
-        self.begin(word)
-        self.update(drawing)
-        self.end()
+        self.edits.open(self.slot, Drawing())
+        self.edits.do(self.slot, drawing, word)
 
     def begin(self, word: str) -> None:
         """Begin an edit that takes a while, as a drag does: however it goes on, it is one step."""
         self.edits.open(self.slot, Drawing())
         self.edits.begin(self.slot, word)
 
-    def update(self, drawing: Drawing) -> None:
-        """Go on with the edit in progress.
+    def update(self, drawing: Drawing, word: str = "") -> None:
+        """Go on with the edit in progress; the `word` is that of `StudyModel.update`.
 
         Raises
         ------
@@ -276,18 +290,11 @@ class History:
         """
         if not self.in_progress:
             raise RuntimeError("no edit was begun; call begin() first, or do()")
-        self.edits.update(drawing)
+        self.edits.update(drawing, word)
 
-    def end(self, word: str = "") -> None:
-        """End the edit in progress, if there is one; it can be undone from now on.
-
-        Parameters
-        ----------
-        word : str, optional
-            What was done, if that turned out to be something else than was begun.
-        """
-        if self.in_progress:
-            self.edits.end(word)
+    def end(self) -> Step | None:
+        """End the edit in progress, if there is one; returns what can be undone from now on."""
+        return self.edits.end() if self.in_progress else None
 
     def cancel(self) -> None:
         """Drop the edit in progress: the drawing is as before it, and nothing is to be undone."""

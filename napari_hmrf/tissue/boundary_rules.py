@@ -121,6 +121,11 @@ def default_material(label: int, known: Iterable[Material]) -> Material:
     return replace(first, label=label, name=name)
 
 
+def default_rigid(label: int) -> Material:
+    """What moves as one, to be painted."""
+    return Material(label, "bone or implant", RIGID)
+
+
 def default_rule(label: int) -> BoundaryRule:
     """A new boundary stays where it is, until told otherwise."""
     return BoundaryRule(label, "fixed", name=f"boundary {label}")

@@ -9,7 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.tissue.boundary_rules import RIGID, Material, poisson_image, stiffness_image
+from napari_hmrf.tissue.boundary_rules import (
+    Material,
+    default_rigid,
+    poisson_image,
+    stiffness_image,
+)
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
 
 FloatArray = npt.NDArray[np.float32]
@@ -55,7 +60,7 @@ class Palette:
         listed = {row.label for row in preset.materials}
         rows = (*([] if 0 in listed else [_VOID]), *preset.materials)
         first = next(row.stiffness for row in rows if row.is_deformable)
-        rigid = Material(max(row.label for row in rows) + 1, "bone or implant", RIGID)
+        rigid = default_rigid(max(row.label for row in rows) + 1)
         return cls((*rows, rigid), preset.unit, first if relative else 1.0)
 
     @property

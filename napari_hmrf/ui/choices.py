@@ -46,7 +46,7 @@ class Choices:
         self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
         self._image: weakref.ref[Any] | None = None
         # Whether somebody chose an image, or something that goes with the one that is chosen.
-        self._by_hand = self._begun = self._taking = False
+        self._by_hand = self._begun = False
         # Whether the edge is let go because of what came painted.
         self._let_go = False
         motion.edge.changed.connect(lambda _: setattr(self, "_let_go", False))
@@ -141,7 +141,7 @@ class Choices:
             self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
-        before, self._taking = self._taking, True
+        begun = self._begun
         role = role_of(layer)
         if role == TISSUE and layer in self._form.tissue.choice.offered:
             self._form.tissue.choice.value = layer
@@ -151,7 +151,7 @@ class Choices:
             if layer.data.any() and self._form.motion.edge.value:
                 self._form.motion.edge.value = False
                 self._let_go = True
-        self._taking = before
+        self._begun = begun  # nobody has chosen it
 
     def _choose(self, image: Any) -> None:
         by_hand = self._by_hand
@@ -171,7 +171,7 @@ class Choices:
             self._form.motion.edge.value = True
 
     def _on_chosen(self, layer: Any) -> None:
-        self._begun = self._begun or (layer is not None and not self._taking)
+        self._begun = self._begun or layer is not None
 
     def _on_image(self, image: Any) -> None:
         """Keep what was chosen for the image before, and choose what goes with this one."""

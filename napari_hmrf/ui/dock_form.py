@@ -10,7 +10,6 @@ from qtpy.QtWidgets import QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.study.study import Grid
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
@@ -88,7 +87,7 @@ class DockForm:
         pair = (boundary.landmarks.where, boundary.landmarks.should)
         return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *pair)
 
-    def show_place(self, grid: Grid, unit: str, ways: Directions) -> None:
+    def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way rows and columns run on the screen."""
         self.motion.fields.show_place(unit, ways)
         self.motion.boundary.table.show_place(unit, ways)
@@ -131,7 +130,7 @@ class DockForm:
         scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
-        outer.native.layout().addWidget(self.footer.build())
+        outer.native.layout().addWidget(self.footer)
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, change
+from napari_hmrf.layers.metadata import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
@@ -36,12 +35,10 @@ class DockSteps:
         self._form, self._steps, self._owner = form, steps, owner
         self._model = steps.edits
         self._undoing = False
-        # What was chosen when that was looked at last.
-        self._known: set[Slot] = set()
-        tissue, boundary = form.tissue, form.motion.boundary
-        for section in (tissue, boundary):
-            section.table.changed.connect(self.note)
-        tissue.choice.changed.connect(lambda _: self.note())
+        tissue = form.tissue
+        self._tables = (tissue.table, form.motion.boundary.table)
+        for table in self._tables:
+            table.changed.connect(self.note)
         tissue.editor.plot.edited.connect(self._take_curve)
         tissue.editor.plot.settled.connect(lambda _: self._model.end())
         buttons = form.footer.steps
@@ -66,15 +63,11 @@ class DockSteps:
 
     def note(self, by_itself: bool = False) -> None:
         """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
-        if self._undoing:
-            return
-        known, self._known = self._known, set()
-        for slot, now in self._edited():
-            self._known.add(slot)
-            before = self._model.open(slot, now)
-            if now == before:
+        for table in () if self._undoing else self._tables:
+            slot, now = Slot(table.role, table.layer), table.contents
+            if slot.layer is None or now == (before := self._model.open(slot, now)):
                 continue
-            if by_itself or slot not in known:
+            if by_itself:
                 self._model.amend(slot, now)
             else:
                 self._model.do(slot, now, change(before, now, slot.layer.name))
@@ -108,13 +101,6 @@ class DockSteps:
     def _curve_slot(self) -> Slot:
         return Slot(CURVE, self._form.image.value)
 
-    def _edited(self) -> Iterator[tuple[Slot, Any]]:
-        """What is chosen and can be edited, as it is now."""
-        form = self._form
-        for role, section in ((TISSUE, form.tissue), (BOUNDARY, form.motion.boundary)):
-            if (layer := section.table.layer) is not None:
-                yield Slot(role, layer), section.table.contents
-
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
         """Put back what a slot holds: a table that is shown, or a curve."""
         if not isinstance(slot, Slot) or self._undoing:
@@ -123,8 +109,8 @@ class DockSteps:
         try:
             if slot == self._curve_slot:
                 self._form.tissue.go_by(value)
-            for section in (self._form.tissue, self._form.motion.boundary):
-                if slot.what in (TISSUE, BOUNDARY) and section.table.layer is slot.layer:
-                    section.table.contents = value
+            for table in self._tables:
+                if slot == Slot(table.role, table.layer):
+                    table.contents = value
         finally:
             self._undoing = False

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.optimizers import Monitor
@@ -22,13 +23,11 @@ from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
-from napari_hmrf.ui.handover import Newest, Repainted
-from napari_hmrf.ui.rehearsal import rehearse
+from napari_hmrf.ui.handover import Errands, Newest, Repainted
 
 _log = logging.getLogger("napari_hmrf")
 # What those who wait for it are told.
 _FOLLOWING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
-_BESIDE = "what 'Soft tissue' draws or gets ready, which closing that dock stops"
 _EDGE_MOVED = (
     "the patch lies over the held edge, so that the edge moves, too, and leaves a gap: take hold "
     "further inside, or of a smaller patch, if it should stay"
@@ -86,13 +85,13 @@ class Follower:
 
     def __init__(self, show: Callable[[Seen], None], finish: Callable[[Done], None]) -> None:
         self._show, self._finish = show, finish
-        self._newest = Newest(self._on_newest)
+        self._newest = Newest(self._on_seen)
         self._repainted = Repainted(self._on_repainted)
         self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
         # Whether what was submitted is not painted yet, and the newest that waits for that.
         self._behind = False
         self._next: tuple[Study, str] | None = None
-        self._jobs: list[Future[Any]] = []
+        self._beside = Errands(lambda _: None)  # a drag says itself what went wrong
         self._rehearsed = False
         # What was painted where, at rest; only the compute thread looks at it.
         self._canvas: Canvas | None = None
@@ -107,34 +106,17 @@ class Follower:
     def settle(self, study: Study, backend: str = "auto") -> None:
         """Have a study solved from nothing instead of all that waits; returns at once."""
         self.forget()
-        self._behind = True
-        self._engine.settle(study, backend)
+        self._submit(study, backend, settle=True)
 
     def complete(self) -> None:
         """Have what takes longer made of the latest result, unless there is a newer one then."""
-        engine = self._engine
-
-        def checkpoint() -> None:
-            if engine.busy:
-                raise Cancelled
-
-        def draw(latest: Deformation | None) -> None:
-            if latest is None or latest.solution is None or engine.busy:
-                return
-            try:
-                self._newest.put(drawn(latest, self._canvas, checkpoint))
-            except Cancelled:
-                return
-            except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
-                _log.exception("a result could not be drawn")
-                self._newest.put(Seen(replace(latest, error=error)))
-
-        self._ask(draw)
+        self._beside.send("layers", self._drawn, self._on_drawn)
 
     def forget(self) -> None:
         """Show nothing of what is on its way."""
         self._engine.forget()
         self._newest.forget()
+        self._beside.forget("layers")
         self._behind, self._next = False, None
 
     @property
@@ -145,8 +127,7 @@ class Follower:
     @property
     def at_work(self) -> bool:
         """Whether anything is computed, or will be."""
-        self._jobs = [job for job in self._jobs if not job.done()]
-        return self.busy or bool(self._jobs) or self._newest.waits
+        return self.busy or self._beside.busy() or self._newest.waits
 
     @property
     def monitor(self) -> Monitor:
@@ -158,34 +139,35 @@ class Follower:
         self.forget()
         self._engine.close()
         self._newest.release()
+        self._beside.release()
         self._repainted.release()
 
     def rehearse(self, study: Study) -> None:
         """Have what the first pull and the first brush will need be loaded, or compiled."""
-        if not self._rehearsed and study.pictures.image is not None:
+        image, engine = study.pictures.image, self._engine
+        if not self._rehearsed and image is not None:
             self._rehearsed = True
-            engine = self._engine
-            self._ask(lambda _: rehearse(study, engine.report, engine.closed))
-            self._ask(lambda _: rehearse(study, engine.report, engine.closed, more=True))
+            what = study.prior, image, study.grid.spacing, engine.report, engine.closed
+            for kind, more in (("first pull", False), ("first brush", True)):
+                self._beside.send(kind, partial(rehearse, *what, more), lambda _: None)
 
     # In the window's thread
 
-    def _submit(self, study: Study, backend: str) -> None:
+    def _submit(self, study: Study, backend: str, settle: bool = False) -> None:
         self._behind, self._next = True, None
-        self._engine.submit(study, backend)
+        self._engine.submit(study, backend, settle)
 
-    def _ask(self, job: Callable[[Deformation | None], None]) -> None:
-        self._jobs.append(self._engine.beside(job, _BESIDE))
-
-    def _on_newest(self, news: Seen | Done) -> None:
-        if isinstance(news, Done):
-            if not self.busy:
-                self._finish(news)
-            return
+    def _on_seen(self, seen: Seen) -> None:
         # What was wrong with an edit that has been replaced is put right by now, or said again.
-        if news.moved.error is None or self._next is None:
-            self._show(news)
+        if seen.moved.error is None or self._next is None:
+            self._show(seen)
         self._repainted.ask()
+
+    def _on_drawn(self, drawn: Done | Seen | None) -> None:
+        if isinstance(drawn, Seen):
+            self._on_seen(drawn)
+        elif drawn is not None and not self.busy:
+            self._finish(drawn)
 
     def _on_repainted(self) -> None:
         self._behind = False
@@ -193,6 +175,23 @@ class Follower:
             self._submit(*self._next)
 
     # On the compute thread
+
+    def _drawn(self) -> Done | Seen | None:
+        """The latest result, drawn, or why it cannot be; None if there is a newer one to come."""
+        latest = self._engine.latest
+        if latest is None or latest.solution is None:
+            return None
+        try:
+            return drawn(latest, self._canvas, self._checkpoint)
+        except Cancelled:
+            return None
+        except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
+            _log.exception("a result could not be drawn")
+            return Seen(replace(latest, error=error))
+
+    def _checkpoint(self) -> None:
+        if self._engine.busy:
+            raise Cancelled
 
     def _overlay(
         self,
@@ -246,10 +245,6 @@ def drawn(
     place, pictures = study.grid.place, study.pictures
     outputs = result_layers(kept, place, pictures, checkpoint=checkpoint, problem=stated.problem)
     notes = ground.notes_on(stated)
-    if ground.ignored:
-        some = f"{ground.ignored} boundary pixels outside tissue were"
-        one = "1 boundary pixel outside tissue was"
-        notes = (f"{one if ground.ignored == 1 else some} ignored", *notes)
     if canvas is not None and _moves_edge(ground, canvas):
         notes = (*notes, _EDGE_MOVED)
     return Done(moved, outputs, notes)

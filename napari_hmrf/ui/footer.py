@@ -31,7 +31,7 @@ _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftMo
 _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
 
 
-class Footer:
+class Footer(QWidget):
     """Buttons, bar and words; their height never changes, so nothing moves under the mouse.
 
     Parameters
@@ -49,6 +49,7 @@ class Footer:
     """
 
     def __init__(self, tools: str = "") -> None:
+        super().__init__()
         self.deform = PushButton(text="Deform", tooltip="Compute from nothing how the tissue moves")
         self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
         self.cancel.enabled = False
@@ -60,17 +61,14 @@ class Footer:
         self.warning = ""
         self._bar = QProgressBar()
         self._status, self._details = QLabel(), QLabel()
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(2, 2, 2, 2)
+        layout.setSpacing(2)
+        # magicgui's containers end with the last reference.
         self._rows = [
             row(self.live, self.steps.undo, self.steps.redo, self.help),
             row(self.deform, self.cancel),
         ]
-
-    def build(self) -> QWidget:
-        """Put it together."""
-        footer = QWidget()
-        layout = QVBoxLayout(footer)
-        layout.setContentsMargins(2, 2, 2, 2)
-        layout.setSpacing(2)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
             layout.addWidget(each.native)
@@ -91,8 +89,7 @@ class Footer:
             label.setContentsMargins(4, 0, 4, 0)
             layout.addWidget(label)
         self.help.changed.connect(lambda _: self.say(self.help.tooltip))
-        footer.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
-        return footer
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def say(self, status: str) -> None:
         """Show a sentence."""
@@ -129,11 +126,6 @@ class Footer:
         done = round(1000 * fraction)
         self._bar.setRange(0, 1000 if done else 0)
         self._bar.setValue(done)
-
-    def following(self, slowly: bool) -> None:
-        """Show that an edit is being followed, and takes a while; or that it is not."""
-        if self.deform.enabled and self.cancel.enabled != slowly:
-            self.cancel.enabled = slowly
 
     def stop(self) -> None:
         """Show that nothing is going on."""
@@ -189,15 +181,10 @@ class StepButtons:
     def __init__(self) -> None:
         self.undo = PushButton(text="Undo", enabled=False)
         self.redo = PushButton(text="Redo", enabled=False)
-        self._tips = ("", "")
 
     def show(self, steps: ViewerSteps) -> None:
         """Show what there is to take back, and to do again."""
-        tips = (steps.undo_tooltip, steps.redo_tooltip)
-        if tips == self._tips:
-            return
-        self._tips = tips
-        self.undo.tooltip, self.redo.tooltip = tips
+        self.undo.tooltip, self.redo.tooltip = steps.undo_tooltip, steps.redo_tooltip
         self.undo.enabled = steps.edits.next_undo is not None
         self.redo.enabled = steps.edits.next_redo is not None
 

@@ -45,7 +45,7 @@ def narrow(menu: Any) -> None:
 
 def confidence_slider(tooltip: str) -> FloatSlider:
     """A field for how sure something is."""
-    return share("confidence", tooltip, value=1.0, min=LEAST_CONFIDENCE)
+    return share("confidence", tooltip, name="confidence", value=1.0, min=LEAST_CONFIDENCE)
 
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:

@@ -22,8 +22,8 @@ class _Said(Enum):
     """Why something is read, which says what may take its place."""
 
     NEWS = auto()
-    #: Until it is another that can be done next.
-    INVITATION = auto()
+    #: Until another place is looked at.
+    COVERED = auto()
     #: Until something new is begun.
     STEP = auto()
     #: As long as somebody paints.
@@ -35,8 +35,8 @@ class _Said(Enum):
 class Guide:
     """Knows which sentence may take the place of which.
 
-    What was taken back stays to be read until something new is begun; what goes on is said while it
-    does.
+    Where there is nothing to say, what can be done next is read. What was taken back stays to be
+    read until something new is begun; what goes on is said while it does.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Guide:
             begun.connect(self._on_begun)
         live.said.connect(self._on_study)
         live.doing.connect(self._on_doing)
-        live.moved_on.connect(self._on_other)
+        live.moved_on.connect(self._show)
         self._heard = Listening((steps.said, self._on_step))
 
     def release(self) -> None:
@@ -74,7 +74,7 @@ class Guide:
     @property
     def shown(self) -> str:
         """What is read."""
-        return self._doing or self._said
+        return self._doing or self._said or self.invitation
 
     @property
     def invitation(self) -> str:
@@ -93,12 +93,12 @@ class Guide:
     def say(self, sentence: str, why: _Said = _Said.NEWS) -> None:
         """Say something in place of all that was said."""
         self._said, self._why = sentence, why
-        self._form.footer.say(self.shown)
+        self._show()
 
     def invite(self) -> None:
         """Say what can be done next, unless it is still to be read what was taken back."""
         if self._why is not _Said.STEP:
-            self.say(self.invitation, _Said.INVITATION)
+            self.say("")
 
     def say_painting(self, layer: Any, before: bool) -> None:
         """Say what is painted, as long as it is; `before`: on the image as it was."""
@@ -120,16 +120,17 @@ class Guide:
     def look_at_mouse(self, stopped: bool) -> None:
         """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
         paints = isinstance(self._viewer.layers.selection.active, Labels)
-        if stopped and self._paused:
-            self.say(self.invitation, _Said.INVITATION)
-        elif self._why is _Said.INVITATION or (self._why is _Said.PAINTING and not paints):
-            self.invite()
+        if (stopped and self._paused) or (self._why is _Said.PAINTING and not paints):
+            self.say("")
+        else:
+            self.look_at_view()
 
-    def look_at_view(self) -> None:
+    def look_at_view(self, *_: object) -> None:
         """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
         there = self._form.image.value is not None
-        if self._why is _Said.INVITATION or (self._why is _Said.GONE and there):
-            self.invite()
+        if self._why is _Said.COVERED or (self._why is _Said.GONE and there):
+            self._said, self._why = "", _Said.NEWS
+        self._show()
 
     @property
     def _covered(self) -> str:
@@ -159,14 +160,14 @@ class Guide:
     def _on_doing(self, sentence: str) -> None:
         if sentence != self._doing:
             self._doing = sentence
-            self._form.footer.say(self.shown)
+            self._show()
 
     def _on_pointer(self, sentence: str) -> None:
-        if sentence in (self._pointer.tool.how, motion_messages.OFF):
+        if not sentence:
             self.invite()
         else:
             covered = sentence.startswith(motion_messages.COVERED)
-            self.say(sentence, _Said.INVITATION if covered else _Said.NEWS)
+            self.say(sentence, _Said.COVERED if covered else _Said.NEWS)
 
     def _on_study(self, sentence: str) -> None:
         """Say something of the study beside what was taken back; "": nothing is wrong any more."""
@@ -181,7 +182,5 @@ class Guide:
         self._live.note = found
         self.say(found)
 
-    def _on_other(self) -> None:
-        """Another slice or image is worked on."""
-        if self._why is _Said.INVITATION:
-            self.invite()
+    def _show(self) -> None:
+        self._form.footer.say(self.shown)

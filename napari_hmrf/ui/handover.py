@@ -18,7 +18,7 @@ _log = logging.getLogger("napari_hmrf")
 _Work = Callable[[], Any]
 _Answer = Callable[[Any], None]
 # What those who wait for an errand are told.
-_DOING = "what shows a result in 'Soft tissue', which takes a moment; closing that dock ends them"
+_DOING = "what 'Soft tissue' draws or gets ready, which closing that dock stops"
 
 
 class Newest(QObject):
@@ -47,10 +47,8 @@ class Newest(QObject):
         with self._lock:
             if self._released:
                 return
-            told = bool(self._waiting)
             self._waiting = [value]
-            if not told:
-                self._came.emit()
+            self._came.emit()
 
     @property
     def waits(self) -> bool:
@@ -60,7 +58,7 @@ class Newest(QObject):
     def forget(self) -> None:
         """Drop what waits."""
         with self._lock:
-            # Whoever was told finds nothing.
+            # Who was told finds nothing.
             self._waiting = []
 
     def release(self) -> None:

@@ -71,6 +71,10 @@ class LabelTable(QAbstractTableModel):
         Of the column of names.
     columns : sequence of Column
         Those beyond label and name.
+    default : callable
+        The row of a label that was not there before.
+    words : callable
+        What a row says, in words.
     about : callable
         What there is to say of a row beside its name.
 
@@ -95,6 +99,8 @@ class LabelTable(QAbstractTableModel):
         view: Callable[[], View | None],
         title: str,
         columns: Sequence[Column],
+        default: Callable[[int], Any],
+        words: Callable[[Any], str],
         about: Callable[[Any], str] = lambda row: "",
     ) -> None:
         super().__init__()
@@ -114,22 +120,13 @@ class LabelTable(QAbstractTableModel):
             ),
             *columns,
         ]
-        self._role, self._view = role, view
+        self.role, self._view = role, view
+        self._default, self._words = default, words
         self._contents = Table(())
         self._layer: Any = None
         self._active = False
         self._heard = Listening()
         self._timer = single_shot(self, _PAUSE, self.look)
-
-    # What a subclass says
-
-    def _default(self, label: int) -> Any:
-        """The row of a label that was not there before."""
-        raise NotImplementedError
-
-    def words(self, row: Any) -> str:
-        """What a row says, in words."""
-        raise NotImplementedError
 
     # What is in it
 
@@ -181,7 +178,7 @@ class LabelTable(QAbstractTableModel):
         if not isinstance(layer, Labels):
             return
         self._layer = layer
-        self._show(Table.of(layer, self._role))
+        self._show(Table.of(layer, self.role))
         self._list_painted()
         self._heard = Listening(
             (layer.events.selected_label, self._mark),
@@ -202,7 +199,7 @@ class LabelTable(QAbstractTableModel):
             return
         self._timer.stop()
         if new := self._list_painted():
-            said = " and ".join(f"label {row.label} ({self.words(row)})" for row in new[:3])
+            said = " and ".join(f"label {row.label} ({self._words(row)})" for row in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
         self.dataChanged.emit(self.index(0, LABEL), self.index(len(self.rows) - 1, LABEL))
         self._tell(by_itself=True)
@@ -228,7 +225,7 @@ class LabelTable(QAbstractTableModel):
         except ProblemError:
             return []
         labels = unlisted(picture, self.rows)
-        new = [self._default(each) for each in labels if each > 0 or self._role != BOUNDARY]
+        new = [self._default(each) for each in labels if each > 0 or self.role != BOUNDARY]
         if new:
             self._show(self._contents._replace(rows=(*self.rows, *new)))
         return new
@@ -249,7 +246,7 @@ class LabelTable(QAbstractTableModel):
     def _tell(self, by_itself: bool) -> None:
         """Have the layer carry the table, and say what changed."""
         if self._layer is not None:
-            self._contents.give_to(self._layer, self._role)
+            self._contents.give_to(self._layer, self.role)
             self.changed.emit(by_itself)
 
     def _on_painted(self, *_: Any) -> None:

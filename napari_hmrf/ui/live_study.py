@@ -92,12 +92,12 @@ class LiveStudy:
         self.settling = False
         self.note = ""
         self._layers: tuple[Any, ...] = ()
-        self._outdated = False
         self._copies = shared(viewer, LayerCopies)
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
         self._since = 0.0
-        self._failed = ""
+        # Why the tissue cannot follow, what came out last, and what was said of both.
+        self._failed = self._report = self._told = ""
         self._looking = single_shot(native, 0, self.look)
         self._resting = single_shot(native, _REST, self.complete)
         self._poll = repeating(native, _POLL, self._on_poll)
@@ -171,7 +171,7 @@ class LiveStudy:
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
-            self._asked, self._outdated = None, True
+            self._asked = None
             self.curve_layer.show(None)
             self._cannot(error)
             return False
@@ -179,8 +179,8 @@ class LiveStudy:
         if self._form.footer.live.on or self._pointer.active:
             self._follow(study)
         else:
-            self._compare(study)
-            self._succeed()
+            self._failed = ""
+            self._tell()
         return True
 
     def settle(self) -> None:
@@ -210,22 +210,16 @@ class LiveStudy:
         """Whether a layer is among those of which something is solved from nothing."""
         return self.settling and any(layer is each for each in self._layers)
 
-    def cancel(self, why: str = messages.CANCELLED) -> None:
+    def cancel(self, why: str = "") -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
-        was = self._follower.busy
+        settling, going_on = self.settling, self._follower.busy
         self._follower.forget()
         self._asked = None
-        if self.settling:
-            self._end_settling(why)
+        if settling or going_on:
+            stays = "" if self.latest is None else f" {messages.STAYS}"
+            self._stop(why or messages.CANCELLED + stays)
+        if settling:
             self.finished.emit(None)
-        elif was:
-            self._form.footer.following(False)
-            self.doing.emit("")
-            self.said.emit(
-                f"{messages.CANCELLED} {messages.STAYS}"
-                if why == messages.CANCELLED and self.latest
-                else why
-            )
 
     def complete(self, *_: Any) -> None:
         """Have image and arrows of the latest result drawn, once nothing is held or on its way."""
@@ -259,6 +253,7 @@ class LiveStudy:
         self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
         self.study = self.source = self.latest = self._asked = None
+        self._failed = self._report = ""
         self._pointer.stand_on(None)
         self._form.footer.warn("")
 
@@ -285,31 +280,19 @@ class LiveStudy:
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
         self.curve_layer.show(study, source)
-        self._form.show_place(place, unit_symbol(place.unit), ways)
-        motion = replace(study.motion, drawing=self._pointer.drawing)
-        self.study = study = replace(study, motion=motion)
-        return study
+        self._form.show_place(unit_symbol(place.unit), ways)
+        return self._with_drawing(study)
 
-    def _compare(self, study: Study) -> None:
-        """Say that the latest result is of something else, and when it is true again."""
-        latest, before = self.latest, self._outdated
-        if latest is None:
-            return
-        self._outdated = not self.fresh
-        if self._outdated:
-            here = study.grid.place == latest.moved.study.grid.place
-            self.said.emit(
-                f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
-            )
-        elif before:
-            self.said.emit(messages.report(latest))
+    def _with_drawing(self, study: Study) -> Study:
+        """Work on a study with what is drawn on its slice."""
+        motion = replace(study.motion, drawing=self._pointer.drawing)
+        self.study = replace(study, motion=motion)
+        return self.study
 
     def _on_drawn(self) -> None:
         """The drawing is another: nothing else has to be read."""
         if self.study is not None:
-            motion = replace(self.study.motion, drawing=self._pointer.drawing)
-            self.study = replace(self.study, motion=motion)
-            self._follow(self.study)
+            self._follow(self._with_drawing(self.study))
 
     def _follow(self, study: Study) -> None:
         if self._asked is not None and self._asked.same_as(study):
@@ -355,8 +338,8 @@ class LiveStudy:
             return
         if self._looking.isActive():  # what was edited since is known first
             self.look()
-        failed, self._failed = self._failed, ""
-        self.latest, self._outdated = done, not self.fresh
+        self.latest, self._failed = done, ""
+        self._report, self.note = f"{messages.report(done)} {self.note}".rstrip(), ""
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
@@ -365,14 +348,10 @@ class LiveStudy:
         footer.tell(messages.brief(done), messages.details(done))
         settled = self.settling
         if settled:
-            self._end_settling("")
-        if settled or not self._pointer.active:
-            self.said.emit(f"{messages.report(done)} {self.note}".rstrip())
-        elif failed:
-            self.said.emit("")
-        if self.study is not None and self._outdated and not self._form.footer.live.on:
-            self._compare(self.study)
-        self.note = ""
+            self._stop()
+        self._tell(anew=not self._pointer.active)
+        if settled and self._pointer.active:
+            self.said.emit(self._report)
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
@@ -382,48 +361,55 @@ class LiveStudy:
         waited, what = time.monotonic() - self._since, "Following the last edit"
         if not (self._follower.busy or self.settling):
             self._poll.stop()
-            footer.following(False)
-            self.doing.emit("")
+            self._stop()
             return
         if self.settling:
             footer.progress(monitor.fraction)
             what = "Deforming"
         elif waited > _PATIENCE:
-            footer.following(True)
+            footer.cancel.enabled = True
         else:
             return
         self.doing.emit(messages.progress(monitor, waited, what))
         footer.explain(monitor.message)
 
+    @property
+    def _state(self) -> str:
+        """What there is to say of the study as it is; "" if nothing."""
+        latest, study = self.latest, self.study
+        if self._failed:
+            stays = "" if latest is None else messages.STAYS
+            return f"The tissue does not follow yet. {self._failed} {stays}".rstrip()
+        if self._pointer.active:
+            return ""
+        if latest is None or study is None or self._form.footer.live.on or self.fresh:
+            return self._report
+        here = study.grid.place == latest.moved.study.grid.place
+        return f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
+
+    def _tell(self, anew: bool = False) -> None:
+        """Say how the study is, once, unless that is to be said anew."""
+        before, self._told = self._told, self._state
+        if anew or self._told != before:
+            self.said.emit(self._told)
+
     def _cannot(self, error: Exception) -> None:
-        """Say why the tissue does not follow, once; the last result stays."""
+        """The tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
-        if sentence in (messages.WELCOME, messages.CHOOSE):
-            if sentence == messages.WELCOME:
-                self.said.emit("")
-            return  # nobody has done anything yet
-        if sentence != self._failed:
-            self._failed = sentence
-            stays = f" {messages.STAYS}" if self.latest is not None else ""
-            self.said.emit(f"The tissue does not follow yet. {sentence}{stays}")
+        # With nothing chosen nobody has done anything yet.
+        self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        self._tell(anew=sentence == messages.WELCOME)
 
     def _come_to_rest(self) -> None:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
-        before, self.latest = self.latest, None
-        self._succeed()
+        before, self.latest, self._failed = self.latest, None, ""
+        self._report = self._report if before is None else messages.STILL
         self._form.footer.warn("")
         self._form.footer.tell("")
-        if before is not None and not self._pointer.active:
-            self.said.emit(messages.STILL)
-
-    def _succeed(self) -> None:
-        """What was wrong no longer is."""
-        failed, self._failed = self._failed, ""
-        if failed and (self.latest is None or self._pointer.active):
-            self.said.emit("")
+        self._tell()
 
     def _refuse(self, error: Exception) -> None:
-        self._end_settling(messages.in_short(error))
+        self._stop(messages.in_short(error))
         # A warning goes by itself; an error would still be there beside the next good result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
@@ -435,7 +421,8 @@ class LiveStudy:
         if self.latest is not None and self.latest.outputs.folds:
             self._form.result.overlay.value = "folds"
 
-    def _end_settling(self, status: str) -> None:
+    def _stop(self, status: str = "") -> None:
+        """Show that nothing goes on any more, and say why if that is not seen."""
         self.settling = False
         self._form.footer.stop()
         self.doing.emit("")

@@ -14,8 +14,8 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.layers.metadata import TISSUE, Table, tissue_recorded
 from napari_hmrf.study.layer_names import LayerError
-from napari_hmrf.tissue.boundary_rules import stiffness_in_words
-from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.boundary_rules import default_rigid, stiffness_in_words
+from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
 from napari_hmrf.ui.tissue_tables import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"
@@ -74,7 +74,7 @@ class MaterialMenu(QPushButton):
             "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
             "model has that, the paper's has not"
         )
-        _act(menu, "Bone or implant (rigid)", about, self._table.add_rigid)
+        _act(menu, "Bone or implant (rigid)", about, lambda: self._table.add(default_rigid))
         _head(menu, "Share and keep")
         taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
@@ -103,12 +103,14 @@ class MaterialMenu(QPushButton):
             preset = materials_of(materials)
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
-        words = self._table.apply_preset(preset)
+        rows, words = take_over(preset, self._table.rows)
+        self._table.contents = Table(rows, preset.unit)
         self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
         """Save the table to a file; as `save_materials`."""
-        file = save_materials(path, self._table.preset)
+        table = self._table.contents
+        file = save_materials(path, Preset("", table.unit, "", table.rows))
         self.said.emit(f"Saved {file.name}.")
         return file
 

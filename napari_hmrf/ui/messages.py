@@ -10,11 +10,10 @@ import numpy as np
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.layers.slice_view import unit_symbol
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.layer_names import LayerError
-from napari_hmrf.study.models import in_words, is_multigrid
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.follower import Done
 

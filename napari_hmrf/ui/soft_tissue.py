@@ -9,10 +9,12 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.edit_history import steps_of
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.tissue_point import Probe
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.solution import Solution
@@ -153,7 +155,8 @@ class SoftTissue(Dock):
         self._choices = Choices(viewer, form, self.touch)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
-        self._view = ResultView(self.native, viewer, form.result, self._results)
+        results = shared(viewer, ResultLayers)
+        self._view = ResultView(self.native, viewer, form.result, results)
         self._steps = DockSteps(self.native, form, steps, self._pointer)
         remember(viewer, form.model)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)

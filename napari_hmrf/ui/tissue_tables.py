@@ -22,7 +22,6 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.material_presets import Preset, take_over
 from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
@@ -55,6 +54,8 @@ class MaterialTable(LabelTable):
                     _about,
                 ),
             ],
+            default=lambda label: default_material(label, self.rows),
+            words=_in_words,
             about=_of_unpainted,
         )
         self._show(self.contents)
@@ -69,28 +70,10 @@ class MaterialTable(LabelTable):
         """Show Poisson's ratios, or not: only elastic tissue has them."""
         self.set_column(_POISSON, applies=elastic)
 
-    @property
-    def preset(self) -> Preset:
-        """All that the table says, for others."""
-        return Preset("", self.contents.unit, "", self.rows)
 
-    def apply_preset(self, preset: Preset) -> str:
-        """Take over a preset's tissues; what became of others, in words, as of `take_over`."""
-        materials, words = take_over(preset, self.rows)
-        self.contents = Table(materials, preset.unit)
-        return words
-
-    def add_rigid(self) -> int:
-        """Add a row for bone or an implant, which moves as one, to paint with; its label."""
-        return self.add(lambda label: Material(label, "bone or implant", RIGID))
-
-    def _default(self, label: int) -> Material:
-        return default_material(label, self.rows)
-
-    def words(self, row: Material) -> str:
-        """What a row says, in words."""
-        amount = stiffness_in_words(row.stiffness)
-        return amount if row.is_rigid else f"stiffness {amount}"
+def _in_words(material: Material) -> str:
+    amount = stiffness_in_words(material.stiffness)
+    return amount if material.is_rigid else f"stiffness {amount}"
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -167,6 +150,8 @@ class BoundaryTable(LabelTable):
                     _sure,
                 ),
             ],
+            default=default_rule,
+            words=lambda row: _ACTIONS[row.action],
         )
         self.show_place("px", Directions())
 
@@ -180,13 +165,6 @@ class BoundaryTable(LabelTable):
         ):
             words = title.replace(" ", "\n")  # the dock is narrow
             self.set_column(column, title=f"{words}\n{unit}", about=f"{about}, in {unit}")
-
-    def _default(self, label: int) -> BoundaryRule:
-        return default_rule(label)
-
-    def words(self, row: BoundaryRule) -> str:
-        """What a row says, in words."""
-        return _ACTIONS[row.action]
 
     def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
         amount = _number(text)

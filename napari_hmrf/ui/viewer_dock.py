@@ -11,8 +11,6 @@ from magicgui.widgets import Container
 from qtpy.QtCore import QTimer
 
 from napari_hmrf.layers.compat import camera_of, clear_middle, unwrapped
-from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.events import single_shot
 
 #: Until the canvas has the size that a new dock leaves it, in milliseconds.
@@ -38,10 +36,6 @@ class Dock(Container):
         super().__init__(labels=False)
         self._viewer = unwrapped(napari_viewer)
         self._life = _Life(self, self._on_docked, self._on_over)
-        self._results = shared(self._viewer, ResultLayers)
-        # napari may be in the middle of removing more layers than the one.
-        self._sweeping = single_shot(self.native, 0, self._results.remove_orphans)
-        self._results.orphaned.connect(self._on_orphaned)
         self._fitting = single_shot(self.native, _LAID_OUT, self._viewer.reset_view)
         clear_middle(self._viewer)
 
@@ -54,10 +48,6 @@ class Dock(Container):
     def docked(self) -> bool:
         """Whether there is a dock around this, in a window."""
         return not self.away and self.native.parent() is not None
-
-    def _on_orphaned(self) -> None:
-        if not self.away:
-            self._sweeping.start()
 
     def _on_docked(self) -> None:
         if sees_all(self._viewer):

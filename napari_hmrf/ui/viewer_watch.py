@@ -8,9 +8,9 @@ from typing import Any
 from napari.layers import Labels
 from psygnal import Signal
 
-from napari_hmrf.layers.edit_history import Slot, steps_of
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
-from napari_hmrf.layers.viewer_layers import is_selection_kept
+from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
@@ -58,6 +58,7 @@ class ViewerWatch:
         guide: Guide,
     ) -> None:
         self._viewer, self._form, self._choices = viewer, form, choices
+        self._results = shared(viewer, ResultLayers)
         self._pointer, self._live, self._guide = pointer, live, guide
         self._pixels = Pixels(live.touch, refreshed=True)
         self._fitting = single_shot(native, 50, viewer.reset_view)
@@ -67,7 +68,7 @@ class ViewerWatch:
         self._leaving = single_shot(native, 0, self._on_left)
         self._begun = self._was_active = False
         live.moved_on.connect(self._on_other)
-        self._eyes, self._brush = Listening(), Listening()
+        self._layers = Listening()
         self._slice = _slice_of(viewer.dims)
         form.edited.connect(self._on_choice)
         form.image.changed.connect(self._on_choice)
@@ -75,22 +76,20 @@ class ViewerWatch:
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.events.renamed, choices.look),
-            (viewer.layers.events.reordered, self._on_cover),
+            (viewer.layers.events.reordered, guide.look_at_view),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events.current_step, self._on_slice),
             (viewer.dims.events.order, self._on_slice),
             (viewer.dims.events.ndisplay, self._on_slice),
-            (steps_of(viewer).edits.changed, self._on_table),
         )
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
-        self._look_at_eyes()
+        self._listen_to_layers()
 
     def release(self) -> None:
         """Listen no more."""
-        for heard in (self._events, self._eyes, self._brush):
+        for heard in (self._events, self._layers, self._pixels):
             heard.release()
-        self._pixels.release()
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
@@ -136,12 +135,6 @@ class ViewerWatch:
         self._live.touch()
         self._guide.look_at_view()
 
-    def _on_table(self, slot: Any, *_: Any) -> None:
-        """The table of a layer says something else, wherever that was done."""
-        of_ours = isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY)
-        if of_ours and slot.layer in self._painted:
-            self._live.touch()
-
     # What is shown
 
     def _on_slice(self, *_: Any) -> None:
@@ -151,20 +144,19 @@ class ViewerWatch:
             self._pointer.release()
             self.look_at_mouse()
             self._live.touch()
-            self._guide.look_at_view()
 
-    def _look_at_eyes(self) -> None:
-        """Listen to whether layers are shown: those that there are now."""
-        self._eyes.release()
-        self._eyes = Listening(
-            *((layer.events.visible, self._on_cover) for layer in self._viewer.layers)
+    def _listen_to_layers(self) -> None:
+        """Listen to whether layers are shown, and taken to be painted on: those there are now."""
+        self._layers.release()
+        layers = list(self._viewer.layers)
+        painted = [layer for layer in layers if isinstance(layer, Labels)]
+        self._layers = Listening(
+            *((layer.events.visible, self._guide.look_at_view) for layer in layers),
+            *((layer.events.mode, self._on_mode) for layer in painted),
         )
 
-    def _on_cover(self, *_: Any) -> None:
-        self._guide.look_at_view()
-
     def _on_inserted(self, event: Any) -> None:
-        self._look_at_eyes()
+        self._listen_to_layers()
         self._choices.look()
         self._choices.take([event.value])
         if role_of(event.value) and len(self._viewer.layers) == 1:
@@ -172,9 +164,10 @@ class ViewerWatch:
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
-        self._look_at_eyes()
+        self._listen_to_layers()
         self._choices.look()
         self._let_go_of(event.value)
+        self._leaving.start()
         self._on_choice()
 
     def _let_go_of(self, layer: Any) -> None:
@@ -187,14 +180,13 @@ class ViewerWatch:
             live.cancel(why)
             live.forget()
             self._guide.say_gone(layer)
-            if self._form.image.value is None:
-                self._leaving.start()
         elif live.is_solving(layer):
             live.cancel(why)
 
     def _on_left(self) -> None:
-        """There is nothing to draw on."""
-        if self._form.image.value is None:
+        """Take away the results of images that are gone, and the tools if there is none left."""
+        self._results.remove_orphans()
+        if self._form.image.value is None and self._live.study is None:
             self._pointer.leave()
             self.look_at_mouse()
 
@@ -216,10 +208,6 @@ class ViewerWatch:
             return
         self._mark()
         self.look_at_mouse()
-        active = self._viewer.layers.selection.active
-        self._brush.release()
-        modes = [active.events.mode] if isinstance(active, Labels) else []
-        self._brush = Listening(*((mode, self._on_mode) for mode in modes))
         self._on_mode()
 
     def _mark(self) -> None:

@@ -25,8 +25,8 @@ from napari_hmrf.tissue.drawing.marks import (
 )
 
 FloatArray = npt.NDArray[np.float32]
-#: First row, row after the last, first column, column after the last.
-Box = tuple[int, int, int, int]
+#: Rows and columns of a part of an image; it ends where it begins if it has no pixels.
+Box = tuple[slice, slice]
 
 _COMPONENTS: dict[Components, slice] = {
     "both": slice(0, 2),
@@ -102,7 +102,7 @@ class Canvas:
     def whole(self) -> Box:
         """The box of all pixels."""
         rows, cols = self.shape
-        return 0, rows, 0, cols
+        return slice(0, rows), slice(0, cols)
 
     @property
     def images(self) -> list[npt.NDArray[Any]]:
@@ -115,32 +115,31 @@ class Canvas:
         return deepcopy(self)
 
 
-def box_of(mark: Mark, canvas: Canvas) -> Box:
-    """The pixels a mark may change; empty where it lies outside the image."""
+def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
+    """The pixels of an image a mark may change; empty where it lies outside."""
     lines, radius = _brush(mark)
-    reach = [brush_reach(radius, canvas.spacing) / size for size in canvas.spacing]
+    reach = [brush_reach(radius, spacing) / size for size in spacing]
     points = np.array([point for line in lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    return common(
-        (math.ceil(low[0]), math.floor(high[0]) + 1, math.ceil(low[1]), math.floor(high[1]) + 1),
-        canvas.whole,
+    rows, cols = (
+        slice(math.ceil(first), math.floor(last) + 1) for first, last in zip(low, high, strict=True)
     )
+    return common((rows, cols), whole)
 
 
 def common(one: Box, other: Box) -> Box:
-    """The pixels in both; a box without pixels ends where it begins."""
-    top, left = max(one[0], other[0]), max(one[2], other[2])
-    return (
-        top,
-        max(top, min(one[1], other[1])),
-        left,
-        max(left, min(one[3], other[3])),
-    )
+    """The pixels in both."""
+    return _overlap(one[0], other[0]), _overlap(one[1], other[1])
+
+
+def _overlap(one: slice, other: slice) -> slice:
+    begin = max(one.start, other.start)
+    return slice(begin, max(begin, min(one.stop, other.stop)))
 
 
 def is_empty(box: Box) -> bool:
     """Whether there are no pixels in it."""
-    return box[0] >= box[1] or box[2] >= box[3]
+    return any(side.start >= side.stop for side in box)
 
 
 def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
@@ -151,7 +150,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     ProblemError
         If a stroke that is to expand is an open line, or there are no labels to paint tissue in.
     """
-    box = common(box_of(mark, canvas), window)
+    box = box_of(mark, canvas.spacing, window)
     if is_empty(box):
         return
     if isinstance(mark, Landmark):
@@ -160,9 +159,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     distance = distance_to(lines, radius, canvas.spacing, box)
     reach = brush_reach(radius, canvas.spacing)
     where = distance <= reach
-    at = (slice(box[0], box[1]), slice(box[2], box[3]))
     which = _COMPONENTS[mark.components]
-    y, c = canvas.observed[at][..., which], canvas.confidence[at][..., which]
+    y, c = canvas.observed[box][..., which], canvas.confidence[box][..., which]
     if isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[which], mark.confidence
     elif mark.action == "pin":
@@ -183,10 +181,10 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
             raise ProblemError(
                 "stiffness", "has no labels to paint tissue in. Choose a Labels layer as tissue."
             )
-        canvas.labels[at][where] = mark.label
+        canvas.labels[box][where] = mark.label
         return
     if canvas.kinds is not None:
-        kinds = canvas.kinds[at]
+        kinds = canvas.kinds[box]
         if isinstance(mark, Arrow):
             kinds[where] = 0
         elif mark.action == "confidence":
@@ -196,7 +194,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
             kinds[where] = KINDS[mark.action]
 
 
-def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]) -> None:
+def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]) -> None:
     """Refuse a stroke that is to expand and has no outside.
 
     Raises
@@ -207,10 +205,16 @@ def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[
     _expanded_whole(stroke, spacing, shape)
 
 
+def covered(stroke: Stroke, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
+    """Which pixels of a box a stroke covers."""
+    reach = brush_reach(stroke.radius, spacing)
+    return distance_to(stroke.lines, stroke.radius, spacing, box) <= reach
+
+
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
     """Whether a place, (row, col) in pixels, is under the brush of a stroke."""
     lines = [np.array(line) - point for line in stroke.lines]
-    pixel = distance_to(lines, stroke.radius, spacing, (0, 1, 0, 1))
+    pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1), slice(0, 1)))
     return bool(pixel[0, 0] <= stroke.radius)
 
 
@@ -238,8 +242,9 @@ def distance_to(
     ndarray, shape (rows, cols) of the window, float32
         In the unit of `spacing`.
     """
-    top, bottom, left, right = window
-    nearest = np.full((bottom - top, right - left), np.inf, dtype=np.float32)
+    top, left = begin = window[0].start, window[1].start
+    end = window[0].stop, window[1].stop
+    nearest = np.full(np.subtract(end, begin), np.inf, dtype=np.float32)
     size = np.array(spacing)
     reach = brush_reach(radius, spacing) / size + 1
     for line in lines:
@@ -247,7 +252,7 @@ def distance_to(
         starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
         low = np.ceil(np.minimum(starts, ends) - reach).astype(np.int64)
         high = np.floor(np.maximum(starts, ends) + reach).astype(np.int64) + 1
-        low, high = np.maximum(low, (top, left)), np.minimum(high, (bottom, right))
+        low, high = np.maximum(low, begin), np.minimum(high, end)
         for number in np.flatnonzero((low < high).all(axis=1)):
             (r0, c0), (r1, c1) = low[number].tolist(), high[number].tolist()
             a, step = starts[number] * size, (ends[number] - starts[number]) * size
@@ -277,28 +282,29 @@ def brush_reach(radius: float, spacing: Sequence[float]) -> float:
 
 
 def _expanded(
-    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int], window: Box
+    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...], window: Box
 ) -> tuple[FloatArray, FloatArray]:
     """Displacement and confidence of an expanding stroke, in a window of the image."""
-    y, c, (top, _, left, _) = _expanded_whole(stroke, spacing, shape)
-    at = (slice(window[0] - top, window[1] - top), slice(window[2] - left, window[3] - left))
+    y, c, box = _expanded_whole(stroke, spacing, shape)
+    top, left = box[0].start, box[1].start
+    rows, cols = window
+    at = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
     return y[at], c[at]
 
 
 @lru_cache(maxsize=8)
 def _expanded_whole(
-    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, int]
+    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray, Box]:
     """The same of its whole region, and where that lies: normals depend on all of it."""
     rows, cols = shape
-    radius = brush_reach(stroke.radius, spacing)
     points = np.array([point for line in stroke.lines for point in line])
-    reach = radius / np.array(spacing) + 1
+    reach = brush_reach(stroke.radius, spacing) / np.array(spacing) + 1
     low, high = np.floor(points.min(axis=0) - reach), np.ceil(points.max(axis=0) + reach) + 1
+    own = slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
     # A region that leaves the image has its outline out there, but not endlessly far.
-    around = (-rows, 2 * rows, -cols, 2 * cols)
-    box = common((int(low[0]), int(high[0]), int(low[1]), int(high[1])), around)
-    painted = distance_to(stroke.lines, stroke.radius, spacing, box) <= radius
+    box = common(own, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
+    painted = covered(stroke, spacing, box)
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
     y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
     y.setflags(write=False)

@@ -11,7 +11,6 @@ from napari_hmrf.tissue.drawing.canvas import (
     Box,
     Canvas,
     box_of,
-    common,
     covers,
     is_empty,
     paint,
@@ -22,6 +21,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Mark,
     Point,
     Stroke,
+    between,
     mark_as_dict,
     mark_from_dict,
 )
@@ -95,9 +95,7 @@ class Drawing:
         found: list[tuple[float, int, int]] = []
         for number, mark in enumerate(self.marks):
             for order, end in enumerate(ends_of(mark, spacing)):
-                away = math.hypot(
-                    *((a - b) * size for a, b, size in zip(end, point, spacing, strict=True))
-                )
+                away = math.hypot(*between(point, end, spacing))
                 if away <= reach:
                     found.append((away, order, -number))
         if not found:
@@ -206,8 +204,7 @@ class Rendering:
         Returns
         -------
         Box or None
-            The pixels that may have changed: (first row, row after the last, first column, column
-            after the last); None if none did.
+            The pixels that may have changed; None if none did.
 
         Raises
         ------
@@ -227,10 +224,9 @@ class Rendering:
         return window
 
     def _redraw(self, drawing: Drawing, window: Box) -> None:
-        at = (slice(window[0], window[1]), slice(window[2], window[3]))
         base, canvas = self._base, self.canvas
         for image, beneath in zip(canvas.images, base.images, strict=True):
-            image[at] = beneath[at]
+            image[window] = beneath[window]
         for mark in drawing.marks:
             paint(mark, canvas, window)
 
@@ -242,17 +238,17 @@ class Rendering:
         rest = shorter - first
         last = next((i for i in range(rest) if old[-1 - i] != new[-1 - i]), rest)
         gone, come = old[first : len(old) - last], new[first : len(new) - last]
-        boxes = [box_of(mark, self.canvas) for mark in _differing(gone, come)]
+        canvas = self.canvas
+        marks = _differing(gone, come)
+        boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
         boxes = [box for box in boxes if not is_empty(box)]
         if not boxes:
             return None
-        around = (
-            min(box[0] for box in boxes),
-            max(box[1] for box in boxes),
-            min(box[2] for box in boxes),
-            max(box[3] for box in boxes),
+        rows, cols = (
+            slice(min(side.start for side in sides), max(side.stop for side in sides))
+            for sides in zip(*boxes, strict=True)
         )
-        return common(around, self.canvas.whole)
+        return rows, cols
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:

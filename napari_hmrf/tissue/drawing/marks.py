@@ -25,6 +25,12 @@ Components = Literal["both", "row", "col"]
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 
 
+def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
+    """How far it is from one place to another, in (row, col) direction, in lengths."""
+    row, col = ((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
+    return row, col
+
+
 def _number(least: float, most: float) -> Callable[[Any], float | None]:
     return lambda value: number if least <= (number := real(value)) <= most else None
 
@@ -151,11 +157,8 @@ class Landmark(_Checked):
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """The same as an arrow, whose length depends on the size of a pixel."""
-        row, col = (
-            (to - start) * size
-            for start, to, size in zip(self.source, self.target, spacing, strict=True)
-        )
-        return Arrow(self.source, (row, col), self.radius, self.confidence)
+        by = between(self.source, self.target, spacing)
+        return Arrow(self.source, by, self.radius, self.confidence)
 
 
 @dataclass(frozen=True)

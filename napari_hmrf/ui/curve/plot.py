@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from psygnal import Signal
-from qtpy.QtCore import QPointF, Qt
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
 from napari_hmrf.errors import ProblemError
@@ -120,11 +120,6 @@ class CurvePlot(QWidget):
             self._draw()
         return self._canvas
 
-    def place_of(self, point: Point) -> QPointF:
-        """Where a point of intensity and stiffness is seen, in pixels of the canvas."""
-        across, up = self._axes.transData.transform(point) / self._canvas.device_pixel_ratio
-        return QPointF(across, self._canvas.height() - up)
-
     # What can be done
 
     def add(self, point: Point) -> None:
@@ -136,29 +131,29 @@ class CurvePlot(QWidget):
         if self._selected is not None and len(self._curve.points) > 2:
             self._change(self._selected, None)
 
-    def move(self, point: Point, settled: bool = True) -> None:
+    def move(self, point: Point) -> None:
         """Move the selected point, as far as its neighbours let it."""
         at, points = self._selected, self._curve.points
         if at is not None:
             gap = _APART * float(np.ptp(self._axes.get_xlim()))
             least = points[at - 1][0] + gap if at else -math.inf
             most = points[at + 1][0] - gap if at + 1 < len(points) else math.inf
-            self._change(at, (min(max(point[0], least), most), point[1]), settled)
+            self._change(at, (min(max(point[0], least), most), point[1]))
 
-    def _change(self, number: int | None, point: Point | None, settled: bool = True) -> None:
+    def _change(self, number: int | None, point: Point | None) -> None:
         try:
             curve = with_point(self._curve, number, point)
         except ProblemError:
             return  # there is a point of that intensity already, or nothing between two
-        self.take(curve, settled)
+        self.take(curve)
         self.select(None if point is None else curve.points.index(point))
 
-    def take(self, curve: StiffnessCurve, settled: bool = True) -> None:
+    def take(self, curve: StiffnessCurve) -> None:
         """Show a curve that the user has made, and tell of it."""
         if curve != self._curve:
             self.curve = curve
             self.edited.emit(curve)
-            if settled:
+            if self._held is None:
                 self.settled.emit(curve)
 
     # Where it is
@@ -215,9 +210,9 @@ class CurvePlot(QWidget):
         """Drag what is held, or show what could be."""
         point = self._pointed(event)
         if isinstance(self._held, int):
-            self.move(point, settled=False)
+            self.move(point)
         elif self._held is not None:
-            self.take(replace(self._curve, void_below=point[0]), settled=False)
+            self.take(replace(self._curve, void_below=point[0]))
         else:
             shapes, under = Qt.CursorShape, self._under(event)
             over = shapes.SizeHorCursor if under == _VOID else shapes.OpenHandCursor

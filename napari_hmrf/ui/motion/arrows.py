@@ -1,24 +1,25 @@
-"""The layer *Arrows*: shows what is drawn, and feels the mouse and the keys while it is active."""
+"""The layer *Motion*: shows what is drawn, and feels the mouse and the keys while it is active."""
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from typing import Any, Protocol
 
 import numpy as np
 from napari.layers import Layer
 
 from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
-from napari_hmrf.layers.compat import thin_thumbnail
+from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.ui.motion.pixel_update import Hush, spare_compiling
 
+_log = logging.getLogger("napari_hmrf")
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
 _NEAR = 8.0
 HELP = "Shift+click picks up what is drawn, Delete removes, Esc cancels, Ctrl+Z undoes"
@@ -31,17 +32,17 @@ class Mouse(Protocol):
     def keys(self) -> Mapping[str, Callable[[], object]]:
         """What keys do while the layer is the active one."""
 
-    def press(self, point: Point, reach: float) -> bool:
-        """The button is pressed at a pixel; whether a drag begins."""
+    def press(self, point: Point, reach: float) -> None:
+        """The button is pressed at a pixel."""
 
     def pick(self, point: Point, reach: float) -> None:
         """The button is pressed while Shift is held."""
 
     def move(self, point: Point) -> None:
-        """The mouse moves on in a drag."""
+        """The mouse moves on while the button is pressed."""
 
     def release(self) -> None:
-        """The drag ends."""
+        """The button is let go."""
 
 
 class ArrowsLayer:
@@ -59,12 +60,10 @@ class ArrowsLayer:
         self._told = told
         self._layer: Any = None
         self._frame: Frame | None = None
-        self._panning = self._circle_hidden = False
-        self._hush = Hush(viewer)
         self._radius = 1.0
         self._does = HELP
-        #: Counts drags: one that was ended from elsewhere does not go on.
-        self._drag = 0
+        # What is to be done when the drag is over.
+        self._drag = ExitStack()
 
     @property
     def layer(self) -> Any:
@@ -83,13 +82,10 @@ class ArrowsLayer:
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
 
-    def take(self, frame: Frame, shape: tuple[int, int], radius: float) -> None:
+    def take(self, frame: Frame, shape: tuple[int, ...], radius: float) -> None:
         """Have the layer lie on a slice, on top and active."""
-        if self.layer is None or self._layer.ndim != frame.ndim:
-            self.remove()
-            self._layer = self._make(frame, shape)
-            self._viewer.add_layer(self._layer)
-            spare_compiling(self._viewer, self._layer)
+        if self.layer is None:
+            self._add(frame, shape)
         self.place(frame, shape)
         layers = self._viewer.layers
         self.raise_up()
@@ -104,27 +100,24 @@ class ArrowsLayer:
         if layer is not None and layers[-1] is not layer:
             layers.move(layers.index(layer), len(layers))
 
-    def place(self, frame: Frame, shape: tuple[int, int]) -> None:
+    def place(self, frame: Frame, shape: tuple[int, ...]) -> None:
         """Have the layer lie on another slice, if there is a layer."""
         layer = self.layer
         if layer is None or frame == self._frame:
             return
         if layer.ndim != frame.ndim:
             active = self.active
-            self.remove()
-            self._layer = self._make(frame, shape)
             with same_selection(self._viewer):
-                self._viewer.add_layer(self._layer)
-            spare_compiling(self._viewer, self._layer)
+                self._add(frame, shape)
             if active:
                 self._viewer.layers.selection = {self._layer}
             self._equip(self._layer)
-        else:
-            for name, value in frame.placement().items():
-                setattr(layer, name, value)
-            known = layer.metadata.get(METADATA)
-            if isinstance(known, dict):
-                known["slice"] = frame.slice_name
+            return
+        for name, value in frame.placement().items():
+            setattr(layer, name, value)
+        known = layer.metadata.get(METADATA)
+        if isinstance(known, dict):
+            known["slice"] = frame.slice_name
         self._frame = frame
 
     def show(
@@ -167,15 +160,12 @@ class ArrowsLayer:
     def show_radius(self, radius: float) -> None:
         """Have the pointer be as large as the patch that would be taken hold of."""
         self._radius = radius
-        layer = self.layer
-        if layer is None:
-            return
-        # One length of the layer's unit, in those of the world.
-        steps = np.array(layer.data_to_world(np.eye(layer.ndim)[-1]))
-        step = float(np.linalg.norm(steps - np.array(layer.data_to_world(np.zeros(layer.ndim)))))
-        spacing = self._frame.spacing[1] if self._frame is not None else 1.0
-        layer.cursor_size = 2 * radius * step / spacing
-        layer.cursor = "circle"
+        layer, frame = self.layer, self._frame
+        if layer is not None and frame is not None:
+            # One pixel along the layer's last axis, in lengths of the world.
+            step = float(np.linalg.norm(np.array(frame.matrix)[:-1, -2]))
+            layer.cursor_size = 2 * radius * step / frame.spacing[1]
+            layer.cursor = "circle"
 
     def show_tool(self, does: str) -> None:
         """Say below the canvas what the tool does."""
@@ -191,15 +181,11 @@ class ArrowsLayer:
         """
         if self.layer is not None:
             self._layer.cursor = "pointing"
-            self._circle_hidden = True
+            self._drag.callback(lambda: self.show_radius(self._radius))
 
     def end_drag(self) -> None:
         """Whatever drag goes on is over."""
-        self._drag += 1
-        self._hush.end()
-        if self._circle_hidden:
-            self._circle_hidden = False
-            self.show_radius(self._radius)
+        self._drag.close()
 
     def remove(self) -> None:
         """Take the layer out of the viewer."""
@@ -218,8 +204,11 @@ class ArrowsLayer:
             layer.events.mode.disconnect(self._on_mode)
             layer.cursor, layer.help, layer.mouse_pan = "standard", "", True
 
-    def _make(self, frame: Frame, shape: tuple[int, int]) -> Any:
-        layer = Layer.create(*arrow_layer(frame, shape))
+    def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
+        """Add the layer, in place of the one that there was."""
+        self.remove()
+        layer = self._layer = Layer.create(*arrow_layer(frame, shape))
+        self._frame = frame
         # Drawing the thumbnail of every line would take longer than all the rest.
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
@@ -227,8 +216,10 @@ class ArrowsLayer:
             layer.bind_key(key, lambda _, answer=answer: answer())
         layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
-        self._frame = frame
-        return layer
+        self._viewer.add_layer(layer)
+        # Else more than all the rest of drawing a canvas goes into a program for each update.
+        if not compile_once(drawn_node(self._viewer, layer)):
+            _log.debug("the lines of %s are compiled anew each time", layer)
 
     def _equip(self, layer: Any) -> None:
         """Have napari's own mode look like ours; it sets all this when a layer is added, too."""
@@ -244,38 +235,39 @@ class ArrowsLayer:
 
     def _on_space(self, layer: Any) -> Iterator[None]:
         """While Space is held the mouse moves the view, as in napari's own tools."""
-        self._panning, layer.mouse_pan = True, True
+        layer.mouse_pan = True
         yield
-        self._panning, layer.mouse_pan = False, False
+        layer.mouse_pan = False
 
     def _on_drag(self, layer: Any, event: Any) -> Iterator[None]:
-        if (
-            layer.mode != "pan_zoom"
-            or self._panning
-            or event.button != 1
-            or "Alt" in event.modifiers
-        ):
-            return
+        draws = layer.mode == "pan_zoom" and not layer.mouse_pan
         point = self._pixel(layer, event)
-        if point is not None and "Shift" in event.modifiers:
+        if not draws or event.button != 1 or "Alt" in event.modifiers or point is None:
+            return
+        if "Shift" in event.modifiers:
             self._told.pick(point, self._reach(layer, event))
             return
-        if point is None or not self._told.press(point, self._reach(layer, event)):
-            return
-        self._drag += 1
-        mine = self._drag
-        self._hush.begin()
+        self._told.press(point, self._reach(layer, event))
+        self._hush()
         yield
         # The release is a move, too: vispy drops moves that follow another closely.
         while True:
             point = self._pixel(layer, event)
-            if mine == self._drag and point is not None:
+            if point is not None:
                 self._told.move(point)
             if event.type != "mouse_move":
                 break
             yield
-        if mine == self._drag:
-            self._told.release()
+        self._told.release()
+
+    def _hush(self) -> None:
+        """Have the status bar stay as it is until the drag is over."""
+        # For every step of the cursor a thread of napari's reads what is below it, which takes
+        # Python from the window's thread, and the whole window is put together anew to show it.
+        # napari can stop that for all viewers and for good only.
+        cursor = self._viewer.cursor
+        self._drag.callback(lambda: cursor.events.position(value=cursor.position))
+        self._drag.enter_context(cursor.events.position.blocker())
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
         """Where the mouse is, in pixels of the slice; None in three dimensions."""

@@ -19,17 +19,10 @@ class Badge:
         self._text = text_of(viewer)
         self._said = ""
 
-    @property
-    def words(self) -> str:
-        """What is said; "" if nothing is."""
-        return self._said
-
     def say(self, words: str) -> None:
         """Say something, or nothing; what somebody else wrote there stays."""
         text = self._text
         if text.visible and text.text != self._said:
-            return
-        if words == self._said and text.visible == bool(words):
             return
         self._said = words
         text.text = words

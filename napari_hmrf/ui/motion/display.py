@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -10,19 +10,19 @@ import numpy as np
 
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
-from napari_hmrf.layers.image_result import Result, ResultLayers
-from napari_hmrf.layers.paint_layer import outline_of, touches
-from napari_hmrf.layers.result_layers import picture_layer
+from napari_hmrf.layers.image_result import CONFIDENCE, Result, ResultLayers
+from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, touches
+from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
-from napari_hmrf.ui.motion.strokes import ConfidenceLayer, PaintedLayer
+from napari_hmrf.ui.motion.hands import Hand
+from napari_hmrf.ui.motion.strokes import PaintedLayer
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -53,7 +53,6 @@ class Display:
     def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
         self.arrows = ArrowsLayer(viewer, told)
         self.painted = PaintedLayer(viewer)
-        self._confidence = ConfidenceLayer(viewer)
         self.seen: Seen | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
@@ -88,18 +87,18 @@ class Display:
     def stand_on(self, study: Study | None, image: Any) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
         self._touches_wait.stop()
-        still, self._still = self._still, None
+        before, still, self._still = self.result, self._still, None
         self._image = image
         self.seen = None
         with self.own_doing():
             if still is not None:
                 still.remove()
             self.painted.forget()
-            self._confidence.remove()
+            if before is not None:
+                before.drop(CONFIDENCE)
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
-                rows, cols = study.grid.shape
-                self.arrows.place(study.grid.place, (rows, cols))
+                self.arrows.place(study.grid.place, study.grid.shape)
 
     @property
     def covering(self) -> Any:
@@ -125,7 +124,10 @@ class Display:
         with self.own_doing():
             # What has not moved yet is shown, too, so that the first movement finds its layer.
             if moved.image is not None and (moved.moves or self.arrows.active):
-                self._show_picture(moved)
+                study = moved.study
+                run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
+                picture = picture_layer(study.grid.place, study.pictures, moved.image, run)
+                self._show_result({"image": picture}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
                 result.remove()
             self._still = None if moved.moves else result
@@ -133,30 +135,29 @@ class Display:
 
     def finish(self, done: Done) -> None:
         """Show all layers of a state that has come to rest."""
-        place = done.moved.study.grid.place
         with self.own_doing():
-            self._results.show(self._image, place, done.outputs.layers)
+            self._show_result(done.outputs.layers)
             self.arrows.raise_up()
 
-    def _show_picture(self, moved: Deformation) -> None:
-        study, image = moved.study, moved.image
-        place = study.grid.place
-        model = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
-        assert image is not None
-        made = picture_layer(place, study.pictures, image, model)
-        self._results.show(self._image, place, {"image": made}, moving=moved.solution is not None)
+    def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
+        """Show layers of the result, with the confidence that was painted, if it was."""
+        seen, result = self.seen, self.result
+        assert seen is not None
+        place, shown = seen.moved.study.grid.place, dict[Any, LayerData](layers)
+        if seen.confidence is not None:
+            shown[CONFIDENCE] = confidence_layer(place, seen.confidence)
+        elif result is not None:
+            result.drop(CONFIDENCE)
+        self._results.show(self._image, place, shown, moving=moving)
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
         """Show what is painted; what is being painted stays where it is, until it is known."""
         self._touches_wait.stop()
         stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
-        study, result = seen.moved.study, self.result
+        study = seen.moved.study
         with self.own_doing():
             drawing = study.motion.drawing
             self.painted.show(study.grid, seen.painted, drawing, stroke, self.tissues)
-            if result is not None:
-                place, below = study.grid.place, self.painted.layer
-                self._confidence.show(place, seen.confidence, below, result)
 
     def touch(self, hand: Hand, point: Point, first: bool) -> None:
         """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
@@ -201,7 +202,8 @@ class Display:
         with self.own_doing():
             self.arrows.remove()
             self.painted.remove()
-            self._confidence.remove()
+            if (result := self.result) is not None:
+                result.drop(CONFIDENCE)
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:

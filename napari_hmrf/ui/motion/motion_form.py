@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from magicgui.widgets import CheckBox, Container, PushButton
 from psygnal import Signal
+from qtpy.QtCore import QSize, Qt
+from qtpy.QtGui import QIcon
+from qtpy.QtWidgets import QGridLayout, QSizePolicy, QToolButton
 
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.motion.tool_fields import ToolFields
-from napari_hmrf.ui.motion.tools import TOOLS
+from napari_hmrf.ui.motion.tools import TOOLS, Tool
 from napari_hmrf.ui.tissue_form import BoundarySection
 
 #: How many tools lie beside each other.
 _ACROSS = 4
+_ICON = QSize(20, 20)
+#: napari draws tool buttons flat, whether they are pressed or not; seen on light and dark themes.
+_LOOK = """
+QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
+QToolButton:hover { background: rgba(128, 128, 128, 110); }
+QToolButton:checked { background: rgba(80, 105, 210, 220); }
+"""
 
 
 class MotionForm(Container):
@@ -28,7 +40,7 @@ class MotionForm(Container):
 
     Attributes
     ----------
-    tools : dict of str to PushButton
+    tools : dict of str to QToolButton
         By the name of the tool.
     fields : ToolFields
     edge : CheckBox
@@ -43,12 +55,7 @@ class MotionForm(Container):
     picked = Signal(str)
 
     def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View | None]) -> None:
-        self.tools: dict[str, PushButton] = {}
-        for tool in TOOLS:
-            button = PushButton(text=tool.title, tooltip=f"{tool.what} ({tool.key})")
-            button.native.setCheckable(True)
-            button.native.clicked.connect(lambda _, name=tool.name: self.picked.emit(name))
-            self.tools[tool.name] = button
+        self.tools = {tool.name: _button(tool) for tool in TOOLS}
         self.fields = ToolFields()
         self.edge = CheckBox(
             text="hold the edge of the tissue",
@@ -59,16 +66,29 @@ class MotionForm(Container):
         self.boundary = BoundarySection(layers, view)
         self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
         self.clear = PushButton(text="Remove all", enabled=False, tooltip="All that is drawn")
-        buttons = list(self.tools.values())
-        rows = [row(*buttons[at : at + _ACROSS]) for at in range(0, len(buttons), _ACROSS)]
         drawn = row(self.remove, self.clear)
-        super().__init__(
-            widgets=[*rows, self.fields, drawn, self.edge, self.boundary], labels=False
-        )
-        for container in (*rows, drawn, self.boundary):
+        super().__init__(widgets=[self.fields, drawn, self.edge, self.boundary], labels=False)
+        for container in (drawn, self.boundary):
             container.margins = (0, 0, 0, 0)
+        grid = QGridLayout()
+        grid.setSpacing(2)
+        for number, (name, button) in enumerate(self.tools.items()):
+            button.clicked.connect(partial(self.picked.emit, name))
+            grid.addWidget(button, *divmod(number, _ACROSS))
+        self.native.layout().insertLayout(0, grid)
 
     def show_tool(self, name: str) -> None:
         """Show which tool the mouse has; "" if none."""
         for each, button in self.tools.items():
-            button.native.setChecked(each == name)
+            button.setChecked(each == name)
+
+
+def _button(tool: Tool) -> QToolButton:
+    about = f"{tool.how} {tool.more}".strip()
+    button = QToolButton(text=tool.title, toolTip=f"{about} ({tool.key})", checkable=True)
+    button.setIcon(QIcon(str(Path(__file__).with_name(f"{tool.name}.svg"))))
+    button.setIconSize(_ICON)
+    button.setStyleSheet(_LOOK)
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
+    button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    return button

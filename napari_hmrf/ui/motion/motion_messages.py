@@ -4,9 +4,9 @@ from __future__ import annotations
 
 START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
-OFF = "Paused: press a tool, or choose the layer 'Arrows', to go on."
+OFF = "Paused: press a tool, or choose the layer 'Motion', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
-ARROWS_GONE = "The layer 'Arrows' is gone: press a tool to have it back."
+ARROWS_GONE = "The layer 'Motion' is gone: press a tool to have it back."
 COVERED = "The image is covered by "
 NOTHING = "There is no tissue to take hold of there."
 BESIDE = "There is no tissue where you painted, so that nothing changes."

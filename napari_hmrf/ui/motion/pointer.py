@@ -9,12 +9,12 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import DRAWING, KEYS, Place, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.hands import Hand
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
@@ -22,9 +22,9 @@ from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.badge import Badge
 from napari_hmrf.ui.motion.display import Display
+from napari_hmrf.ui.motion.hands import Hand
 from napari_hmrf.ui.motion.tool_fields import ToolFields
-from napari_hmrf.ui.motion.tool_hands import Hands
-from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool
+from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool, tool_of
 
 #: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -34,7 +34,7 @@ _LARGER = 1.25
 
 
 class Pointer:
-    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Arrows*.
+    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Motion*.
 
     Parameters
     ----------
@@ -52,6 +52,8 @@ class Pointer:
         Of the slice that is shown.
     tool : Tool
         In the hand.
+    hand : Hand
+        What holds it, and what of the drawing is selected; another for each tool and slice.
     tissue : napari.layers.Labels or Image, optional
         What it says about tissue is painted in its colours.
     display : Display
@@ -62,7 +64,7 @@ class Pointer:
     drawn = Signal()
     #: What is drawn, what can be undone or what is selected is another, or another tool is taken.
     changed = Signal()
-    #: What there is to say, in words.
+    #: What there is to say, in words; "": what can be done next.
     said = Signal(str)
     #: Something new is begun: what was said of what came before is over.
     begun = Signal()
@@ -71,15 +73,14 @@ class Pointer:
         self._fields, self._steps = fields, steps
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
-        self._hands = Hands(self.history)
+        self.hand: Hand = self.tool.hand(self.history)
         # Whether what is selected was picked up, and not just made.
         self._picked = False
         self.display = Display(native, viewer, self)
         self._badge = Badge(viewer)
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
-        self._image: Any = None
-        self._working = self._in_error = False
+        self._in_error = False
         for field in fields:
             if field is not fields.preset:
                 field.changed.connect(self._on_field)
@@ -90,11 +91,6 @@ class Pointer:
     def drawing(self) -> Drawing:
         """What is drawn on the slice that is shown."""
         return self.history.drawing
-
-    @property
-    def hand(self) -> Hand:
-        """What holds the tool."""
-        return self._hands.of(self.tool)
 
     @property
     def active(self) -> bool:
@@ -110,14 +106,14 @@ class Pointer:
             "Escape": self.cancel,
             "[": partial(self.resize, 1 / _LARGER),
             "]": partial(self.resize, _LARGER),
-            **{key: getattr(self._steps, name) for key, name in KEYS.items()},
             **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
         }
 
     @property
-    def preparing(self) -> bool:
-        """Whether the mouse draws, and nothing follows yet: something is read, or compiled."""
-        return self.active and not self._working
+    def _ground(self) -> Ground | None:
+        """What tissue follows on; None while something is read, or compiled."""
+        moved = self.display.moved
+        return None if moved is None else moved.ground
 
     # What can be done
 
@@ -133,18 +129,13 @@ class Pointer:
         """
         self.release()
         self.history.changed.disconnect(self._on_drawn, missing_ok=True)
-        self._image = image
         if study is None:
             self.history = History()
-            self._hands = Hands(self.history)
         else:
             slot = Slot(DRAWING, image, Place.of(study.grid.place))
             self.history = History(edits=self._steps.edits, slot=slot)
-            rows, cols = study.grid.shape
-            down, along = study.grid.spacing
-            self._hands = Hands(self.history, (down, along), (rows, cols))
-            self._working = False
         self.display.stand_on(study, image)
+        self._open_hand()
         self.history.changed.connect(self._on_drawn)
         self.draw()
 
@@ -162,30 +153,28 @@ class Pointer:
         if tool is self.tool:
             return
         self.release()
-        self.hand.cancel()
         self.tool = tool
-        self.hand.select(None)
+        self._open_hand()
         self._fields.show_for(tool)
         self.display.arrows.show_tool(tool.how)
         self.draw()
         self.say_tool()
         if self.active:
-            self.said.emit(tool.how)
+            self.said.emit("")
 
     def take(self) -> None:
         """Have the mouse draw."""
         seen = self.display.seen
         if seen is None:
             return
-        moved = seen.moved
-        grid, radius = moved.study.grid, self._fields.radius.value
-        rows, cols = grid.shape
+        moved, radius = seen.moved, self._fields.radius.value
+        grid = moved.study.grid
         with self.display.own_doing():
-            self.display.arrows.take(grid.place, (rows, cols), radius)
+            self.display.arrows.take(grid.place, grid.shape, radius)
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()
-        self.said.emit(self.tool.how if self._working else motion_messages.PREPARING)
+        self.said.emit("" if self._ground else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
@@ -214,9 +203,7 @@ class Pointer:
         if seen.moved.error is not None:
             self._show_error(seen)
             return
-        first, self._working = not self._working, True
-        before = self.display.seen
-        known = None if before is None else before.moved.ground
+        before, known = self.display.seen, self._ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
@@ -225,9 +212,9 @@ class Pointer:
             self.draw()
         elif seen.marks is not None or (before is not None and before.marks is not None):
             self.display.draw(self.history.drawing, self.hand)  # its marks are of what is seen
-        if (first and self.active) or self._in_error:
+        if (known is None and self.active) or self._in_error:
             self._in_error = False
-            self.said.emit(self.tool.how if self.active else motion_messages.OFF)
+            self.said.emit("")
 
     def leave(self) -> None:
         """Draw no more; take away the layers that nobody answers. What is drawn stays."""
@@ -241,20 +228,20 @@ class Pointer:
 
     # What the mouse and the keys do on the canvas
 
-    def press(self, point: Point, reach: float) -> bool:
-        """Take hold of tissue, or of an arrow, or put the brush down; whether a drag begins."""
+    def press(self, point: Point, reach: float) -> None:
+        """Take hold of tissue, or of an arrow, or put the brush down."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
             self.said.emit(motion_messages.PREPARING)
-            return False
+            return
         self.begun.emit()
         other = self.display.covering
         if other is not None:
             self.said.emit(motion_messages.covered(other.name))
-            return False
+            return
         if self.tool.is_brush and not moved.is_inside(point):
             self.said.emit(motion_messages.OUTSIDE)
-            return False
+            return
         hand, self._picked = self.hand, False
         taken = hand.press(point, reach, self._fields.how, moved.came_from)
         self._show_how()
@@ -262,8 +249,8 @@ class Pointer:
             self.said.emit(motion_messages.NOTHING)
         elif hand.pending is not None:
             self.said.emit(motion_messages.HALF)
-        elif not self.preparing:
-            self.said.emit(self.tool.how)
+        else:
+            self.said.emit("")
         if self.tool.is_brush:
             if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
                 self.said.emit(motion_messages.NO_STEP)
@@ -271,7 +258,6 @@ class Pointer:
         if hand.holding:
             self.display.arrows.hide_circle()
         self.draw()
-        return taken
 
     def pick(self, point: Point, reach: float) -> None:
         """Select what is drawn at a place, and take the tool it was made with."""
@@ -280,18 +266,14 @@ class Pointer:
             return
         drawing, spacing = self.history.drawing, moved.study.grid.spacing
         hit = drawing.at(point, reach, spacing)
-        if hit is not None:
-            number: int | None = hit.number
-        else:
-            number = drawing.painted_at(moved.came_from(point) or point, spacing)
-        if number is not None:
-            self.take_up(self._hands.tool_for(number).name)
-        self.hand.select(number)
+        before = moved.came_from(point) or point
+        number = drawing.painted_at(before, spacing) if hit is None else hit.number
         self._picked = number is not None
+        if number is not None:
+            self.take_up(tool_of(drawing.marks[number]).name)
+        self.hand.select(number)
         self._show_how()
-        self.said.emit(
-            motion_messages.PICKED if number is not None else motion_messages.NOTHING_DRAWN
-        )
+        self.said.emit(motion_messages.PICKED if self._picked else motion_messages.NOTHING_DRAWN)
         self.draw()
 
     def move(self, point: Point) -> None:
@@ -303,21 +285,22 @@ class Pointer:
     def release(self) -> None:
         """Let go."""
         self.display.arrows.end_drag()
+        held = self.hand.holding
         try:
-            done = self.hand.release()
+            self.hand.release()
         except HmrfError:
             self._in_error = False
             self.said.emit(motion_messages.NO_OUTSIDE)
             self.draw()
             return
-        if done:
+        if held:
             mark = self.hand.mark
             if isinstance(mark, Stroke) and self.display.is_beside(mark):
                 self.said.emit(motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if self.tool.name == "landmark" or pushed:  # nothing more is waited for
-                self.said.emit(self.tool.how)
+                self.said.emit("")
             self.draw()
 
     def cancel(self) -> None:
@@ -327,12 +310,12 @@ class Pointer:
             self.said.emit(motion_messages.CANCELLED)
         else:
             self.hand.select(None)
-            self.said.emit(self.tool.how)
+            self.said.emit("")
         self.draw()
 
     def remove(self) -> None:
         """Remove what is selected."""
-        self.display.arrows.end_drag()
+        self.release()
         removed = self.hand.remove()
         self.said.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
@@ -350,6 +333,15 @@ class Pointer:
         return True
 
     # What follows
+
+    def _open_hand(self) -> None:
+        """Hold the tool, with nothing selected."""
+        seen = self.display.seen
+        if seen is None:
+            self.hand = self.tool.hand(self.history)
+        else:
+            grid = seen.moved.study.grid
+            self.hand = self.tool.hand(self.history, grid.spacing, grid.shape)
 
     def _show_how(self) -> None:
         mark = self.hand.mark

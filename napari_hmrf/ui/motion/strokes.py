@@ -1,16 +1,15 @@
-"""The layers *Painted* and *Confidence*: what brushes have painted, moved with the tissue."""
+"""The layer *Motion, painted*: what brushes have painted, moved with the tissue."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Layer, Vectors
 
-from napari_hmrf.layers.image_result import Result
-from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer
+from napari_hmrf.layers.paint_layer import number_of, painted_layer
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import (
     overwrite,
@@ -20,7 +19,7 @@ from napari_hmrf.layers.viewer_layers import (
 )
 from napari_hmrf.study.study import Grid
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.canvas import common, distance_to
+from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.tissue.drawing.marks import Point
 
 
@@ -37,10 +36,11 @@ class PaintedLayer:
     def __init__(self, viewer: Any) -> None:
         self._viewer = viewer
         self._layer: Any = None
-        self._frame: Frame | None = None
+        # Where it lies and which colours it has.
+        self._looks: tuple[Frame, dict[int, Any]] | None = None
         self._picture: npt.NDArray[np.uint8] | None = None
-        self._touches: list[_Touch] = []
-        self._tissues: dict[int, Any] = {}
+        # Each with how many places the stroke had that it is a part of.
+        self._touches: list[tuple[int, Stroke]] = []
 
     @property
     def layer(self) -> Any:
@@ -72,16 +72,10 @@ class PaintedLayer:
         if stroke is None:
             self._touches.clear()
         known = _length_of(drawing, stroke)
-        self._touches = [touch for touch in self._touches if touch.places > known]
-        if painted is None and not self._touches:
-            self._picture = None
-            if self.layer is not None and self._layer.data.any():
-                self._put(grid, np.zeros(grid.shape, np.uint8), tissues)
-            return
-        picture = np.zeros(grid.shape, np.uint8) if painted is None else painted
-        for touch in self._touches:
-            touch.draw(picture, grid)
-        self._put(grid, picture, tissues)
+        self._touches = [touch for touch in self._touches if touch[0] > known]
+        self._picture = painted
+        if painted is not None or self._touches or self._is_painted:
+            self.show_touches(grid, tissues)
 
     def touch(self, stroke: Stroke, begin: Point, end: Point) -> None:
         """Take in where the brush has been, for `show` and `show_touches`.
@@ -93,132 +87,62 @@ class PaintedLayer:
         begin, end : (float, float)
             Of this touch, where it is seen, (row, col) in pixels.
         """
-        self._touches.append(_Touch(sum(map(len, stroke.lines)), stroke, begin, end))
+        touch = replace(stroke, lines=((begin, end),))
+        self._touches.append((sum(map(len, stroke.lines)), touch))
 
     def show_touches(self, grid: Grid, tissues: dict[int, Any]) -> None:
         """Show what was taken in, on top of what is shown."""
-        picture = self._picture
-        if picture is None or picture.shape != grid.shape:
-            picture = np.zeros(grid.shape, np.uint8)
-        for touch in self._touches:
-            touch.draw(picture, grid)
-        self._put(grid, picture, tissues)
+        if self._picture is None:
+            self._picture = np.zeros(grid.shape, np.uint8)
+        whole = slice(0, grid.shape[0]), slice(0, grid.shape[1])
+        for _, touch in self._touches:
+            box = box_of(touch, grid.spacing, whole)
+            number = number_of(touch.action, touch.confidence, touch.label)
+            self._picture[box][covered(touch, grid.spacing, box)] = number
+        self._put(grid.place, self._picture, tissues)
 
     def forget(self) -> None:
         """Go over to another slice: nothing of this one is shown any more."""
         self._touches.clear()
         self._picture = None
-        layer = self.layer
-        if layer is not None and layer.data.any():
-            layer.data = np.zeros_like(layer.data)
+        if self._is_painted:
+            self._layer.data = np.zeros_like(self._layer.data)
 
     def remove(self) -> None:
         """Take the layer out of the viewer."""
         self.forget()
         if self.layer is not None:
             self._viewer.layers.remove(self._layer)
-        self._layer = self._frame = None
+        self._layer = self._looks = None
 
-    def _put(self, grid: Grid, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
-        self._picture = picture
-        frame, layer = grid.place, self.layer
-        if layer is None or layer.ndim != frame.ndim:
-            if layer is not None:
-                self._viewer.layers.remove(layer)
-            layer = self._layer = Layer.create(*painted_layer(frame, picture.copy(), tissues))
-            layer.editable = False
-            self._tissues = tissues
-            _insert_below_lines(self._viewer, layer)
-        elif frame == self._frame and tissues == self._tissues:
-            data = frame.put_image(picture)
-            if not overwrite(self._viewer, layer, data):
-                layer.data = data.copy()
-        else:
-            made = painted_layer(frame, picture, tissues)
+    @property
+    def _is_painted(self) -> bool:
+        """Whether anything is seen of it."""
+        return self.layer is not None and bool(self._layer.data.any())
+
+    def _put(self, frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
+        layer, before, self._looks = self.layer, self._looks, (frame, tissues)
+        same = layer is not None and self._looks == before
+        if same and overwrite(self._viewer, layer, frame.put_image(picture)):
+            return
+        made = painted_layer(frame, picture.copy(), tissues)
+        if layer is not None and layer.ndim == frame.ndim:
             update_layer(layer, made)
             layer.colormap = made.attributes["colormap"]
-            self._tissues = tissues
-        self._frame = frame
-
-
-class ConfidenceLayer:
-    """An Image layer of how sure is what is held or moved, as long as that was painted.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or ViewerModel
-    """
-
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
-        self._layer: Any = None
-
-    def show(
-        self, frame: Frame, confidence: npt.NDArray[np.float32] | None, below: Any, result: Result
-    ) -> None:
-        """Show it below what is painted.
-
-        Parameters
-        ----------
-        frame : Frame
-        confidence : ndarray of float32, shape (H, W), or None
-            As it has moved; None if none was painted.
-        below : napari.layers.Layer or None
-            What is painted.
-        result : Result
-            It is seen with, and goes with.
-        """
-        layer = still_there(self._viewer, self._layer)
-        if confidence is None:
-            self.remove()
-        elif layer is None or not overwrite(self._viewer, layer, frame.put_image(confidence)):
-            self.remove()
-            layer = self._layer = Layer.create(*confidence_layer(frame, confidence.copy()))
-            _insert_below_lines(self._viewer, layer, below)
-            layer.colorbar.visible = True
-            result.take("painted confidence", layer)
-
-    def remove(self) -> None:
-        """Take the layer out of the viewer."""
-        layer, self._layer = still_there(self._viewer, self._layer), None
+            return
         if layer is not None:
             self._viewer.layers.remove(layer)
+        self._layer = Layer.create(*made)
+        self._layer.editable = False
+        _insert_below_lines(self._viewer, self._layer)
 
 
-def _insert_below_lines(viewer: Any, layer: Any, other: Any = None) -> None:
-    """Add a layer below all lines, and below another layer, if there is one."""
+def _insert_below_lines(viewer: Any, layer: Any) -> None:
+    """Add a layer below all lines."""
     layers = viewer.layers
-    above = [at for at, each in enumerate(layers) if isinstance(each, Vectors) or each is other]
+    above = [at for at, each in enumerate(layers) if isinstance(each, Vectors)]
     with same_selection(viewer):
         layers.insert(min([len(layers), *above]), layer)
-
-
-@dataclass(frozen=True)
-class _Touch:
-    """Where a brush has been: from one place to another, of how many its stroke has `places`."""
-
-    places: int
-    stroke: Stroke
-    begin: Point
-    end: Point
-
-    def draw(self, picture: npt.NDArray[np.uint8], grid: Grid) -> None:
-        """Draw it, in place."""
-        stroke, begin, end = self.stroke, self.begin, self.end
-        down, along = size = grid.spacing[0], grid.spacing[1]
-        reach = stroke.radius / down, stroke.radius / along
-        box = common(
-            (
-                int(min(begin[0], end[0]) - reach[0]),
-                int(max(begin[0], end[0]) + reach[0]) + 2,
-                int(min(begin[1], end[1]) - reach[1]),
-                int(max(begin[1], end[1]) + reach[1]) + 2,
-            ),
-            (0, grid.shape[0], 0, grid.shape[1]),
-        )
-        part = picture[box[0] : box[1], box[2] : box[3]]
-        under = distance_to(((begin, end),), stroke.radius, size, box) <= stroke.radius
-        part[under] = number_of(stroke.action, stroke.confidence, stroke.label)
 
 
 def _length_of(drawing: Drawing, stroke: Stroke | None) -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 from magicgui.widgets import ComboBox, Container
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
-from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
+from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.palette import Palette
@@ -19,8 +19,8 @@ _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
     "it by more than about that"
 )
-#: Fields that hold a length.
-_LENGTHS = ("radius", "by_row", "by_col", "amount")
+#: What a field says of a mark, where that has another name than the field.
+_SAYS = {"sure": "confidence", "material": "label"}
 
 
 class ToolFields(Container):
@@ -32,37 +32,49 @@ class ToolFields(Container):
             "Of the patch that is taken hold of, or of the brush, in the unit of the image "
             "([ and ] make it smaller and larger)",
             least=0.001,
+            name="radius",
             value=10.0,
             step=1.0,
         )
         self._ways = Directions()
-        self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
+        self.by_row, self.by_col = (
+            length(self._ways.label(axis), "", name=name)
+            for axis, name in enumerate(("by_row", "by_col"))
+        )
         self.amount = length(
             "outward",
             "How far the outline moves along its normal; below 0 inward: it shrinks; in the unit "
             "of the image",
+            name="amount",
         )
         self.confidence = confidence_slider(_SURE)
         self.sure = share(
             "becomes",
             "How sure it is what is held or moved under the brush. 1: exactly so, "
             "0: that says nothing any more",
+            name="sure",
         )
         self.softness = share(
             "softness",
             "Across which part of its radius the brush fades out. 0: hard edge, "
             "1: from its middle on",
+            name="softness",
         )
         self.components = ComboBox(
+            name="components",
             choices=_components(self._ways),
             value="both",
             label="moves",
             tooltip="In which directions this says where tissue goes; in the other it is free",
         )
         self.material = ComboBox(
-            choices=[], label="becomes", tooltip="Of the tissue's own table, or of the presets"
+            name="material",
+            choices=[],
+            label="becomes",
+            tooltip="Of the tissue's own table, or of the presets",
         )
         self.preset = ComboBox(
+            name="preset",
             choices=[(each.name, each) for each in PRESETS],
             value=PRESETS[0],
             label="tissues of",
@@ -71,18 +83,18 @@ class ToolFields(Container):
         )
         narrow(self.preset)
         self._own_table = False
-        fields = (
-            self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
-            self.softness, self.components, self.preset, self.material,
+        super().__init__(
+            widgets=[
+                self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
+                self.softness, self.components, self.preset, self.material,
+            ]
         )  # fmt: skip
-        for field, name in zip(fields, _NAMES, strict=True):
-            field.name = name
-        super().__init__(widgets=fields)
-        for name in _LENGTHS:  # what is being typed is no length yet
-            getattr(self, name).native.setKeyboardTracking(False)
+        lengths = (self.radius, self.by_row, self.by_col, self.amount)
+        for field in lengths:  # what is being typed is no length yet
+            field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
-        self._labels = {name: str(getattr(self, name).label) for name in _LENGTHS}
+        self._labels = {field: str(field.label) for field in lengths}
         self.show_for(self._tool)
         self.show_place("px", self._ways)
 
@@ -90,21 +102,14 @@ class ToolFields(Container):
     def how(self) -> Arrow | Stroke:
         """A mark as the tool that is shown makes it; where it lies does not count."""
         tool, somewhere = self._tool, (0.0, 0.0)
+        values = {_SAYS.get(name, name): getattr(self, name).value for name in tool.fields}
+        if values.get("label", 0) is None:  # there are no tissues to choose yet
+            del values["label"]
+        if "by_row" in values:
+            values["by"] = (values.pop("by_row"), values.pop("by_col"))
         if not tool.is_brush:
-            components: Any = self.components.value if "components" in tool.fields else "both"
-            radius, confidence = self.radius.value, self.confidence.value
-            return Arrow(somewhere, somewhere, radius, confidence, components)
-        values: dict[str, Any] = {}
-        if "by_row" in tool.fields:
-            values["by"] = (self.by_row.value, self.by_col.value)
-        if "material" in tool.fields:
-            values["label"] = int(self.material.value or 0)
-        if "sure" in tool.fields:
-            values["confidence"] = self.sure.value
-        for name in ("amount", "confidence", "softness", "components"):
-            if name in tool.fields:
-                values[name] = getattr(self, name).value
-        return Stroke(cast(Action, tool.name), ((somewhere,),), self.radius.value, **values)
+            return Arrow(somewhere, somewhere, **values)
+        return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
 
     @property
     def words(self) -> str:
@@ -136,32 +141,25 @@ class ToolFields(Container):
     def show_for(self, tool: Tool) -> None:
         """Show the fields of a tool, and no others."""
         self._tool = tool
-        for name in _NAMES:
-            getattr(self, name).visible = name in tool.fields
+        for field in self:
+            field.visible = field.name in tool.fields
         self.preset.visible = "material" in tool.fields and not self._own_table
 
     def show_how(self, how: Mark) -> None:
         """Show how the selected mark was made, without changing it."""
-        values: dict[str, Any] = {
-            "confidence": max(how.confidence, LEAST_CONFIDENCE),
-            "sure": how.confidence,
-            "components": "both" if isinstance(how, Landmark) else how.components,
-        }
+        said = {"components": "both", **vars(how)}
         if isinstance(how, Stroke):
-            values["by_row"], values["by_col"] = how.by
-            values["amount"], values["softness"] = how.amount, how.softness
-            values["material"] = how.label
-        # The size of the brush is nothing of the stroke's that is changed with it.
-        else:
-            values["radius"] = how.radius
+            said["by_row"], said["by_col"] = how.by
+            # The size of the brush is nothing of the stroke's that is changed with it.
+            del said["radius"]
         for name in self._tool.fields:
-            field = getattr(self, name, None)
-            if name not in values or field is None or field.value == values[name]:
-                continue
-            if name == "material" and values[name] not in field.choices:
-                continue
-            with field.changed.blocked():
-                field.value = values[name]
+            field, what = getattr(self, name), _SAYS.get(name, name)
+            value = said.get(what, field.value)
+            if name == "confidence":
+                value = max(value, LEAST_CONFIDENCE)
+            if name != "material" or value in field.choices:
+                with field.changed.blocked():
+                    field.value = value
 
     def begin_with(self, radius: float, step: float) -> None:
         """Have lengths that suit an image, so that what is to expand does.
@@ -178,10 +176,10 @@ class ToolFields(Container):
         """
         turned, self._ways = ways != self._ways, ways
         for axis, field in enumerate((self.by_row, self.by_col)):
-            self._labels[field.name] = ways.label(axis)
+            self._labels[field] = ways.label(axis)
             field.tooltip = f"{ways.about(axis)}; in the unit of the image"
-        for name, words in self._labels.items():
-            getattr(self, name).label = f"{words} ({unit})"
+        for field, words in self._labels.items():
+            field.label = f"{words} ({unit})"
         if turned:
             before = self.components.value
             with self.components.changed.blocked():
@@ -207,12 +205,6 @@ class ToolFields(Container):
             self.material.value = before if before in labels else usual
         self._own_table = palette.own
         self.show_for(self._tool)
-
-
-_NAMES = (
-    "radius", "by_row", "by_col", "amount", "confidence", "sure", "softness", "components",
-    "preset", "material",
-)  # fmt: skip
 
 
 def _stiffness(row: Material, unit: str) -> str:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
+from napari_hmrf.ui.motion.brush import Brush
+from napari_hmrf.ui.motion.hands import Hand, Pairs, Pull
+
 
 @dataclass(frozen=True)
 class Tool:
@@ -16,27 +20,30 @@ class Tool:
     title : str
         On its button and on the canvas.
     key : str
-        That takes it, while the layer *Arrows* is active. None of these is one of napari's for a
+        That takes it, while the layer *Motion* is active. None of these is one of napari's for a
         layer of that kind, or for the viewer.
     fields : tuple of str
         The attributes of `ToolFields` it needs.
-    what : str
-        What it does, for the tooltip.
     how : str
-        How it is used, for the line below the canvas and the status.
+        How it is used, for its button, the line below the canvas and the status.
+    more : str
+        What is to be known besides, for its button.
+    hand : type of Hand
+        That holds it.
     """
 
     name: str
     title: str
     key: str
     fields: tuple[str, ...]
-    what: str
     how: str
+    more: str = ""
+    hand: type[Hand] = Brush
 
     @property
     def is_brush(self) -> bool:
         """Whether it paints."""
-        return self.name not in ("pull", "landmark")
+        return self.hand is Brush
 
 
 TOOLS: tuple[Tool, ...] = (
@@ -45,24 +52,24 @@ TOOLS: tuple[Tool, ...] = (
         "Pull",
         "G",
         ("radius", "confidence", "components"),
-        "Drag tissue to pull it; click to hold it",
         "Drag tissue to pull it, or click it to hold it in place.",
+        hand=Pull,
     ),
     Tool(
         "landmark",
         "Landmark",
         "L",
         ("radius", "confidence"),
-        "Click where something is, then where it should be. Or have two Points layers: the first "
-        "where things are, the second where they should be, in the same order",
         "Click where something is, then where it should be.",
+        "Or have two Points layers: the first where things are, the second where they should be, "
+        "in the same order.",
+        Pairs,
     ),
     Tool(
         "pin",
         "Hold",
         "P",
         ("radius", "confidence", "components"),
-        "Paint what does not move",
         "Paint what does not move.",
     ),
     Tool(
@@ -70,31 +77,30 @@ TOOLS: tuple[Tool, ...] = (
         "Free",
         "F",
         ("radius",),
-        "Paint what nobody holds: it goes where its surroundings take it",
         "Paint what nothing holds, whatever else says so.",
+        "It goes where its surroundings take it.",
     ),
     Tool(
         "move",
         "Push",
         "M",
         ("radius", "by_row", "by_col", "confidence", "components"),
-        "Paint what moves, then drag it to where it goes; or type how far",
         "Paint what moves, then drag it to where it goes.",
+        "Or type how far.",
     ),
     Tool(
         "expand",
         "Grow",
         "E",
         ("radius", "amount", "confidence"),
-        "Paint a patch or a closed ring that grows, or shrinks, along its normal",
         "Paint a patch or a closed ring that grows; a negative amount shrinks it.",
+        "It grows along its normal.",
     ),
     Tool(
         "confidence",
         "Confidence",
         "C",
         ("radius", "sure", "softness"),
-        "Paint how sure it is what is held or moved",
         "Paint over what is held or moved how sure that is.",
     ),
     Tool(
@@ -102,8 +108,14 @@ TOOLS: tuple[Tool, ...] = (
         "Tissue",
         "T",
         ("radius", "material"),
-        "Paint which tissue is where",
         "Paint which tissue is where.",
     ),
 )
 BY_NAME = {tool.name: tool for tool in TOOLS}
+
+
+def tool_of(mark: Mark) -> Tool:
+    """The tool a mark is made with."""
+    if isinstance(mark, Stroke):
+        return BY_NAME[mark.action]
+    return BY_NAME["pull" if isinstance(mark, Arrow) else "landmark"]

@@ -6,15 +6,15 @@ from typing import Any
 
 from napari.layers import Image
 
+from napari_hmrf.field.tissue_point import Points, Probe
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.tissue_point import Points, Probe
 from napari_hmrf.study.layer_names import full_resolution
 from napari_hmrf.tissue.boundary_rules import Material
-from napari_hmrf.ui.result.moving_layers import LookedAt
+from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_messages import FULL, at_point, stiffness_of, strain_of
 
 
@@ -27,11 +27,11 @@ class UnderCursor:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    shown : LookedAt
     """
 
-    def __init__(self, viewer: Any, shown: LookedAt) -> None:
-        self._viewer, self._shown = viewer, shown
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._shown: MovingLayers | None = None
         self._points: Points | None = None
         self._tissue: Any = None
         self._place: Frame | None = None
@@ -44,19 +44,18 @@ class UnderCursor:
         """Listen no more."""
         self._viewer.events.status.disconnect(self._on_status)
 
-    def watch(self, points: Points | None) -> None:
-        """Read the result that is looked at from now on, of which these are the points.
+    def watch(self, shown: MovingLayers | None, points: Points | None = None) -> None:
+        """Read a result that is looked at from now on, of which these are the points.
 
         Stiffness is that of labels and their table, or of an image; of neither there is none.
         """
-        self._points, self._tissue, self._place = points, None, None
-        result, layers = self._shown.result, self._viewer.layers
-        if points is None or result is None:
+        self._shown, self._points, self._tissue, self._place = shown, points, None, None
+        if shown is None:
             return
-        self._ways = Directions.of(result.frame, self._viewer)
-        self._tissue = tissue = tissue_of(layers, result)
+        self._ways = Directions.of(shown.answer.frame, self._viewer)
+        self._tissue = tissue = tissue_of(self._viewer.layers, shown.answer)
         if tissue is not None:
-            self._place = frame_in(tissue, result)
+            self._place = frame_in(tissue, shown.answer)
             self._materials = {row.label: row for row in rows_of(tissue, TISSUE) or ()}
 
     def at(self, position: Any) -> Probe | None:
@@ -67,25 +66,23 @@ class UnderCursor:
         position : sequence of float
             As of `viewer.cursor.position`.
         """
-        shown, points, arrows = self._shown, self._points, self._shown.layer("arrows")
-        if shown.result is None or shown.layers is None or points is None or arrows is None:
+        shown, points = self._shown, self._points
+        arrows = None if shown is None else shown.layer("arrows")
+        if shown is None or points is None or arrows is None:
             return None
-        place = place_at(arrows, shown.result, position, View.of(self._viewer.dims))
+        place = place_at(arrows, shown.answer, position, View.of(self._viewer.dims))
         return None if place is None else points.at(place, shown.layers.percent / FULL)
 
     def line_at(self, position: Any) -> str:
         """The same in words; "" beside tissue."""
-        found, result = self.at(position), self._shown.result
-        if found is None or result is None:
+        found, shown = self.at(position), self._shown
+        if found is None or shown is None:
             return ""
-        more = self._strain(found), self._stiffness(found)
-        return at_point(result.unit, found, self._ways, more, self._shown.percent)
-
-    def _strain(self, found: Probe) -> str:
-        overlay = self._shown.overlay
-        if overlay is None or overlay.picture is None:
-            return ""
-        return strain_of(overlay.name, float(overlay.picture[found.row, found.col]))
+        more, overlay = [self._stiffness(found)], shown.overlay
+        if overlay is not None and overlay.picture is not None:
+            strain = float(overlay.picture[found.row, found.col])
+            more.insert(0, strain_of(overlay.name, strain))
+        return at_point(shown.answer.unit, found, self._ways, more, shown.percent)
 
     def _stiffness(self, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
 
 from napari_hmrf.ui.forms import Prose, narrow, row
@@ -61,10 +59,3 @@ class ResultForm(Container):
         for part in self:
             if isinstance(part, Container):
                 part.margins = (0, 0, 0, 0)
-
-    @property
-    def of_result(self) -> tuple[Any, ...]:
-        """What is of no use without a result."""
-        return (
-            self.slider, self.play, self.before, self.overlay, self.arrows, self.save,
-        )  # fmt: skip

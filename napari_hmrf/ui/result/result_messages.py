@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from napari_hmrf.layers.overlay import QUANTITIES, Name
-from napari_hmrf.layers.result_lookup import FoundResult
+from napari_hmrf.field.quantities import QUANTITIES
+from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.layers.overlay import Name
+from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.tissue_point import Probe
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
@@ -76,7 +77,7 @@ def overlay_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, s
 
 
 def how_far(
-    result: FoundResult, longest: float, percent: int, apart: tuple[str, str] | None = None
+    result: Answer, longest: float, percent: int, apart: tuple[str, str] | None = None
 ) -> str:
     """How much of the deformation is seen, or that it is of another slice than the one seen."""
     moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"

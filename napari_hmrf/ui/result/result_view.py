@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,25 +10,25 @@ from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
-from napari_hmrf.field.deformation import magnitude
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.tissue_point import Points
+from napari_hmrf.io.figures import new_folder, save_result_pictures
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
+from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.result_lookup import (
-    FoundResult,
     can_be_source,
     result_of,
     slices_apart,
-    source_of,
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.tissue_point import Points
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
-from napari_hmrf.ui.result.moving_layers import LookedAt, MovingLayers
+from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 
@@ -62,12 +61,9 @@ class ResultView:
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._native, self._viewer, self._form, self._results = native, viewer, form, results
         self._errands = Errands(self._refuse)
-        self.shown = LookedAt()
-        self.cursor = UnderCursor(viewer, self.shown)
-        self._moving = MovingLayers(native, self.shown, self._refuse)
-        self.player = Player(native, self._errands, self._moving.draw)
-        self._longest = 0.0
-        self._arrows: Any = None
+        self.shown: MovingLayers | None = None
+        self.cursor = UnderCursor(viewer)
+        self.player = Player(native, self._errands)
         self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(lambda _: self._lay_over(chosen=True))
@@ -99,25 +95,24 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not seen yet."""
-        return self._errands.busy() or self._moving.busy
+        return self._errands.busy()
 
     @property
     def before(self) -> bool:
         """Whether the image is seen as it was; never without a result."""
-        return self.shown.layers is not None and self.shown.layers.is_before
+        return self.shown is not None and self.shown.layers.is_before
 
     @before.setter
     def before(self, hold: bool) -> None:
-        layers = self.shown.layers
-        if layers is not None and hold:
-            layers.hold_before(self.shown.source)
-        elif layers is not None:
-            layers.release()
+        if self.shown is not None and hold:
+            self.shown.layers.hold_before(self.shown.source)
+        elif self.shown is not None:
+            self.shown.layers.release()
 
     @property
     def arrows(self) -> Any:
         """Which hold the result that is looked at."""
-        return self._arrows
+        return None if self.shown is None else self.shown.arrows
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
@@ -132,13 +127,11 @@ class ResultView:
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
         """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
-        result = self.shown.result
-        if result is None:
+        if self.shown is None:
             self.said.emit(words.NO_RESULT)
             return
-        image = None if self.player.motion is None else self.player.motion.image
         self.said.emit(words.SAVING)
-        work = partial(_figures_of, result, image, folder, own_folder)
+        work = partial(_figures_of, self.shown.answer, self.shown.image, folder, own_folder)
         self._errands.send("pictures", work, self._on_saved)
 
     def rest(self) -> None:
@@ -158,148 +151,142 @@ class ResultView:
 
     def _look_at(self, arrows: Any) -> None:
         """Look at the result that a layer of arrows holds, as it is now; None: at none."""
-        form, shown = self._form, self.shown
+        before = self.shown
         self._put_back()
-        result = None if arrows is None else result_of(arrows)
-        layers = None if result is None else self._results.of(arrows)
-        other = layers is not shown.layers
-        if other and shown.layers is not None:
-            shown.layers.leave()
-        shown.layers, shown.result, shown.overlay = layers, result, None
-        self._arrows = None if result is None else arrows
         self._heard.release()
         self.cursor.watch(None)
-        for part in form.of_result:
-            part.enabled = result is not None
-        if result is None or layers is None:
-            self.player.motion = None
-            form.how_far.say("")
+        answer = None if arrows is None else result_of(arrows)
+        layers = None if answer is None else self._results.of(arrows)
+        other = before is None or layers is not before.layers
+        if before is not None and other:
+            before.layers.leave()
+        self._form.enabled = answer is not None
+        if answer is None or layers is None:
+            self.shown = None
+            self.player.go_through(None)
+            self._form.how_far.say("")
             return
+        self.shown = shown = MovingLayers(self._viewer, arrows, answer, layers)
+        try:
+            shown.copy_image()
+        except HmrfError as error:
+            self._refuse(error)
+        self.player.go_through(shown)
         self._heard = Listening((arrows.events.visible, self._on_eye))
-        self._show_result(result, layers, other)
-        self._errands.send("points", partial(Points, result.solution), self.cursor.watch)
-
-    def _show_result(self, result: FoundResult, layers: Result, other: bool) -> None:
-        """Let the form say what the layers are, and the layers what it says."""
-        form = self._form
-        self.shown.source = source_of(self._viewer.layers, result)
-        there = layers.layer("overlay")
-        with form.overlay.changed.blocked():
-            name = form.overlay.value
-            if name == words.NOTHING and there is not None and there.visible:
-                name = known_of(there)["kind"]  # of a dock that was closed
-            ways = Directions.of(result.frame, self._viewer)
-            form.overlay.choices = words.overlay_choices(result.unit, ways)
-            form.overlay.value = name
-        self._longest = float(magnitude(result.solution.displacement).max(initial=0.0))
+        self._offer(shown)
         self._on_eye()
         self._say_how_far()
-        self.player.motion = self._moving.motion()
-        if form.overlay.value != words.NOTHING:
+        if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
+        points = partial(Points, answer.solution)
+        self._errands.send("points", points, partial(self.cursor.watch, shown))
+
+    def _offer(self, shown: MovingLayers) -> None:
+        """Offer what can lie over the image of a result, and choose what does."""
+        choice, there = self._form.overlay, shown.layer("overlay")
+        with choice.changed.blocked():
+            name = choice.value
+            if name == words.NOTHING and there is not None and there.visible:
+                name = known_of(there)["kind"]  # of a dock that was closed
+            ways = Directions.of(shown.answer.frame, self._viewer)
+            choice.choices = words.overlay_choices(shown.answer.unit, ways)
+            choice.value = name
 
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
-        arrows = result.layer("arrows")
-        if result is not self.shown.layers:
+        shown, arrows = self.shown, result.layer("arrows")
+        if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self._look_at(arrows)
-        elif not result.moving and self._is_other(arrows):
+        elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
             self._look_at(arrows)
-        else:
-            self._interrupt()
-
-    def _is_other(self, arrows: Any) -> bool:
-        """Whether arrows hold another result by now than the one that is looked at."""
-        now, before = None if arrows is None else result_of(arrows), self.shown.result
-        return now is None or before is None or now.solution is not before.solution
+        elif (
+            self.player.playing
+            or self._errands.busy("moment")
+            or self._form.slider.value != words.FULL
+        ):
+            self._draw_whole()  # all of it is there again
 
     def _on_active(self, *_: Any) -> None:
         """Look at another result that is selected: of another image, slice or file."""
         active = self._viewer.layers.selection.active
-        if active not in (None, self._arrows) and result_of(active) is not None:
+        if active not in (None, self.arrows) and result_of(active) is not None:
             self._look_at(active)
 
     def _on_eye(self, *_: Any) -> None:
         """Let the box say whether arrows are seen, whoever has hidden or shown them."""
-        layers = self.shown.layers
-        if layers is not None and not self.before:
+        if self.shown is not None:
             with self._form.arrows.changed.blocked():
-                self._form.arrows.value = layers.wants("arrows")
+                self._form.arrows.value = self.shown.layers.wants("arrows")
 
     def _on_ticked(self, drawn: bool) -> None:
-        arrows, layers = self.shown.layer("arrows"), self.shown.layers
-        if arrows is not None and drawn:
-            arrows.visible = True
-        elif layers is not None:
-            layers.hide("arrows")
+        if self.shown is not None:
+            self.shown.layers.want("arrows", drawn)
 
     def _on_inserted(self, event: Any) -> None:
-        result, source = self.shown.result, self.shown.source
-        if result_of(event.value) is not None:
-            self._look_at(event.value)
-        elif result is None or source in self._viewer.layers:
+        shown, layer = self.shown, event.value
+        if result_of(layer) is not None:
+            self._look_at(layer)
+        elif shown is None or shown.source in self._viewer.layers:
             return
-        elif can_be_source(event.value, result):  # of a file, or opened again
-            self._look_at(self._arrows)
+        elif can_be_source(layer, shown.answer):  # of a file, or opened again
+            self._look_at(shown.arrows)
 
     def _on_removed(self, event: Any) -> None:
-        layers = self.shown.layers
-        if layers is None:
+        if self.shown is None:
             return
-        if event.value is self._arrows:
-            if self.shown.source in self._viewer.layers and not layers.leaving:
+        # What goes by our own doing is no part any more.
+        part = self.shown.layers.part_of(event.value)
+        if part == "overlay":
+            self._form.overlay.value = words.NOTHING
+        elif event.value is self.shown.arrows:
+            if part is not None and self.shown.source in self._viewer.layers:
                 self.said.emit(words.LOST.format(layer=event.value.name))
             self._look_at(None)
-        elif not layers.leaving and layers.part_of(event.value) == "overlay":
-            self._form.overlay.value = words.NOTHING
 
     # What lies over the image
 
     def _lay_over(self, chosen: bool) -> None:
         """Have what is chosen lie over the image; `chosen`: just now, so that it is to be seen."""
-        result, layers, name = self.shown.result, self.shown.layers, self._form.overlay.value
-        if result is None or layers is None:
+        shown, name = self.shown, self._form.overlay.value
+        if shown is None:
             return
         if name == words.NOTHING:
             self._errands.forget("overlay")
-            layers.drop("overlay")
-            self._move_with(None)
+            self._show_overlay(shown, None)
         else:
-            answer = partial(self._show_overlay, result, name, chosen)
-            self._errands.send("overlay", partial(overlay_of, result, name), answer)
+            answer = partial(self._on_overlay, shown, name, chosen)
+            self._errands.send("overlay", partial(overlay_of, shown.answer, name), answer)
+
+    def _on_overlay(
+        self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
+    ) -> None:
+        if shown is not self.shown:
+            return
+        self._show_overlay(shown, made, chosen)
+        if made is None and chosen:
+            self.said.emit(words.LACKING[name])
+        if self._form.slider.value != words.FULL:
+            self.player.show(self._form.slider.value)
 
     def _show_overlay(
-        self, result: FoundResult, name: Name, chosen: bool, made: Overlay | None
+        self, shown: MovingLayers, made: Overlay | None, chosen: bool = False
     ) -> None:
-        layers, percent = self.shown.layers, self._form.slider.value
-        if result is not self.shown.result or layers is None:
-            return
+        """Have this lie over the image, and move with the tissue from now on."""
         if made is None:
-            layers.drop("overlay")
-            if chosen:
-                self.said.emit(words.LACKING[name])
+            shown.layers.drop("overlay")
         else:
-            layers.put("overlay", made.layer, self.shown.source, chosen)
-        self._move_with(made)
-        if percent != words.FULL:
-            self.player.show(percent)
-
-    def _move_with(self, overlay: Overlay | None) -> None:
-        """Have an overlay move with the tissue from now on."""
-        self.shown.overlay, motion = overlay, self.player.motion
-        if motion is not None:
-            picture, grid = (overlay.picture, overlay.name == "grid") if overlay else (None, False)
-            self.player.motion = replace(motion, overlay=picture, grid=grid)
+            shown.layers.put("overlay", made.layer, shown.source, chosen)
+        shown.overlay = made
+        self.player.go_through(shown)
 
     # How much is seen
 
     def _can_move(self) -> bool:
         """Have a layer that can be moved; whether there is one, or else why not is said."""
-        motion = self.player.motion
-        if self.shown.result is None:
+        if self.shown is None:
             self.said.emit(words.NO_RESULT)
-        elif motion is None or not self._moving.ready(motion):
+        elif not self.shown.ready():
             self.said.emit(words.NO_IMAGE)
         else:
             return True
@@ -308,37 +295,33 @@ class ResultView:
     def _put_back(self) -> None:
         """Leave the layers as they were before they were moved."""
         self._errands.forget()
-        if self.shown.layers is not None:
+        if self.shown is not None:
             self.shown.layers.release()
             self.shown.layers.show_whole()
         self._draw_whole()
-
-    def _interrupt(self) -> None:
-        """What was moved is all there again, by another's doing."""
-        moving = self.player.playing or self._errands.busy("moment")
-        if moving or self._form.slider.value != words.FULL:
-            self._draw_whole()
 
     def _draw_whole(self) -> None:
         """Arrows of the whole deformation, and nothing of what was seen before."""
         self.player.stop()
         self._errands.forget("moment")
-        self._moving.draw_whole()
-        self.player.percent = words.FULL
+        if self.shown is not None:
+            self.shown.draw_arrows(words.FULL)
         self._set_slider(words.FULL)
 
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():
             self._form.slider.value = percent
+        if self.shown is not None:
+            self.shown.percent = percent
         self._say_how_far()
 
     def _say_how_far(self, *_: Any) -> None:
         """Say how much is seen, and whether it is the slice of the result that is shown."""
-        shown, view = self.shown, View.of(self._viewer.dims)
-        shown.percent, arrows = self._form.slider.value, shown.layer("arrows")
-        if shown.result is not None:
-            apart = None if arrows is None else slices_apart(arrows, shown.result, view)
-            self._form.how_far.say(words.how_far(shown.result, self._longest, shown.percent, apart))
+        if (shown := self.shown) is not None:
+            arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
+            apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
+            far = words.how_far(shown.answer, shown.longest, shown.percent, apart)
+            self._form.how_far.say(far)
 
     # What is pressed
 
@@ -376,24 +359,8 @@ class ResultView:
         self.said.emit(str(error) or type(error).__name__)
 
 
-def _figures_of(result: FoundResult, image: Any, folder: Path, own_folder: bool) -> list[Path]:
+def _figures_of(answer: Answer, image: Any, folder: Path, own_folder: bool) -> list[Path]:
     """Write the figures of a result into a folder, or into a new one there."""
-    from napari_hmrf.io.figures import save_result_pictures
-
     if own_folder:
-        folder = _new_folder(folder, f"{result.source or 'result'} pictures")
-    return save_result_pictures(folder, result.solution, image, result.unit)
-
-
-def _new_folder(parent: Path, name: str) -> Path:
-    """Make a folder of a name that is not taken, so that no file is replaced."""
-    kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
-    folder, number = parent / kept, 1
-    while True:
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            number += 1
-            folder = parent / f"{kept} {number}"
-        else:
-            return folder
+        folder = new_folder(folder, f"{answer.source or 'result'} pictures")
+    return save_result_pictures(folder, answer.solution, image, answer.unit)

@@ -6,38 +6,47 @@ does, the first drag would wait for it.
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
-from napari_hmrf.study.study import Study
 
 _SIZE = 24
-_log = logging.getLogger("napari_hmrf")
-#: What was rehearsed in this process.
-_known: set[tuple[Any, ...]] = set()
 
 
-def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = False) -> None:
+def rehearse(
+    prior: Prior,
+    image: npt.NDArray[Any],
+    spacing: tuple[float, ...],
+    report: Progress,
+    left: CancelFlag,
+    more: bool = False,
+) -> None:
     """Solve something small, and move a corner of a picture; on the compute thread only.
 
-    With `more` that is what not every drawing needs: holds that may slip, paint, and confidence.
+    Parameters
+    ----------
+    prior : Prior
+    image : ndarray, shape (H, W) or (H, W, channels)
+        Will move.
+    spacing : tuple of float
+        Of its pixels.
+    report, left
+        As `progress` and `cancel` of `solve`.
+    more : bool
+        Have ready what not every drawing needs: holds that may slip, paint, and confidence.
     """
-    prior, image = study.prior, study.pictures.image
-    if left.is_set() or image is None:
+    if left.is_set():
         return
     pictures = [Picture(image[:_SIZE, :_SIZE], fill=emptiness(image))]
     if more:
@@ -45,34 +54,13 @@ def rehearse(study: Study, report: Progress, left: CancelFlag, more: bool = Fals
         pictures = [Picture(np.zeros((_SIZE, _SIZE), kind), order=0) for kind in kinds]
         if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
             prior = replace(prior, penalty=1.0)
-    spacing = study.grid.spacing
     y, c = np.zeros((2, _SIZE, _SIZE, 2))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
     problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
     small = prior.rehearsal(problem.shape)
+    run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
     tissue = np.ones(np.shape(pictures[0].image)[:2], dtype=bool)
     tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
-    still = np.zeros((*tissue.shape, 2), np.float32)
-    parts: dict[tuple[Any, ...], Callable[[], object]] = {
-        (prior.kernels, len(set(spacing)) == 1): lambda: run_here(
-            problem, small, Multigrid(TOLERANCE), "auto", report, left
-        ),
-    }
     for picture in pictures:
-        key = (np.asarray(picture.image).dtype.str, picture.order)
-        parts[key] = partial(_move, picture, still, tissue)
-    for key, part in parts.items():
-        if key in _known:
-            continue
-        try:
-            part()
-        except Cancelled:
-            return
-        except Exception:  # noqa: BLE001 - whoever draws is told of it
-            _log.debug("a rehearsal failed", exc_info=True)
-        _known.add(key)
-
-
-def _move(picture: Picture, still: Any, tissue: Any) -> None:
-    Warper(picture)(still, tissue)
+        Warper(picture)(np.zeros((*tissue.shape, 2), np.float32), tissue)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
+from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, ends_of
-from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Point
+from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Point, between
 
 #: Where the tissue seen at a point is when nothing moves; None if there is none.
 Origin = Callable[[Point], Point | None]
@@ -19,39 +20,8 @@ def unmoved(point: Point) -> Point | None:
     return point
 
 
-class History(Protocol):
-    """A drawing as it is now, and the steps that led there."""
-
-    @property
-    def drawing(self) -> Drawing:
-        """As it is now, an edit in progress included."""
-
-    @property
-    def in_progress(self) -> bool:
-        """Whether an edit was begun and not ended."""
-
-    @property
-    def undo_word(self) -> str:
-        """What was done last; empty if nothing."""
-
-    def do(self, drawing: Drawing, word: str) -> None:
-        """Make one step, said in the past tense."""
-
-    def begin(self, word: str) -> None:
-        """Begin an edit that takes a while."""
-
-    def update(self, drawing: Drawing) -> None:
-        """Go on with it."""
-
-    def end(self, word: str = "") -> None:
-        """End it; it is one step."""
-
-    def cancel(self) -> None:
-        """Drop it: all is as before."""
-
-
 class Hand:
-    """A tool that draws on a history; each press to release is one step that can be undone.
+    """What holds a tool and draws; each press to release is one step that can be undone.
 
     Parameters
     ----------
@@ -59,6 +29,8 @@ class Hand:
         What is drawn on.
     spacing : sequence of float, shape (2,)
         Size of a pixel in (row, col) direction.
+    shape : tuple of int
+        Of the image.
 
     Attributes
     ----------
@@ -70,18 +42,22 @@ class Hand:
 
     pending: Point | None = None
 
-    def __init__(self, history: History, spacing: Sequence[float] = (1.0, 1.0)) -> None:
+    def __init__(
+        self,
+        history: History,
+        spacing: Sequence[float] = (1.0, 1.0),
+        shape: tuple[int, ...] = (1, 1),
+    ) -> None:
         self._history = history
         self._spacing = (float(spacing[0]), float(spacing[1]))
-        #: Whether something is held, and whether that was not there before.
-        self._holds = self._new = False
+        self._shape = shape
         self._selected: int | None = None
         self._ours = Drawing()
 
     @property
     def holding(self) -> bool:
         """Whether something is held."""
-        return self._holds and self._history.in_progress
+        return self._history.in_progress
 
     @property
     def selected(self) -> int | None:
@@ -129,19 +105,16 @@ class Hand:
         ProblemError
             If what is to expand is an open line; nothing has changed then.
         """
-        word = self._word() if self.holding else ""
-        if self.holding:
-            self._history.end(word)
-        self._holds = False
-        return word
+        step = self._history.end()
+        return "" if step is None else step.word
 
     def cancel(self) -> bool:
         """Let go, and have everything as it was before; whether anything was held."""
-        held, self._holds = self.holding, False
+        held, number = self.holding, self._selected
         if held:
-            number = None if self._new else self._selected
             self._history.cancel()
-            self.select(number)
+            there = number is not None and number < len(self._history.drawing.marks)
+            self.select(number if there else None)
         return held
 
     def select(self, number: int | None) -> None:
@@ -150,7 +123,6 @@ class Hand:
 
     def remove(self) -> bool:
         """Remove the mark that is selected; whether there was one."""
-        self.release()
         mark, number = self.mark, self.selected
         if mark is None or number is None:
             return False
@@ -182,33 +154,30 @@ class Hand:
         self._history.do(drawing, f"changed {name_of(changed)}")
         return True
 
-    def _word(self) -> str:
-        """What was done to what is held; "" if nothing was."""
-        raise NotImplementedError
-
     def _changed(self, mark: Any, how: Any) -> Mark:
         raise NotImplementedError
 
-    def _show(self, drawing: Drawing, number: int) -> None:
+    def _show(self, drawing: Drawing, number: int, word: str = "") -> None:
         self._ours, self._selected = drawing, number
-        self._history.update(drawing)
+        self._history.update(drawing, word)
         # The same drawing stays the one it was.
         self._ours = self._history.drawing
 
-    def _remake(self, mark: Mark) -> None:
-        """Have another mark in the place of the one that is held."""
+    def _remake(self, mark: Mark, word: str = "") -> None:
+        """Have another mark in the place of the one that is held; in a `word`, what that does."""
         if self._selected is not None:
             drawing = self._history.drawing.replaced(self._selected, mark)
-            self._show(drawing, self._selected)
+            self._show(drawing, self._selected, word)
 
 
 class Pull(Hand):
     """Takes hold of tissue and pulls it, or takes hold of the end of an arrow or landmark again."""
 
     _part: Literal["head", "base"] = "head"
-    _moved = False
-    #: Where the pointer was pressed, and how far from the end that is held.
-    _begun = _offset = (0.0, 0.0)
+    #: Where the pointer is, and how far from the end that is held.
+    _at = _offset = (0.0, 0.0)
+    #: What is done once the pointer has moved.
+    _pulled = ""
 
     def press(self, point: Point, reach: float, how: Arrow, came_from: Origin = unmoved) -> bool:
         """Take hold of the end of an arrow, or of tissue; as in `Hand`.
@@ -224,48 +193,43 @@ class Pull(Hand):
             self.select(None)
             return False
         by = self._between(at, point, how.components)
-        self._take_new(replace(how, at=at, by=by), point)
+        self._take_new(replace(how, at=at, by=by), point, "held a place", "drew an arrow")
         return True
 
     def move(self, point: Point) -> None:
         """Go on to a point; nothing happens unless something is held."""
-        if not self.holding:
+        if not self.holding or point == self._at:
             return
-        to, mark = (point[0] - self._offset[0], point[1] - self._offset[1]), self.mark
-        self._moved, leads = self._moved or point != self._begun, self._part == "head"
+        self._at, leads, mark = point, self._part == "head", self.mark
+        to = (point[0] - self._offset[0], point[1] - self._offset[1])
         if isinstance(mark, Landmark):
-            self._remake(replace(mark, target=to) if leads else replace(mark, source=to))
+            moved = replace(mark, target=to) if leads else replace(mark, source=to)
+            self._remake(moved, self._pulled)
         elif isinstance(mark, Arrow):
             at, head = (mark.at, to) if leads else (to, mark.head(self._spacing))
-            self._remake(replace(mark, at=at, by=self._between(at, head, mark.components)))
-
-    def _word(self) -> str:
-        if self._new:
-            return "drew an arrow" if self._moved else "held a place"
-        return f"moved {name_of(self.mark)}" if self._moved else ""
+            by = self._between(at, head, mark.components)
+            self._remake(replace(mark, at=at, by=by), self._pulled)
 
     def _take_again(self, point: Point, reach: float) -> bool:
         """Take hold of the end of what is there; whether anything is."""
         drawing = self._history.drawing
         hit = drawing.at(point, reach, self._spacing)
         if hit is not None:
-            self._new = False
-            self._take(drawing, hit, point)
+            self._take(drawing, hit, point, f"moved {name_of(drawing.marks[hit.number])}")
         return hit is not None
 
-    def _take_new(self, mark: Arrow | Landmark, point: Point) -> None:
+    def _take_new(self, mark: Arrow | Landmark, point: Point, word: str, pulled: str = "") -> None:
         """Take hold of the head of what was not there before."""
-        self._new = True
         drawing = self._history.drawing
-        self._take(drawing.with_mark(mark), Hit(len(drawing.marks), "head"), point)
+        hit = Hit(len(drawing.marks), "head")
+        self._take(drawing.with_mark(mark), hit, point, word, pulled)
 
-    def _take(self, drawing: Drawing, hit: Hit, point: Point) -> None:
-        mark = drawing.marks[hit.number]
-        head, base = ends_of(mark, self._spacing)
+    def _take(self, drawing: Drawing, hit: Hit, point: Point, word: str, pulled: str = "") -> None:
+        head, base = ends_of(drawing.marks[hit.number], self._spacing)
         end = head if hit.part == "head" else base
         self._offset = (point[0] - end[0], point[1] - end[1])
-        self._part, self._moved, self._begun, self._holds = hit.part, False, point, True
-        self._history.begin(f"moved {name_of(mark)}")
+        self._part, self._at, self._pulled = hit.part, point, pulled
+        self._history.begin(word)
         self._show(drawing, hit.number)
 
     def _changed(self, mark: Any, how: Arrow) -> Mark:
@@ -276,11 +240,9 @@ class Pull(Hand):
         return changed
 
     def _between(self, at: Point, head: Point, components: Components) -> Point:
-        row, col = (
-            (to - start) * size for start, to, size in zip(at, head, self._spacing, strict=True)
-        )
         # Rounding of where it is seen must not move what stays.
-        row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in (row, col))
+        steps = between(at, head, self._spacing)
+        row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in steps)
         return (0.0 if components == "col" else row, 0.0 if components == "row" else col)
 
 
@@ -310,7 +272,7 @@ class Pairs(Pull):
     def move(self, point: Point) -> None:
         """Go on to a point; from the first click of a pair that is a drag to where it should be."""
         if self.pending is not None and self._pressed is not None:
-            if math.hypot(*self._between(self._pressed, point, "both")) <= self._reach:
+            if math.hypot(*between(self._pressed, point, self._spacing)) <= self._reach:
                 return
             self._place(self.pending, self._pressed, self._how)
         super().move(point)
@@ -327,13 +289,11 @@ class Pairs(Pull):
 
     def _place(self, source: Point, target: Point, how: Arrow) -> None:
         self.pending = self._pressed = None
-        self._take_new(Landmark(source, target, how.radius, how.confidence), target)
-
-    def _word(self) -> str:
-        return "placed a landmark" if self._new else super()._word()
+        mark = Landmark(source, target, how.radius, how.confidence)
+        self._take_new(mark, target, "placed a landmark")
 
 
-def name_of(mark: Mark | None) -> str:
+def name_of(mark: Mark) -> str:
     """What a mark is, with its article: "an arrow"."""
     kind = type(mark).__name__.lower()
     return f"an {kind}" if kind == "arrow" else f"a {kind}"

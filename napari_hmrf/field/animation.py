@@ -12,8 +12,10 @@ import numpy.typing as npt
 from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
-from napari_hmrf.layers.result_layers import LINES
 from napari_hmrf.solver.solution import Solution
+
+#: Lines of the grid across the longer side.
+_LINES = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +74,12 @@ class Motion:
         Moment
             At 1 exactly what the layers of the result show.
         """
-        solution, grid = self.solution, None
+        solution = self.solution
         parts: dict[str, npt.NDArray[Any]] = {}
         if self._pictures:
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
-        if self.grid:
-            displacement = solution.displacement * np.float32(fraction)
-            every = pixels_between(LINES, solution.tissue.shape, solution.spacing)
-            shown: dict[str, Any] = {"spacing": solution.spacing, "tissue": solution.tissue}
-            # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
-            pieces = 5 if fraction == 1 else 2
-            grid = deformation_grid(displacement, every=every, pieces=pieces, **shown)
-        return Moment(**parts, grid=grid)
+        return Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
 
     @cached_property
     def _pictures(self) -> dict[str, Picture]:
@@ -99,3 +94,15 @@ class Motion:
     @cached_property
     def _warper(self) -> Warper:
         return Warper(list(self._pictures.values()), spacing=self.solution.spacing)
+
+
+def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:
+    """Draw a grid that was square, after a part of the deformation; as of `deformation_grid`."""
+    tissue, spacing = solution.tissue, solution.spacing
+    every = pixels_between(_LINES, tissue.shape, spacing)
+    # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
+    pieces = 5 if fraction == 1 else 2
+    displacement = solution.displacement * np.float32(fraction)
+    return deformation_grid(
+        displacement, spacing=spacing, every=every, tissue=tissue, pieces=pieces
+    )

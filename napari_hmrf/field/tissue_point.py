@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from napari_hmrf.field.deformation import jacobian_determinant, smallest_determinant
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
+from napari_hmrf.field.quantities import area_change
 from napari_hmrf.solver.solution import Solution
 
 
@@ -74,15 +73,3 @@ class Points:
         down, along = (float(part) for part in solution.displacement[row, col])
         length = float(np.hypot(down, along))
         return Probe(row, col, (down, along), length, float(self._jacobian[row, col]))
-
-
-def area_change(solution: Solution) -> npt.NDArray[np.float32]:
-    """By which factor the area of each site changes; NaN where there is no tissue.
-
-    Where tissue folds it is the smallest determinant around the site, so that it is 0 or below at
-    all folds.
-    """
-    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    smallest = smallest_determinant(d, spacing, tissue)
-    at_sites = jacobian_determinant(d, spacing=spacing, tissue=tissue)
-    return np.where(smallest <= 0, smallest, at_sites)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing.canvas import covers, refuse_open_line
-from napari_hmrf.tissue.drawing.hands import Hand, History, Origin, unmoved
-from napari_hmrf.tissue.drawing.marks import Action, Mark, Point, Stroke
+from napari_hmrf.tissue.drawing.marks import Action, Mark, Point, Stroke, between
+from napari_hmrf.ui.motion.hands import Hand, Origin, unmoved
 
 #: The brush must have moved on by this part of its radius until that is a place of its own.
 _STEP = 0.1
@@ -22,8 +21,6 @@ WORDS: dict[Action, str] = {
     "confidence": "painted confidence",
     "tissue": "painted tissue",
 }
-
-
 _PUSHED = "pushed what was painted"
 
 
@@ -32,48 +29,29 @@ class Brush(Hand):
 
     What moves by a step is dragged instead, once it is painted: the step leads where it is let go.
 
-    What is under the brush is the tissue as it was seen when the button was pressed: that it moves
-    meanwhile does not lead the brush astray.
-
-    Parameters
-    ----------
-    history : History
-        What is drawn on.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
-    shape : (int, int)
-        Of the image.
+    That tissue moves meanwhile does not lead the brush astray.
     """
 
+    #: Where the tissue under the brush was, as it was seen when the button was pressed.
+    _origin: Origin
     #: Where a stroke that moves was taken hold of, and its step then.
     _dragged: tuple[Point, Point] | None = None
-
-    def __init__(
-        self,
-        history: History,
-        spacing: Sequence[float] = (1.0, 1.0),
-        shape: tuple[int, int] = (1, 1),
-    ) -> None:
-        super().__init__(history, spacing)
-        self._shape = shape
-        self._origin: Origin = unmoved
 
     def press(self, point: Point, reach: float, how: Stroke, came_from: Origin = unmoved) -> bool:
         """Touch tissue with the brush; where there is none, the place itself is meant."""
         self.release()
-        self._origin, self._holds = came_from, True
-        self._new, self._dragged = False, None
+        self._origin, self._dragged = came_from, None
         drawing, at, stroke = self._history.drawing, self._place(point), self.mark
         word = WORDS[how.action]
-        covered = isinstance(stroke, Stroke) and covers(stroke, at, self._spacing)
-        if covered and isinstance(stroke, Stroke) and stroke.action == how.action == "move":
+        if not isinstance(stroke, Stroke) or not covers(stroke, at, self._spacing):
+            stroke = None
+        if stroke is not None and stroke.action == how.action == "move":
             self._dragged = (point, stroke.by)
             self._history.begin(_PUSHED)
-        elif covered and isinstance(stroke, Stroke) and replace(how, lines=stroke.lines) == stroke:
+        elif stroke is not None and replace(how, lines=stroke.lines) == stroke:
             self._history.begin(word)
             self._remake(stroke.again(at))
         else:
-            self._new = True
             self._history.begin(word)
             self._show(drawing.with_mark(replace(how, lines=((at,),))), len(drawing.marks))
         return True
@@ -85,28 +63,23 @@ class Brush(Hand):
             return
         if self._dragged is not None:
             start, by = self._dragged
-            down, along = (
-                step + (now - was) * size
-                for step, now, was, size in zip(by, point, start, self._spacing, strict=True)
-            )
-            self._remake(replace(stroke, by=(down, along)))
+            down, along = between(start, point, self._spacing)
+            self._remake(replace(stroke, by=(by[0] + down, by[1] + along)))
             return
         at, last = self._place(point), stroke.lines[-1][-1]
-        steps = ((a - b) * size for a, b, size in zip(at, last, self._spacing, strict=True))
-        if math.hypot(*steps) >= _STEP * stroke.radius:
+        if math.hypot(*between(last, at, self._spacing)) >= _STEP * stroke.radius:
             self._remake(stroke.onward(at))
 
-    def _word(self) -> str:
+    def release(self) -> str:
+        """Lift the brush; as in `Hand`."""
         stroke = self.mark
-        if not isinstance(stroke, Stroke):
-            return ""
-        if stroke.action == "expand":
+        if self.holding and isinstance(stroke, Stroke) and stroke.action == "expand":
             try:
                 refuse_open_line(stroke, self._spacing, self._shape)
             except ProblemError:
                 self.cancel()
                 raise
-        return _PUSHED if self._dragged else WORDS[stroke.action]
+        return super().release()
 
     def _changed(self, mark: Mark, how: Stroke) -> Mark:
         """The brush may change its size from stroke to stroke: that is no change of the last."""

@@ -1,0 +1,105 @@
+"""What is seen of a result as colours: how far tissue goes, how its area changes, its strain."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
+from napari_hmrf.field.deformation import FloatArray, jacobian_determinant, smallest_determinant
+from napari_hmrf.field.strain import (
+    equivalent_strain,
+    green_lagrange_strain,
+    magnitude,
+    principal_strains,
+)
+from napari_hmrf.solver.solution import Solution
+
+Quantity = Literal[
+    "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
+]
+_PER_CENT = 100.0
+#: What there is to show, and its unit; "" stands for that of the lengths. Strains are
+#: Green-Lagrange's, in per cent of the length.
+QUANTITIES: dict[Quantity, tuple[str, str]] = {
+    "magnitude": ("displacement", ""),
+    "jacobian": ("Jacobian", "area ratio"),
+    "equivalent": ("equivalent strain", "%"),
+    "stretch": ("largest stretch", "%"),
+    "squeeze": ("largest squeeze", "%"),
+    "rows": ("strain along rows", "%"),
+    "columns": ("strain along columns", "%"),
+    "shear": ("shear strain", "%"),
+}
+
+
+class Coloured(NamedTuple):
+    """A quantity of the tissue before it moved, and the scale of its colours.
+
+    Attributes
+    ----------
+    values : ndarray, shape (H, W), float32
+        In the unit of `QUANTITIES`: strains in per cent. NaN where there is no tissue.
+    limits : (float, float)
+        Where the scale begins and ends.
+    signed : bool
+        Whether no change is in the middle of the scale, and not at its lower end.
+    folded : bool
+        Whether there are folds, which are at the lower limit, or beyond.
+    """
+
+    values: FloatArray
+    limits: tuple[float, float]
+    signed: bool
+    folded: bool = False
+
+
+def coloured(solution: Solution, quantity: Quantity) -> Coloured:
+    """Compute a quantity, and how far its scale has to go.
+
+    Parameters
+    ----------
+    solution : Solution
+    quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
+"shear"}
+        The strains are Green-Lagrange's: "stretch" and "squeeze" the principal ones; "jacobian" is
+        as of `area_change`.
+    """
+    values, signed = _values(solution, quantity), quantity not in ("magnitude", "equivalent")
+    if quantity == "jacobian":
+        folded = bool((values <= 0).any())
+        return Coloured(values, area_limits(values, folded), signed, folded)
+    least = SMALLEST * (_PER_CENT if QUANTITIES[quantity][1] == "%" else 1)
+    reach = reach_of(values, signed, least)
+    return Coloured(values, (-reach if signed else 0.0, reach), signed)
+
+
+def _values(solution: Solution, quantity: Quantity) -> FloatArray:
+    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
+    if quantity == "magnitude":
+        return np.where(tissue, magnitude(d), np.float32(np.nan))
+    if quantity == "jacobian":
+        return area_change(solution)
+    strain = green_lagrange_strain(d, spacing=spacing, tissue=tissue)
+    shown: FloatArray
+    if quantity == "equivalent":
+        shown = equivalent_strain(strain)
+    elif quantity in ("stretch", "squeeze"):
+        shown = principal_strains(strain)[..., 0 if quantity == "stretch" else 1]
+    else:
+        row, col = {"rows": (0, 0), "columns": (1, 1), "shear": (0, 1)}[quantity]
+        shown = strain[..., row, col]
+    return shown * np.float32(_PER_CENT)
+
+
+def area_change(solution: Solution) -> FloatArray:
+    """By which factor the area of each site changes; NaN where there is no tissue.
+
+    Where tissue folds it is the smallest determinant around the site, so that it is 0 or below at
+    all folds.
+    """
+    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
+    smallest = smallest_determinant(d, spacing, tissue)
+    at_sites = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+    return np.where(smallest <= 0, smallest, at_sites)
