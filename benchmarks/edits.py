@@ -28,7 +28,7 @@ from napari.layers import Layer
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import phantom
-from napari_hmrf.layers.contributions import phantom_layers
+from napari_hmrf.contributions import phantom_layers
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 _STEPS = 20

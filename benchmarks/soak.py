@@ -83,7 +83,7 @@ def soak(
     import napari
     from qtpy.QtWidgets import QApplication
 
-    from napari_hmrf.layers.contributions import phantom_layers
+    from napari_hmrf.contributions import phantom_layers
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
     turns = [(backend, energy) for energy in ENERGIES for backend in _available(size)]

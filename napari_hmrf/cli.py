@@ -376,7 +376,7 @@ def _open_napari(demonstration: Demonstration, prior: Prior) -> None:
     import napari
     from napari.layers import Layer
 
-    from napari_hmrf.layers.contributions import phantom_layers
+    from napari_hmrf.contributions import phantom_layers
 
     viewer = napari.Viewer()
     for data, attributes, kind in phantom_layers(demonstration.phantom):

@@ -12,9 +12,9 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QFileDialog, QTableView
 from screen import Screen, head
 
+from napari_hmrf.contributions import open_solution, phantom_layers, save_solution
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.material_tables import load_materials
-from napari_hmrf.layers.contributions import open_solution, phantom_layers, save_solution
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.study.ground import Ground

@@ -8,15 +8,19 @@ from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
 from study_reader import read_layers
 
-from napari_hmrf import Problem, SeilerPrior, solve
-from napari_hmrf.errors import FileFormatError
-from napari_hmrf.layers.contributions import (
+from napari_hmrf import Problem, SeilerPrior, read_field, save_points, solve
+from napari_hmrf.contributions import (
+    open_landmarks,
+    open_scan,
     open_solution,
     sample_bar,
     sample_expansion,
     sample_mass_effect,
     save_solution,
 )
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.io.fields import Place
+from napari_hmrf.io.images import ImageFile, save_image
 from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request
@@ -151,6 +155,54 @@ def test_napari_saves_and_opens_the_result(make_napari_viewer, arrows, tmp_path)
     assert viewer.layers.save(path, plugin="napari-hmrf") == [path]
     (layer,) = viewer.open(path, plugin="napari-hmrf")
     np.testing.assert_array_equal(layer.data, arrows.data)
+
+
+def test_the_field_of_a_result_is_saved_for_other_tools(arrows, solution, tmp_path):
+    data, attributes, _ = arrows.as_layer_data_tuple()
+    (path,) = save_solution(str(tmp_path / "field.mha"), data, attributes)
+    assert 0 < np.abs(read_field(path).displacement).max() < 2.5
+
+
+def test_a_scan_is_opened_where_it_lies_in_the_patient(tmp_path):
+    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), turn)
+    pixels = np.arange(4 * 5 * 6, dtype=np.int16).reshape(4, 5, 6)
+    path = str(save_image(tmp_path / "head.scan.nii.gz", ImageFile(pixels, place)))
+    ((data, attributes, kind),) = open_scan(path)(path)
+    layer = Layer.create(data, attributes, kind)
+    assert layer.name == "head"
+    assert [str(unit) for unit in layer.units] == ["millimeter"] * 3
+    np.testing.assert_array_equal(layer.data, pixels)
+    for z, y, x in ((0, 0, 0), (3, 4, 5), (1, 4, 0)):
+        lps = place.origin + turn @ (np.array([x, y, z]) * [0.7, 0.5, 2.0])
+        np.testing.assert_allclose(layer.data_to_world((z, y, x)), lps[::-1], atol=1e-5)
+    one = str(save_image(tmp_path / "one.mha", ImageFile(pixels[0], place)))
+    ((data, attributes, kind),) = open_scan(one)(one)
+    assert Layer.create(data, attributes, kind).data.shape == (1, 5, 6), "a slice of a volume"
+
+
+def test_a_folder_is_a_scan_only_if_it_holds_one(tmp_path):
+    assert open_scan(str(tmp_path)) is None
+    (tmp_path / "notes.txt").write_text("of the scan")
+    assert open_scan(str(tmp_path)) is None
+
+
+def test_landmarks_of_slicer_lie_on_a_scan_of_the_patient(tmp_path):
+    path = str(save_points(tmp_path / "nose.mrk.json", [[5.0, 20.0, -10.0]]))
+    ((data, attributes, kind),) = open_landmarks(path)(path)
+    layer = Layer.create(data, attributes, kind)
+    np.testing.assert_array_equal(layer.data_to_world(layer.data[0]), (5.0, 20.0, -10.0))
+    assert [str(unit) for unit in layer.units] == ["millimeter"] * 3
+
+
+def test_pairs_of_bigwarp_become_two_layers_of_points_in_one_order(tmp_path):
+    path = str(save_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]]))
+    where, should = (Layer.create(*made) for made in open_landmarks(path)(path))
+    assert (where.name, should.name) == ("pairs", "pairs, should be")
+    np.testing.assert_array_equal(should.data - where.data, [[0.5, 0], [0, 1]])
+    others = tmp_path / "others.csv"
+    others.write_text("index,axis-0,axis-1\n0,1,2\n")
+    assert open_landmarks(str(others)) is None, "napari reads its own"
 
 
 def test_the_dock_is_in_the_menus():

@@ -674,7 +674,7 @@ def test_a_file_of_void_alone_is_refused(widget, small_sample, tmp_path):
 
 
 def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sample, run, tmp_path):
-    from napari_hmrf.layers.contributions import open_solution, save_solution
+    from napari_hmrf.contributions import open_solution, save_solution
 
     viewer = widget._viewer
     small_sample(viewer)

@@ -20,7 +20,9 @@ CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModi
 #: Of a small screen, what the bars of the desktop and of the window leave.
 ROOM = (1366, 700)
 #: What napari calls with a path, not without one.
-WITH_A_FILE = ("napari-hmrf.open", "napari-hmrf.save")
+WITH_A_FILE = tuple(
+    f"napari-hmrf.{what}" for what in ("open", "open_scan", "open_landmarks", "save")
+)
 COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.commands
 
 

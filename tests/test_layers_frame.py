@@ -8,8 +8,8 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
+from napari_hmrf.contributions import open_solution
 from napari_hmrf.errors import FileFormatError, ProblemError
-from napari_hmrf.layers.contributions import open_solution
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.optimizers.base import LevelRun

@@ -35,8 +35,8 @@ ROOMS = (
     {"solver"},
     LEAVES := {"arguments", "array_file", "atomic_write", "errors", "resources"},
 )
-#: What people and other processes start.
-ENTRIES = {"__init__", "__main__", "cli", "compiling"}
+#: What people, napari and other processes start.
+ENTRIES = {"__init__", "__main__", "cli", "compiling", "contributions"}
 
 pytestmark = pytest.mark.skipif(
     not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"

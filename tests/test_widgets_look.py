@@ -15,12 +15,12 @@ from qtpy.QtWidgets import QApplication
 from vispy.visuals import AxisVisual
 
 from napari_hmrf import Problem, SeilerPrior, solve
+from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.strain import green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
-from napari_hmrf.layers.contributions import open_solution
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.overlay import quantity_layer
 from napari_hmrf.layers.screen_directions import Directions

@@ -42,6 +42,12 @@ class ImageFile(NamedTuple):
     colours: bool = False
 
     @property
+    def pixels_in_place(self) -> npt.NDArray[Any]:
+        """The pixels on all axes of the place: a slice of a volume has one of each beyond."""
+        more = 0 if self.place is None else len(self.place.spacing) - self.ndim
+        return self.pixels[(np.newaxis,) * more]
+
+    @property
     def ndim(self) -> int:
         """Axes in space."""
         return self.pixels.ndim - self.colours
@@ -82,6 +88,20 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     place = Place(tuple(image.GetSpacing()[::-1]), tuple(image.GetOrigin()), turn)
     pixels = sitk.GetArrayFromImage(image)
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
+
+
+def is_scan(path: str | os.PathLike[str]) -> bool:
+    """Whether a file's name ends as a scan's, or a folder holds DICOM files and nothing beside."""
+    source = Path(path)
+    if not source.is_dir():
+        return source.name.lower().endswith(MEDICAL_SUFFIXES)
+    files = [each for each in source.iterdir() if each.is_file()]
+    return bool(files) and all(map(_is_dicom, files))
+
+
+def _is_dicom(file: Path) -> bool:
+    with open(file, "rb") as stream:
+        return stream.read(132)[128:] == b"DICM"
 
 
 def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
@@ -172,10 +192,8 @@ def _encoded(image: ImageFile, suffix: str) -> bytes:
             imsave(whole, image.pixels, check_contrast=False)
         else:
             sitk = simpleitk()
-            place, pixels = image.place, image.pixels
-            if place is not None and len(place.spacing) > image.ndim:
-                pixels = pixels[np.newaxis]
-            made = sitk.GetImageFromArray(pixels, isVector=image.colours)
+            place = image.place
+            made = sitk.GetImageFromArray(image.pixels_in_place, isVector=image.colours)
             if place is not None:
                 made.SetSpacing(place.spacing[::-1])
                 made.SetOrigin(place.origin)

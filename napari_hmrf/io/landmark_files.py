@@ -101,6 +101,19 @@ def load_points(path: str | os.PathLike[str]) -> LandmarkFile:
     return found
 
 
+def is_landmark_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is of Slicer by its name, or of BigWarp by how it begins."""
+    name = os.fsdecode(path).lower()
+    if not name.endswith(".csv"):
+        return name.endswith(POINT_SUFFIXES)
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            first = next(csv.reader([file.readline(10_000)]), [])
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return False
+    return len(first) in (6, 8) and first[1].strip().casefold() in ("true", "false")
+
+
 def save_points(
     path: str | os.PathLike[str],
     points: npt.ArrayLike,

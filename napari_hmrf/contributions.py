@@ -1,4 +1,4 @@
-"""What napari asks of this package beside the widget: samples, and files of results."""
+"""What napari asks of this package beside the widget: samples, and files to open and to save."""
 
 from __future__ import annotations
 
@@ -95,12 +95,75 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     return layers
 
 
+def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
+    """Offer to read a scan where it lies in the patient; None for any other file or folder."""
+    from napari_hmrf.io.images import is_scan
+
+    paths = [path] if isinstance(path, str) else path
+    return _read_scans if paths and all(is_scan(each) for each in paths) else None
+
+
+def _read_scans(path: PathOrPaths) -> list[LayerData]:
+    from pathlib import Path
+
+    from napari_hmrf.io.images import load_image
+    from napari_hmrf.layers.metadata import IMAGE, described
+
+    layers: list[LayerData] = []
+    for each in [path] if isinstance(path, str) else path:
+        image = load_image(each)
+        attributes = {
+            "name": Path(each).name.partition(".")[0],
+            "rgb": image.colours,
+            "metadata": described(IMAGE),
+            **_place(image.place),
+        }
+        layers.append((image.pixels_in_place, attributes, "image"))
+    return layers
+
+
+def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
+    """Offer to read landmarks of BigWarp or Slicer; None for any other file."""
+    from napari_hmrf.io.landmark_files import is_landmark_file
+
+    paths = [path] if isinstance(path, str) else path
+    return _read_landmarks if paths and all(map(is_landmark_file, paths)) else None
+
+
+def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
+    from pathlib import Path
+
+    from napari_hmrf.io.landmark_files import load_points
+
+    layers: list[LayerData] = []
+    for each in [path] if isinstance(path, str) else path:
+        file, name = load_points(each), Path(each).name.partition(".")[0]
+        n = file.points.shape[1]
+        place = {"units": ("mm",) * n if file.unit == "mm" else ("pixel",) * n}
+        layers.append((file.points, {"name": name, **place}, "points"))
+        if file.targets is not None:
+            layers.append((file.targets, {"name": f"{name}, should be", **place}, "points"))
+    return layers
+
+
+def _place(place: Any) -> dict[str, Any]:
+    """Where a scan lies, as a layer takes it: world axes z, y, x to superior, posterior, left."""
+    from napari_hmrf.io.fields import frame_of
+
+    if place is None:
+        return {}
+    frame = frame_of(place)
+    names = ("scale", "affine", "units", "axis_labels")
+    return {name: frame[name] for name in names}
+
+
 def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Save the result that a layer of arrows belongs to, whole.
+    """Save the result that a layer of arrows belongs to: whole, or its field for other tools.
 
     Parameters
     ----------
     path : str
+        Ends in .npz, or as `export_field` takes it.
     data : ndarray, shape (N, 2, D)
         The arrows; only some of what is saved.
     attributes : dict
@@ -116,6 +179,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     ValueError
         If the arrows are not a result of this package.
     """
+    from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
 
@@ -127,4 +191,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "'Soft tissue', so there is no solution to save. Save the layer of displacement arrows "
             "that it made."
         )
+    if path.lower().endswith(FIELD_SUFFIXES):
+        export_field(path, solution)
+        return [path]
     return [str(solution.save(path))]
