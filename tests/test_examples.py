@@ -68,6 +68,17 @@ def test_the_papers_field_is_nearer_to_finite_elements_converged_and_elastic_is_
     assert paper < 1.44, "as far as the paper's own"
 
 
+def test_what_a_registration_found_at_edges_is_nearer_to_the_truth_with_tissue_and_leaves_bone(
+    said,
+):
+    pytest.importorskip("SimpleITK")
+    text = said("registration")
+    by = {name: number(f"{name}: # px", text) for name in ("demons alone", "with tissue")}
+    assert by["with tissue"] < 0.75 * by["demons alone"]
+    strained = [float(found) for found in re.findall(r"strained by ([\d.]+) %", text)]
+    assert strained[1] < 0.2 < 3 < strained[0]
+
+
 def test_a_drag_that_goes_on_as_it_did_is_the_same_field_for_less_work(said):
     text = said("drag")
     apart = [float(found) for found in re.findall(r"([\d.]+) px from a fresh start", text)]
