@@ -29,10 +29,9 @@ from skimage.measure import ransac
 from skimage.transform import AffineTransform
 from skimage.transform import warp as sampled
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve, warp
+from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, at_edges, solve, warp
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.io.case import at_edges
 from napari_hmrf.io.fields import simpleitk
 
 Points = npt.NDArray[np.float64]

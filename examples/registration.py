@@ -13,13 +13,13 @@ from scipy.ndimage import binary_dilation
 from napari_hmrf import (
     ElasticPrior,
     Problem,
+    at_edges,
     equivalent_strain,
     green_lagrange_strain,
     phantom,
     solve,
     warp,
 )
-from napari_hmrf.io.case import at_edges
 
 brain = phantom("mass-effect", size=150)
 tissue, bone = brain.tissue_labels > 0, brain.tissue_labels == 3

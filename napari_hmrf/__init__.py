@@ -65,6 +65,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
 
 __version__ = "0.1.0"
@@ -107,6 +108,7 @@ __all__ = [
     "Warper",
     "__version__",
     "arrows",
+    "at_edges",
     "boundary_images",
     "count_folds",
     "deformation_gradient",

@@ -12,13 +12,14 @@ from napari_hmrf import (
     Motion,
     Problem,
     ProblemError,
+    at_edges,
     load_study,
     save_points,
     solve,
     write_field,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.io.case import Case, at_edges, read_case
+from napari_hmrf.io.case import Case, read_case
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.tables import read_materials, read_rules

@@ -162,18 +162,18 @@ def test_what_the_concepts_say_in_python_is_what_comes(page):
 
 
 def test_each_example_is_short_public_and_on_the_site():
-    assert len(EXAMPLES) == 5
+    assert len(EXAMPLES) == 6
     shown = re.findall(
         r"\{literalinclude\} ../../examples/(\w+\.py)$", read(DOCS / "examples/README.md"), re.M
     )
     assert sorted(shown) == [example.name for example in EXAMPLES]
     for example in EXAMPLES:
         text = read(example)
-        assert len(text.splitlines()) <= 40, example.name
+        assert len(text.splitlines()) <= 60, example.name
         tree = ast.parse(text)
         assert ast.get_docstring(tree), example.name
         for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("napari_hmrf"):
                 assert node.module == "napari_hmrf", f"{example.name}: {node.module}"
                 assert {each.name for each in node.names} <= set(napari_hmrf.__all__)
 

@@ -23,11 +23,8 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
-from napari_hmrf.tissue.stiffness_curve import luminance
+from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
-
-#: Of the slope of an image, those pixels are edges that have more than this share has.
-_EDGES = 0.9
 
 
 @dataclass(frozen=True)
@@ -190,20 +187,6 @@ def _counts(case: Case, grid: Grid, image: npt.NDArray[Any]) -> npt.NDArray[Any]
         return at_edges(image)
     counts = _pixels(case, case.confidence, grid.shape).astype(np.float32)
     return counts / counts.max() if counts.max() > 1 else counts
-
-
-def at_edges(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Complete confidence where an image has its steepest edges, and none elsewhere.
-
-    Parameters
-    ----------
-    image : ndarray, shape (H, W) or (H, W, 3 or 4)
-    """
-    from skimage.filters import gaussian, sobel
-
-    slope = sobel(gaussian(luminance(image) if image.ndim > 2 else image.astype(float), 1))
-    steep: npt.NDArray[np.float32] = (slope > np.quantile(slope, _EDGES)).astype(np.float32)
-    return steep
 
 
 def _landmarks(case: Case, path: Path, grid: Grid, place: Place | None) -> Drawing:
