@@ -27,6 +27,7 @@ from napari_hmrf.field.deformation import (
     magnitude,
 )
 from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.resample import resample
 from napari_hmrf.field.strain import (
     deformation_gradient,
@@ -40,6 +41,7 @@ from napari_hmrf.field.strain import (
 from napari_hmrf.field.warp import inverse_map, warp
 from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
+from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
@@ -90,6 +92,7 @@ __all__ = [
     "LandmarkFile",
     "LiveSolver",
     "Material",
+    "Measurement",
     "Monitor",
     "Motion",
     "Multigrid",
@@ -125,6 +128,7 @@ __all__ = [
     "load_study",
     "luminance",
     "magnitude",
+    "measure",
     "phantom",
     "poisson_image",
     "principal_strains",
@@ -133,6 +137,7 @@ __all__ = [
     "replay",
     "resample",
     "sample",
+    "save_moving_picture",
     "save_points",
     "save_study",
     "small_strain",

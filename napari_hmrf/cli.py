@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import napari_hmrf
+from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
@@ -134,6 +135,14 @@ def _add_file_commands(commands: Any) -> None:
     apply.add_argument("files", type=Path, nargs="+", metavar="FILE")
     apply.add_argument("--labels", action="store_true", help="the images are labels")
     apply.add_argument("-o", "--out", type=Path, default=Path("moved"), metavar="DIR")
+    measure = commands.add_parser("measure", help="print what happened to each tissue")
+    measure.add_argument("result", type=Path, metavar="RESULT", help="a study, or a saved result")
+    measure.add_argument("--labels", type=Path, help="an image of labels, if not the study's own")
+    measure.add_argument("-o", "--out", type=Path, metavar="TABLE", help="a .csv to write as well")
+    play = commands.add_parser("play", help="write the image as it moves: a .gif or .mp4")
+    play.add_argument("result", type=Path, metavar="RESULT", help="a study, or a saved result")
+    play.add_argument("out", type=Path, metavar="OUT")
+    play.add_argument("--image", type=Path, help="if not the study's own")
     solve = commands.add_parser("solve", help="solve a study, or images with their tables")
     solve.add_argument("image", type=Path, metavar="STUDY|IMAGE")
     solve.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
@@ -242,6 +251,26 @@ def _apply(options: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
+def _measure(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.case import measured
+
+    table = measured(options.result, options.labels)
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    if options.out is not None:
+        write_whole(options.out, table.to_csv(index=False).encode())
+        print(f"written: {options.out}")
+    return 0
+
+
+def _play(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.case import image_of
+    from napari_hmrf.io.moving_pictures import save_moving_picture
+
+    solution, image = image_of(options.result, options.image)
+    print(f"written: {save_moving_picture(options.out, solution, image)}")
+    return 0
+
+
 def _solve(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case import Case, solve_case
 
@@ -321,6 +350,8 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "apply": _apply,
     "demo": _demo,
     "export": _export,
+    "measure": _measure,
+    "play": _play,
     "replay": _replay,
     "selftest": _selftest,
     "solve": _solve,

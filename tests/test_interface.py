@@ -59,6 +59,8 @@ WHAT_A_CALL_IS_ABOUT = {
     "resample": 3,
     "export_field": 2,
     "load_study": 1,
+    "measure": 2,
+    "save_moving_picture": 3,
     "read_field": 1,
     "replay": 1,
     "save_points": 3,
@@ -106,7 +108,16 @@ def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
 def test_whatever_has_a_choice_is_in_that_list():
     """But for `phantom(name, size)`, and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
-    records |= {"Study", "Grid", "Tissue", "Motion", "Pictures", "Field", "LandmarkFile"}
+    records |= {
+        "Study",
+        "Grid",
+        "Tissue",
+        "Motion",
+        "Pictures",
+        "Field",
+        "LandmarkFile",
+        "Measurement",
+    }
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
     for name in napari_hmrf.__all__:

@@ -211,11 +211,12 @@ def test_what_is_imported_from_the_package_is_there(folder):
 
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
     project = tomllib.loads(read("pyproject.toml"))["project"]
-    wanted = [*project["dependencies"], *project["optional-dependencies"]["medical"]]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["medical"], *extras["film"]]
     declared = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in wanted}
     imported = set().union(*(packages(imports(module)) for module in MODULES))
     others = {name.lower() for name in imported - sys.stdlib_module_names - {"napari_hmrf"}}
-    named = {"skimage": "scikit-image"}
+    named = {"skimage": "scikit-image", "pil": "pillow", "imageio_ffmpeg": "imageio-ffmpeg"}
     assert {named.get(name, name) for name in others} == declared
 
 

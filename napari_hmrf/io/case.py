@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import HmrfError, ProblemError
+from napari_hmrf.field.measurement import measure
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, frame_of, place_of
@@ -19,12 +20,16 @@ from napari_hmrf.io.material_tables import load_materials
 from napari_hmrf.io.study_file import Saved, is_study_file, load_study, save_study
 from napari_hmrf.io.tables import read_materials, read_rules
 from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True)
@@ -112,6 +117,59 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
     return Saved(study, solution)
+
+
+def measured(path: Path, labels: Path | None = None) -> DataFrame:
+    """Measure what happened to each tissue of a study or result, in a table.
+
+    Parameters
+    ----------
+    path : Path
+    labels : Path, optional
+        An image of labels; by default those of the study.
+
+    Raises
+    ------
+    HmrfError, OSError
+        If a file cannot be read; or if it holds no field, or no labels and none are given.
+    """
+    from pandas import DataFrame
+
+    study, solution = _solved(path)
+    tissue = None if study is None else study.tissue
+    names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
+    image = None if tissue is None else tissue.labels
+    if labels is not None:
+        image = load_image(labels).pixels
+    if image is None:
+        raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
+    return DataFrame(measure(solution, image, names=names))
+
+
+def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
+    """The field of a study or result, and its image, or another that is given.
+
+    Raises
+    ------
+    HmrfError, OSError
+        If a file cannot be read; or if it holds no field, or no image and none is given.
+    """
+    study, solution = _solved(path)
+    pixels = None if study is None else study.pictures.image
+    if image is not None:
+        pixels = load_image(image).pixels
+    if pixels is None:
+        raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
+    return solution, pixels
+
+
+def _solved(path: Path) -> tuple[Study | None, Solution]:
+    if not is_study_file(path):
+        return None, Solution.load(path)
+    study, solution = load_study(path)
+    if solution is None:
+        raise HmrfError(f"{path.name}: the study was saved without its field. Solve it first.")
+    return study, solution
 
 
 def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:

@@ -1,0 +1,122 @@
+"""A deformation as a picture that moves: from rest to where it ends, and back."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import checked_path, refuse_unless
+from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.field.animation import Motion
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.solution import Solution
+
+#: How the names of files end that are written.
+MOVING_SUFFIXES = (".gif", ".mp4")
+#: What is brighter than all but this share of the pixels is white.
+_WHITE = 99.9
+
+
+def save_moving_picture(
+    path: str | os.PathLike[str],
+    solution: Solution,
+    image: npt.ArrayLike,
+    *,
+    frames: int = 24,
+    per_second: int = 12,
+) -> Path:
+    """Write an image as it moves, there and back, again and again.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Ends in .gif, or .mp4, which takes ``pip install imageio-ffmpeg``.
+    solution : Solution
+    image : array_like, shape (H, W) or (H, W, 3 or 4)
+        Before it moves.
+    frames : int
+        From rest to the end.
+    per_second : int
+
+    Raises
+    ------
+    FileFormatError
+        If no picture that moves is written as a file of such a name.
+    ArgumentError
+        If there are fewer than two frames, or less than one a second.
+    HmrfError
+        If what writes .mp4 is not installed.
+    OSError
+        If the file cannot be written.
+    """
+    target = Path(checked_path(path))
+    if target.suffix.lower() not in MOVING_SUFFIXES:
+        raise FileFormatError(
+            f"{target.name}: no picture that moves is written as such a file. End its name in "
+            f"{' or '.join(MOVING_SUFFIXES)}."
+        )
+    refuse_unless(frames >= 2, "frames", frames, "at least 2")
+    refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
+    motion = Motion(solution, np.asarray(image))
+    there = [_seen(motion, number / (frames - 1)) for number in range(frames)]
+    shown = _as_bytes(np.stack([*there, *there[-2:0:-1]]))
+    if target.suffix.lower() == ".gif":
+        write_whole(target, _gif(shown, per_second))
+    else:
+        write_whole(target, _film(shown, per_second))
+    return target
+
+
+def _seen(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
+    moment = compute_thread.submit(lambda: motion.at(fraction), "drawing").result()
+    assert moment.image is not None
+    return moment.image
+
+
+def _as_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
+    """From 0 to 255, all by one scale; colours without their opacity."""
+    values = pictures[..., :3] if pictures.ndim > 3 else pictures
+    if values.dtype == np.uint8:
+        return values.astype(np.uint8)
+    finite = np.nan_to_num(values.astype(float))
+    low, high = float(finite.min()), float(np.percentile(finite, _WHITE))
+    scaled = (finite - low) / max(high - low, np.finfo(float).tiny)
+    found: npt.NDArray[np.uint8] = np.rint(255 * scaled.clip(0, 1)).astype(np.uint8)
+    return found
+
+
+def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+    from PIL import Image
+
+    first, *others = (Image.fromarray(picture) for picture in pictures)
+    file = io.BytesIO()
+    duration = round(1000 / per_second)
+    first.save(file, "GIF", save_all=True, append_images=others, duration=duration, loop=0)
+    return file.getvalue()
+
+
+def _film(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise HmrfError(
+            "films are written by imageio-ffmpeg, which is not installed. Run: pip install "
+            "imageio-ffmpeg; or write a .gif."
+        ) from error
+    # The codec takes even sizes only.
+    rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
+    colours = pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
+    with tempfile.TemporaryDirectory() as folder:
+        whole = os.path.join(folder, "film.mp4")
+        writer = imageio_ffmpeg.write_frames(whole, (cols, rows), fps=per_second, quality=8)
+        writer.send(None)
+        for picture in colours[:, :rows, :cols]:
+            writer.send(np.ascontiguousarray(picture))
+        writer.close()
+        return Path(whole).read_bytes()

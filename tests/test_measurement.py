@@ -1,0 +1,123 @@
+"""What happened to each tissue is told in numbers, and seen as a picture that moves."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from napari_hmrf import (
+    ArgumentError,
+    Arrow,
+    Drawing,
+    FileFormatError,
+    Grid,
+    Material,
+    Motion,
+    Pictures,
+    Problem,
+    ProblemError,
+    Study,
+    Tissue,
+    load_study,
+    measure,
+    save_moving_picture,
+    save_study,
+    solve,
+    solve_study,
+    warp,
+)
+from napari_hmrf.cli import main
+
+SHAPE = (40, 40)
+
+
+def stretched():
+    """Tissue that is stretched by a tenth along its columns: a patch test."""
+    y, c = np.zeros((2, *SHAPE, 2))
+    y[..., 1] = 0.1 * 0.5 * np.arange(40)
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    return solve(Problem(y, c, np.ones(SHAPE), spacing=(0.5, 0.5)), backend="cpu")
+
+
+def test_tissue_that_is_stretched_by_a_tenth_has_a_tenth_more_area():
+    labels = np.ones(SHAPE, int)
+    labels[:, 30:] = 7
+    one, other = measure(stretched(), labels, names={7: "liver"})
+    assert (one.label, one.name, other.label, other.name) == (1, "", 7, "liver")
+    assert (one.pixels, one.area) == (1200, 300)
+    assert one.area_change == pytest.approx(10, abs=0.01)
+    assert other.largest_displacement == pytest.approx(0.05 * 39, abs=1e-3)
+    assert other.mean_displacement == pytest.approx(0.05 * 34.5, abs=1e-3)
+    # Green-Lagrange's 0.105 along one axis is sqrt(2/3 (4 + 1 + 1) / 9) of that without volume.
+    assert one.mean_strain == pytest.approx(100 * 0.105 * 2 / 3, abs=0.02)
+    assert one.folds == 0
+
+
+def test_labels_of_another_size_are_refused():
+    with pytest.raises(ProblemError, match=r"labels: are 4 x 5 of type int64\. Give whole numbers"):
+        measure(stretched(), np.ones((4, 5), int))
+
+
+@pytest.fixture
+def solved(tmp_path):
+    """A pulled study with its labels and its image, in a file."""
+    photo = np.random.default_rng(2).integers(1, 255, (*SHAPE, 3), dtype=np.uint8)
+    labels = np.ones(SHAPE, np.uint8)
+    labels[10:30, 10:30] = 2
+    rows = (Material(1, "skin", 1.0), Material(2, "lump", 9.0))
+    pull = Drawing((Arrow(at=(20, 20), by=(1.0, 3.0), radius=3),))
+    study = Study(
+        Grid(SHAPE, (1.0, 1.0)),
+        Tissue(labels=labels, materials=rows),
+        Motion(hold_edge=True, drawing=pull),
+        pictures=Pictures(photo, name="photo"),
+    )
+    return save_study(tmp_path / "case", study, solve_study(study, backend="cpu"))
+
+
+def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
+    assert main(["measure", str(solved), "-o", str(tmp_path / "table.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "lump" in said
+    study, solution = load_study(solved)
+    names = {row.label: row.name for row in study.tissue.materials}
+    found = measure(solution, study.tissue.labels, names=names)
+    lines = (tmp_path / "table.csv").read_text().splitlines()
+    assert lines[0].split(",") == list(found[0]._fields)
+    assert [line.split(",")[1] for line in lines[1:]] == ["skin", "lump"]
+    assert float(lines[2].split(",")[6]) == pytest.approx(found[1].largest_displacement)
+
+
+def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
+    study, solution = load_study(solved)
+    photo = study.pictures.image
+    path = save_moving_picture(tmp_path / "photo.gif", solution, photo, frames=5)
+    with Image.open(path) as moving:
+        assert moving.n_frames == 8
+        assert moving.info["loop"] == 0, "again and again"
+        frames = []
+        for number in range(8):
+            moving.seek(number)
+            frames.append(np.asarray(moving.convert("RGB")).astype(float))
+    still, moved = (each.astype(float) for each in (photo, warp(photo, solution.displacement)))
+    # A .gif has 256 colours.
+    assert abs(frames[0] - still).mean() < 20 < abs(frames[4] - still).mean()
+    assert abs(frames[4] - moved).mean() < 20
+    assert np.array_equal(frames[3], frames[5]), "and back"
+
+
+def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
+    study, solution = load_study(solved)
+    photo = study.pictures.image
+    with pytest.raises(FileFormatError, match=r"a\.png: no picture that moves .* \.gif or \.mp4"):
+        save_moving_picture(tmp_path / "a.png", solution, photo)
+    with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):
+        save_moving_picture(tmp_path / "a.gif", solution, photo, frames=1)
+    assert main(["play", str(solved), str(tmp_path / "case.gif")]) == 0
+    assert (tmp_path / "case.gif").exists()
+
+
+def test_a_film_is_one_for_all_that_play_films(solved, tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    study, solution = load_study(solved)
+    path = save_moving_picture(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
+    assert b"ftyp" in path.read_bytes()[:12]
