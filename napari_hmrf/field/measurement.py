@@ -79,11 +79,11 @@ def measure(
             f"are {grid_in_words(image.shape)} of type {image.dtype}. Give whole numbers on the "
             f"{grid_in_words(tissue.shape)} pixels of the solution.",
         )
-    how = {"spacing": solution.spacing, "tissue": tissue}
-    length, folded = magnitude(d), folds(d, **how)
-    area = jacobian_determinant(d, **how)
-    strain = 100 * equivalent_strain(green_lagrange_strain(d, **how))
-    pixel = float(np.prod(solution.spacing))
+    spacing = solution.spacing
+    length, folded = magnitude(d), folds(d, spacing=spacing, tissue=tissue)
+    area = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+    strain = equivalent_strain(green_lagrange_strain(d, spacing=spacing, tissue=tissue))
+    pixel = float(np.prod(spacing))
     found = []
     for label in np.unique(image[tissue]).tolist():
         there = tissue & (image == label)
@@ -96,8 +96,8 @@ def measure(
                 area_change=float(100 * (np.nanmean(area[there]) - 1)),
                 mean_displacement=float(length[there].mean()),
                 largest_displacement=float(length[there].max()),
-                mean_strain=float(np.nanmean(strain[there])),
-                largest_strain=float(np.nanmax(strain[there])),
+                mean_strain=float(100 * np.nanmean(strain[there])),
+                largest_strain=float(100 * np.nanmax(strain[there])),
                 folds=int(folded[there].sum()),
             )
         )
