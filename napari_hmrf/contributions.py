@@ -122,6 +122,20 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
     return layers
 
 
+def open_study(path: PathOrPaths) -> Callable[[PathOrPaths], list[tuple[None]]] | None:
+    """Offer to open a saved study in the dock; None for any other file, or for several."""
+    from napari_hmrf.io.study_file import is_study_file
+
+    return _open_study if isinstance(path, str) and is_study_file(path) else None
+
+
+def _open_study(path: PathOrPaths) -> list[tuple[None]]:
+    from napari_hmrf.ui.commands import dock
+
+    dock().open_study(str(path))
+    return [(None,)]  # the layers are there already
+
+
 def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
     """Offer to read landmarks of BigWarp or Slicer; None for any other file."""
     from napari_hmrf.io.landmark_files import is_landmark_file

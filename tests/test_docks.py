@@ -21,7 +21,7 @@ CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModi
 ROOM = (1366, 700)
 #: What napari calls with a path, not without one.
 WITH_A_FILE = tuple(
-    f"napari-hmrf.{what}" for what in ("open", "open_scan", "open_landmarks", "save")
+    f"napari-hmrf.{what}" for what in ("open", "open_study", "open_scan", "open_landmarks", "save")
 )
 COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.commands
 

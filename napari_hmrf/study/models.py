@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, get_args
 
 from napari_hmrf.errors import ArgumentError
@@ -170,3 +170,25 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
         listed = ", ".join(f'"{each}"' for each in known)
         raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
     return prior_of(known[name]), optimizer_of(known[name])
+
+
+def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
+    """The details by which `prior_of` and `optimizer_of` make these two."""
+    details = _USUAL
+    if isinstance(prior, SeilerPrior):
+        details = replace(details, reading=prior.conditional, penalty=prior.penalty or 0.0)
+    elif prior.penalty < math.inf:
+        details = replace(details, grip=prior.penalty)
+    if isinstance(optimizer, ICM):
+        method, change = "steps" if optimizer.steps else "closed form", optimizer.energy_change
+        return replace(
+            details, sweeps=optimizer.iterations, method=method, energy_change=change or 0.0
+        )
+    return replace(details, accuracy=optimizer.parameters["tolerance"])
+
+
+def family_of(prior: Prior, optimizer: Optimizer) -> ModelName:
+    """The model of a menu that these two belong to."""
+    if isinstance(prior, ElasticPrior):
+        return "elastic"
+    return "paper, converged" if isinstance(optimizer, Multigrid) else "paper"

@@ -219,3 +219,8 @@ def _farthest(done: Done) -> str:
         return f"{length:.3g} {unit}"
     pixels = f"{length / size:.1f} px"
     return pixels if unit == "px" and size == 1 else f"{pixels} ({length:.3g} {unit})"
+
+
+def saved_study(name: str, solved: bool) -> str:
+    """Of a study's file."""
+    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}."

@@ -7,6 +7,7 @@ from typing import Any
 
 from napari.layers import Labels
 from napari.utils.notifications import show_warning
+from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Probe
@@ -25,7 +26,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.ui import messages
+from napari_hmrf.ui import messages, study_files
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
@@ -280,6 +281,14 @@ class SoftTissue(Dock):
         """Write pictures into a folder that exists; `saved` is emitted when they are there."""
         self._view.save(Path(folder))
 
+    def save_study(self, path: str | Path) -> Path:
+        """Save all of `study`, and its field if that is up to date; as `napari_hmrf.save_study`."""
+        return study_files.save(self, path, self._live_study.fresh)
+
+    def open_study(self, path: str | Path) -> None:
+        """Add the layers of a saved study, and set all as it was; errors are of `load_study`."""
+        study_files.open_into(self, self._viewer, path)
+
     def deform(self) -> None:
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
         if self.idle and not self.away:
@@ -384,6 +393,7 @@ class SoftTissue(Dock):
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
+        form.result.keep.changed.connect(lambda _: self._try(self._ask_where_to_save))
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for section in (form.tissue, form.motion.boundary):
@@ -408,6 +418,14 @@ class SoftTissue(Dock):
     def _take_points(self) -> None:
         points = self._form.motion.boundary.landmarks
         self.take_landmarks(points.where.value, points.should.value)
+
+    def _ask_where_to_save(self) -> None:
+        name = "study" if self.image is None else str(self.image.name)
+        chosen, _ = QFileDialog.getSaveFileName(
+            self.native, "Save the study", f"{name}.study", "Studies (*.study)"
+        )
+        if chosen:
+            self.save_study(chosen)
 
     def _try(self, action: Any) -> None:
         try:

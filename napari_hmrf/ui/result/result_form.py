@@ -45,6 +45,11 @@ class ResultForm(Container):
             "Jacobian, strain and energy. What the canvas shows, at any percent, is saved by "
             "File > Save Screenshot",
         )
+        self.keep = PushButton(
+            text="Save study ...",
+            tooltip="One file with all that is chosen, painted, drawn and set, and the result; "
+            "File > Open has it all back",
+        )
         super().__init__(
             widgets=[
                 Container(widgets=[self.slider], labels=False),
@@ -52,7 +57,7 @@ class ResultForm(Container):
                 row(self.play, self.before),
                 Container(widgets=[self.overlay]),
                 self.arrows,
-                self.save,
+                row(self.save, self.keep),
             ],
             labels=False,
         )

@@ -1,0 +1,86 @@
+"""From a study to layers: the inverse of `read`, for studies that were saved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from napari.layers import Image, Labels, Vectors
+
+from napari_hmrf.layers.label_colours import boundary_colours
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, described
+from napari_hmrf.layers.place import Frame
+from napari_hmrf.study.study import Grid, Study
+
+
+def frame_of_grid(grid: Grid) -> Frame:
+    """Where a grid lies: as it says, or in the file's words, or from the origin on.
+
+    Raises
+    ------
+    ValueError
+        If no layer can lie there.
+    """
+    if isinstance(grid.place, Frame):
+        return grid.place
+    if grid.place is None:
+        image = Image(np.zeros(grid.shape, bool), scale=grid.spacing, units=(grid.unit,) * 2)
+        return Frame.of(image)
+    return Frame.from_dict(grid.place)
+
+
+def study_layers(study: Study) -> dict[str, Any]:
+    """Make the layers that are read as a study.
+
+    Parameters
+    ----------
+    study : Study
+        Of which all but its drawing, its model and what holds the edge becomes layers.
+
+    Returns
+    -------
+    dict of str to napari.layers.Layer
+        By "image", "tissue", "boundary" and "confidence", those there are; in the order in which
+        they lie above each other.
+
+    Raises
+    ------
+    ValueError
+        If no layer can lie where the study says.
+    """
+    frame, tissue, motion = frame_of_grid(study.grid), study.tissue, study.motion
+    place, names = frame.placement(image=True), study.names
+    made: dict[str, Any] = {}
+
+    def name(part: str, usual: str) -> str:
+        return names[part].name if part in names else usual
+
+    if (image := study.pictures.image) is not None:
+        look = {"rgb": image.ndim > 2, "metadata": described(IMAGE), **study.pictures.look}
+        title = study.pictures.name or "image"
+        made["image"] = Image(frame.put_image(image), name=title, **look, **place)
+    if tissue.labels is not None:
+        known = described(TISSUE, tissue.materials, tissue.unit)
+        look = {"opacity": 0.3, **study.pictures.labels_look, "metadata": known}
+        labels = frame.put_image(tissue.labels)
+        made["tissue"] = Labels(labels, name=name("tissue", "Tissue"), **look, **place)
+    elif tissue.stiffness is not None:
+        known = described(TISSUE, unit=tissue.unit)
+        values, title = frame.put_image(tissue.stiffness), name("tissue", "Stiffness")
+        made["tissue"] = Image(values, name=title, metadata=known, opacity=0.3, **place)
+    if motion.labels is not None:
+        look = {"colormap": boundary_colours(), "metadata": described(BOUNDARY, motion.rules)}
+        labels = frame.put_image(motion.labels)
+        made["boundary"] = Labels(labels, name=name("boundary", "Boundary"), **look, **place)
+    elif motion.observed is not None and motion.counts is not None:
+        counts = motion.counts if motion.counts.ndim == 2 else motion.counts.max(axis=-1)
+        starts = np.argwhere(counts > 0)
+        steps = motion.observed[tuple(starts.T)] / study.grid.spacing
+        arrows = frame.put_vectors(np.stack([starts, steps], axis=1))
+        known = {METADATA: {"role": BOUNDARY}}
+        title = name("boundary", "Observed")
+        made["boundary"] = Vectors(arrows, name=title, metadata=known, **frame.placement())
+        values, title = frame.put_image(counts), name("confidence", "How sure")
+        look = {"contrast_limits": (0, 1), "opacity": 0.3, "visible": False}
+        made["confidence"] = Image(values, name=title, **look, **place)
+    return made

@@ -1,0 +1,180 @@
+"""What is done in the window is saved in one file, and is there again when that is opened."""
+
+import numpy as np
+import pytest
+from conftest import dock_in
+from napari.components import ViewerModel
+from screen import Screen
+
+from napari_hmrf import (
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    FileFormatError,
+    Grid,
+    Material,
+    Motion,
+    Pictures,
+    StiffnessCurve,
+    Stroke,
+    Study,
+    Tissue,
+    load_study,
+    replay,
+    save_study,
+)
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.ui.soft_tissue import SoftTissue
+
+SHAPE = (36, 44)
+DRAWING = Drawing(
+    (
+        Arrow(at=(18, 20), by=(0.5, 2.0), radius=2.0),
+        Stroke("confidence", (((5, 5), (5, 15)),), 2.0, confidence=0.5),
+    )
+)
+
+
+@pytest.fixture
+def made(qtbot, wait_for):
+    """A dock beside a viewer of its own, at rest."""
+
+    def make(viewer):
+        dock = SoftTissue(viewer)
+        qtbot.addWidget(dock.native)
+        wait_for(lambda: not dock.busy)
+        return dock
+
+    return make
+
+
+def stack():
+    """A painted slice of a turned stack in millimetres."""
+    viewer = ViewerModel()
+    place = {
+        "scale": (3.0, 0.5, 0.8),
+        "rotate": [[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]],
+        "translate": (1.0, 20.0, -7.0),
+        "units": ("mm", "mm", "mm"),
+    }
+    pixels = np.random.default_rng(0).integers(50, 200, (3, *SHAPE), dtype=np.uint8)
+    viewer.add_image(pixels, name="t1", **place)
+    labels = np.ones((3, *SHAPE), np.uint8)
+    labels[:, 10:20, 10:20] = 4
+    rows = (Material(1, "liver", 5.0, 0.49), Material(4, "lump", 50.0, 0.3))
+    viewer.add_labels(labels, name="Organs", metadata=described(TISSUE, rows, "kPa"), **place)
+    rim = np.zeros((3, *SHAPE), np.uint8)
+    rim[:, 0], rim[:, -1] = 1, 2
+    rules = (
+        BoundaryRule(1, "fixed", name="wall"),
+        BoundaryRule(2, "move", vector=(-0.5, 0.25), confidence=(1.0, 0.5), name="probe"),
+    )
+    viewer.add_labels(rim, name="Probe", metadata=described(BOUNDARY, rules), **place)
+    viewer.dims.set_current_step(0, 1)
+    return viewer
+
+
+def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, tmp_path):
+    first = made(stack())
+    first.drawing, first.model, first.plane = DRAWING, "elastic", "strain"
+    wait_for(lambda: not first.busy)
+    path = first.save_study(tmp_path / "case")
+    assert first.status == "Saved case.study."
+    other = ViewerModel()
+    second = made(other)
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    assert {"t1", "Organs", "Probe"} <= {layer.name for layer in other.layers}
+    assert second.materials == first.materials
+    assert second.rules == first.rules
+    assert second.drawing == DRAWING
+    assert (second.plane, second.hold_edge) == ("strain", first.hold_edge)
+    one, again = first.study, second.study
+    assert again.grid.spacing == pytest.approx(one.grid.spacing)
+    np.testing.assert_array_equal(again.tissue.labels, one.tissue.labels)
+    where = first._viewer.layers["t1"].data_to_world((1, 5, 6))
+    np.testing.assert_allclose(other.layers["t1"].data_to_world((0, 5, 6)), where)
+    np.testing.assert_allclose(second.solution.displacement, first.solution.displacement, atol=2e-3)
+    # The field in the file is that of a drag that has come to rest; from nothing it is as near.
+    np.testing.assert_allclose(
+        replay(path).displacement, load_study(path).solution.displacement, atol=2e-3
+    )
+
+
+def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_path):
+    dock = made(stack())
+    run(dock)
+    path = dock.save_study(tmp_path / "case")
+    saved = load_study(path).solution
+    assert saved.provenance.backend == "cpu"
+    assert np.array_equal(replay(path).displacement, saved.displacement)
+
+
+@pytest.mark.parametrize(
+    "tissue",
+    [
+        Tissue(curve=StiffnessCurve(((0.0, 1.0), (255.0, 9.0)), unit="kPa")),
+        Tissue(stiffness=np.linspace(1, 2, 36 * 44).reshape(SHAPE).astype(np.float32)),
+        Tissue(),
+    ],
+    ids=["curve", "stiffness", "image"],
+)
+@pytest.mark.parametrize("model", ["elastic", "paper", "paper, converged"])
+def test_a_study_of_python_opens_in_the_window(made, wait_for, tmp_path, tissue, model):
+    image = np.random.default_rng(0).integers(50, 200, SHAPE, dtype=np.uint8)
+    motion = Motion(hold_edge=True, drawing=Drawing(DRAWING.marks[:1]))
+    grid = Grid(SHAPE, (0.5, 0.8), "millimeter")
+    study = Study(grid, tissue, motion, model=model, pictures=Pictures(image, name="photo"))
+    dock = made(ViewerModel())
+    dock.open_study(save_study(tmp_path / "case", study))
+    wait_for(lambda: not dock.busy)
+    assert dock.model == model
+    read = dock.study
+    assert (read.prior, read.optimizer) == (study.prior, study.optimizer)
+    assert read.tissue.curve == tissue.curve
+    assert read.motion.drawing == motion.drawing
+    assert read.grid.spacing == grid.spacing
+    np.testing.assert_array_equal(read.pictures.image, image)
+
+
+def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wait_for, tmp_path):
+    y = np.random.default_rng(1).normal(size=(*SHAPE, 2)).astype(np.float32)
+    c = np.zeros(SHAPE, np.float32)
+    c[::6, ::6] = 0.5
+    image = np.full(SHAPE, 100, np.uint8)
+    study = Study(
+        Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, counts=c), pictures=Pictures(image)
+    )
+    dock = made(ViewerModel())
+    dock.open_study(save_study(tmp_path / "case", study))
+    wait_for(lambda: not dock.busy)
+    read = dock.study.motion
+    there = c > 0
+    np.testing.assert_allclose(read.observed[there], y[there], atol=1e-5)
+    np.testing.assert_allclose(read.counts[there], 0.5)
+    assert not read.counts[~there].any()
+
+
+def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
+    grid = Grid(SHAPE, (1.0, 1.0), place={"plane": [0, 7]})
+    path = save_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
+    dock = made(ViewerModel())
+    with pytest.raises(FileFormatError, match=r"case\.study: not a valid study: not the place"):
+        dock.open_study(path)
+    assert not dock._viewer.layers
+
+
+def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path):
+    study = Study(
+        Grid(SHAPE, (1.0, 1.0)),
+        motion=Motion(hold_edge=True, drawing=DRAWING),
+        pictures=Pictures(np.full(SHAPE, 100, np.uint8), name="photo"),
+    )
+    path = save_study(tmp_path / "case", study)
+    viewer = make_napari_viewer(show=True)
+    viewer.open(str(path), plugin="napari-hmrf")
+    dock = dock_in(viewer)
+    at_rest()
+    assert dock.image is viewer.layers["photo"]
+    assert dock.drawing == DRAWING
+    assert Screen(dock).button("Save study ...").isEnabled()
