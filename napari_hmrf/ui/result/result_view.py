@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
@@ -31,8 +31,6 @@ from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
-
-_BEFORE = coerce_keybinding(BEFORE_KEY)
 
 
 class ResultView:
@@ -84,7 +82,7 @@ class ResultView:
             (viewer.dims.events.order, self._say_how_far),
             (results.changed, self._on_changed),
         )
-        if not any(key == _BEFORE for key in getattr(viewer, "keymap", {})):
+        with suppress(ValueError):  # somebody else's
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
         found = [layer for layer in viewer.layers if result_of(layer) is not None]
         seen = [layer for layer in found if results.of(layer).visible]
@@ -136,7 +134,7 @@ class ResultView:
 
     def rest(self) -> None:
         """Leave the layers as they were before they were moved."""
-        if self._while_key_is_held in getattr(self._viewer, "keymap", {}).values():
+        if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
 
@@ -163,7 +161,7 @@ class ResultView:
         self._form.enabled = answer is not None
         if answer is None or layers is None:
             self.shown = None
-            self.player.go_through(None)
+            self.player.shown = None
             self._form.how_far.say("")
             return
         self.shown = shown = MovingLayers(self._viewer, arrows, answer, layers)
@@ -171,7 +169,7 @@ class ResultView:
             shown.copy_image()
         except HmrfError as error:
             self._refuse(error)
-        self.player.go_through(shown)
+        self.player.shown = shown
         self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
         self._on_eye()
@@ -253,7 +251,7 @@ class ResultView:
             return
         if name == words.NOTHING:
             self._errands.forget("overlay")
-            self._show_overlay(shown, None)
+            self._on_overlay(shown, name, False, None)
         else:
             answer = partial(self._on_overlay, shown, name, chosen)
             self._errands.send("overlay", partial(overlay_of, shown.answer, name), answer)
@@ -261,24 +259,12 @@ class ResultView:
     def _on_overlay(
         self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
     ) -> None:
-        if shown is not self.shown:
-            return
-        self._show_overlay(shown, made, chosen)
+        self._errands.forget("moment")
+        shown.lay_over(made, chosen)
         if made is None and chosen:
             self.said.emit(words.LACKING[name])
         if self._form.slider.value != words.FULL:
             self.player.show(self._form.slider.value)
-
-    def _show_overlay(
-        self, shown: MovingLayers, made: Overlay | None, chosen: bool = False
-    ) -> None:
-        """Have this lie over the image, and move with the tissue from now on."""
-        if made is None:
-            shown.layers.drop("overlay")
-        else:
-            shown.layers.put("overlay", made.layer, shown.source, chosen)
-        shown.overlay = made
-        self.player.go_through(shown)
 
     # How much is seen
 
@@ -311,8 +297,6 @@ class ResultView:
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():
             self._form.slider.value = percent
-        if self.shown is not None:
-            self.shown.percent = percent
         self._say_how_far()
 
     def _say_how_far(self, *_: Any) -> None:
@@ -320,7 +304,8 @@ class ResultView:
         if (shown := self.shown) is not None:
             arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
             apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
-            far = words.how_far(shown.answer, shown.longest, shown.percent, apart)
+            percent = self._form.slider.value
+            far = words.how_far(shown.answer, shown.longest, percent, apart)
             self._form.how_far.say(far)
 
     # What is pressed
