@@ -124,21 +124,17 @@ class Choices:
         """Work has begun with the image that is chosen: no other takes its place by itself."""
         self._begun = True
 
-    def take(self, layers: list[Any]) -> None:
-        """Choose a sample's layers as they come; unless one was chosen, the image in front."""
-        form = self._form
-        by_role = {role_of(layer): layer for layer in layers}
+    def take(self, layer: Any) -> None:
+        """Choose a layer that came: what is painted, and an image unless one was chosen.
+
+        A sample's image is chosen all the same, unless something is drawn on the one there is.
+        """
+        image = self._form.image
+        free = not (self._by_hand or (self._begun and image.value is not None))
         stays = self._image is not None and bool(self._drawn_on)
-        if not (self._by_hand or stays or (self._begun and form.image.value is not None)):
-            offered = [layer for layer in form.image.offered if layer in layers]
-            image = image_in_front(self._viewer, offered, self._drawn_on)
-            if image is not None:
-                self._choose(by_role.get(IMAGE, image))
-                layers = painted_on(image, layers, self.view)
-        elif IMAGE in by_role and not stays:
-            self._choose(by_role[IMAGE])
-        for layer in layers:
-            self._take_painted(layer)
+        if layer in image.offered and not stays and (free or role_of(layer) == IMAGE):
+            self._choose(layer)
+        self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
         begun = self._begun
