@@ -70,7 +70,7 @@ class Newest(QObject):
     def _on_came(self) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, []
-        if waiting and not self._released:
+        if waiting:
             self._answer(waiting[0])
 
 
@@ -153,7 +153,6 @@ class Repainted(QObject):
     def __init__(self, answer: Callable[[], None]) -> None:
         super().__init__()
         self._timer = single_shot(self, 0, answer)
-        self._released = False
 
     def ask(self) -> None:
         """Have the answer called after the next painting."""
@@ -162,14 +161,13 @@ class Repainted(QObject):
     def event(self, event: QEvent | None) -> bool:
         """What was asked for has been painted."""
         if event is not None and event.type() == self._KIND:
-            if not self._released:
-                self._timer.start()
+            self._timer.start()
             return True
         return bool(super().event(event))
 
     def release(self) -> None:
         """Tell nothing any more."""
-        self._released = True
         with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+            QCoreApplication.removePostedEvents(self)
             self._timer.stop()
             self.deleteLater()

@@ -344,7 +344,7 @@ class LiveStudy:
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
         footer = self._form.footer
-        footer.warn(messages.warnings_of(done), messages.warned_of(done))
+        footer.warn(*messages.warnings_of(done))
         footer.tell(messages.brief(done), messages.details(done))
         settled = self.settling
         if settled:

@@ -379,8 +379,15 @@ class SoftTissue(Dock):
         form.edited.connect(self.touch)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
-        form.tissue.editor.anew.clicked.connect(lambda: self._try(self._begin_curve))
-        form.motion.boundary.landmarks.take.changed.connect(lambda _: self._try(self._take_points))
+        form.tissue.editor.anew.clicked.connect(
+            lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
+        )
+        points = form.motion.boundary.landmarks
+        points.take.changed.connect(
+            lambda _: self._try(
+                lambda: self.take_landmarks(points.where.value, points.should.value)
+            )
+        )
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
@@ -401,13 +408,6 @@ class SoftTissue(Dock):
             motion.remove.enabled = pointer.hand.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
-
-    def _begin_curve(self) -> None:
-        self.tissue_from_intensity(self._live_study.first_curve())
-
-    def _take_points(self) -> None:
-        points = self._form.motion.boundary.landmarks
-        self.take_landmarks(points.where.value, points.should.value)
 
     def _try(self, action: Any) -> None:
         try:
