@@ -44,7 +44,7 @@ class Choices:
         }
         self._beginning = {name: field.value for name, field in self._fields.items()}
         self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
-        self._image: weakref.ref[Any] | None = None
+        self._image: Any = None
         # Whether somebody chose an image, or something that goes with the one that is chosen.
         self._by_hand = self._begun = False
         # Whether the edge is let go because of what came painted.
@@ -173,12 +173,11 @@ class Choices:
         """Keep what was chosen for the image before, and choose what goes with this one."""
         self._by_hand = True
         self._lost = self._lost and image is None
-        before = None if self._image is None else self._image()
+        before, self._image = self._image, image
         if before is image:
             return
         if before is not None:
             self._kept[before] = {name: field.value for name, field in self._fields.items()}
-        self._image = None if image is None else weakref.ref(image)
         self._form.tissue.offer(steps_of(self._viewer).edits.get(Slot(CURVE, image)))
         if image is None:
             return

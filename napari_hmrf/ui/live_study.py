@@ -91,7 +91,6 @@ class LiveStudy:
         self.latest: Done | None = None
         self.settling = False
         self.note = ""
-        self._layers: tuple[Any, ...] = ()
         self._copies = shared(viewer, LayerCopies)
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
@@ -201,14 +200,9 @@ class LiveStudy:
             return
         study = self._stand_on(study, request.layers[0])
         self.settling, self._since, self._asked = True, time.monotonic(), study
-        self._layers = request.layers
         self.note = ""
         self._follower.settle(study, self._form.model.in_detail.details.device)
         self._poll.start()
-
-    def is_solving(self, layer: Any) -> bool:
-        """Whether a layer is among those of which something is solved from nothing."""
-        return self.settling and any(layer is each for each in self._layers)
 
     def cancel(self, why: str = "") -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""

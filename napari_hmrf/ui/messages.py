@@ -98,11 +98,12 @@ def cannot_be_rigid(names: Sequence[str]) -> str:
 def report(done: Done) -> str:
     """What came out, in a sentence."""
     place = done.moved.study.grid.place
-    where = f"{place.slice_seen}: tissue" if place.slice_seen else "tissue"
+    seen = place.slice_seen.replace("slice", "Slice")
+    where = f"{seen}: tissue" if seen else "Tissue"
     solution = done.outputs.solution
     if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
         return STILL
-    return sentence_of(f"{where} moved up to {_farthest(done)}")
+    return f"{where} moved up to {_farthest(done)}."
 
 
 def warnings_of(done: Done) -> tuple[str, str]:

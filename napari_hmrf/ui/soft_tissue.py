@@ -436,7 +436,8 @@ class SoftTissue(Dock):
             if tissue is not None:
                 tissue.visible = False  # it would tint what was deformed
 
-    def _on_over(self, closed: bool) -> None:
+    def on_over(self, closed: bool) -> None:
+        """The dock was closed, or the window is gone."""
         if closed:
             self._live_study.cancel()
             self._live_study.forget()
@@ -447,7 +448,7 @@ class SoftTissue(Dock):
         for part in (watch, guide, live, self._view, self._steps, self._form):
             part.release()
         self._pointer.end()
-        super()._on_over(closed)
+        super().on_over(closed)
 
     def _on_first(self) -> None:
         if self.docked:

@@ -167,8 +167,12 @@ class ViewerWatch:
 
     def _on_pixels(self, event: Any) -> None:
         """The pixels of a layer, or their place, may be others."""
-        if any(event.source is layer for layer in self._read):
+        if self._reads(event.source):
             self._live.touch()
+
+    def _reads(self, layer: Any) -> bool:
+        """Whether a layer is among those that are read."""
+        return any(layer is each for each in self._read)
 
     def _on_inserted(self, event: Any) -> None:
         self._listen_to_layers()
@@ -179,13 +183,14 @@ class ViewerWatch:
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
+        was_read = self._reads(event.value)
         self._listen_to_layers()
         self._choices.look()
-        self._let_go_of(event.value)
+        self._let_go_of(event.value, was_read)
         self._leaving.start()
         self._on_choice()
 
-    def _let_go_of(self, layer: Any) -> None:
+    def _let_go_of(self, layer: Any, was_read: bool) -> None:
         """A layer was removed: nothing is computed of it any more."""
         live, display, why = self._live, self._pointer.display, messages.removed(layer)
         if layer is display.arrows.former and not display.quiet:
@@ -195,7 +200,7 @@ class ViewerWatch:
             live.cancel(why)
             live.forget()
             self._guide.say_gone(layer)
-        elif live.is_solving(layer):
+        elif was_read and live.settling:
             live.cancel(why)
 
     def _on_left(self) -> None:

@@ -12,11 +12,10 @@ from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Points
-from napari_hmrf.io.figures import new_folder, save_result_pictures
+from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
-from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.result_lookup import (
     can_be_source,
     result_of,
@@ -125,12 +124,14 @@ class ResultView:
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
         """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
-        if self.shown is None:
+        if (shown := self.shown) is None:
             self.said.emit(words.NO_RESULT)
             return
         self.said.emit(words.SAVING)
-        work = partial(_figures_of, self.shown.answer, self.shown.image, folder, own_folder)
-        self._errands.send("pictures", work, self._on_saved)
+        answer = shown.answer
+        made = f"{answer.source or 'result'} pictures" if own_folder else ""
+        what = folder, answer.solution, shown.image, answer.unit, made
+        self._errands.send("pictures", partial(save_result_pictures, *what), self._on_saved)
 
     def rest(self) -> None:
         """Leave the layers as they were before they were moved."""
@@ -153,30 +154,27 @@ class ResultView:
         self._put_back()
         self._heard.release()
         self.cursor.watch(None)
-        answer = None if arrows is None else result_of(arrows)
-        layers = None if answer is None else self._results.of(arrows)
-        other = before is None or layers is not before.layers
+        answer, shown = None if arrows is None else result_of(arrows), None
+        if answer is not None:
+            shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
+        other = before is None or shown is None or shown.layers is not before.layers
         if before is not None and other:
             before.layers.leave()
-        self._form.enabled = answer is not None
-        if answer is None or layers is None:
-            self.shown = None
-            self.player.shown = None
-            self._form.how_far.say("")
+        self.shown = self.player.shown = shown
+        self._form.enabled = shown is not None
+        self._say_how_far()
+        if shown is None:
             return
-        self.shown = shown = MovingLayers(self._viewer, arrows, answer, layers)
         try:
             shown.copy_image()
         except HmrfError as error:
             self._refuse(error)
-        self.player.shown = shown
         self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
         self._on_eye()
-        self._say_how_far()
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
-        points = partial(Points, answer.solution)
+        points = partial(Points, shown.answer.solution)
         self._errands.send("points", points, partial(self.cursor.watch, shown))
 
     def _offer(self, shown: MovingLayers) -> None:
@@ -301,12 +299,13 @@ class ResultView:
 
     def _say_how_far(self, *_: Any) -> None:
         """Say how much is seen, and whether it is the slice of the result that is shown."""
+        far = ""
         if (shown := self.shown) is not None:
             arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
             apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
             percent = self._form.slider.value
             far = words.how_far(shown.answer, shown.longest, percent, apart)
-            self._form.how_far.say(far)
+        self._form.how_far.say(far)
 
     # What is pressed
 
@@ -342,10 +341,3 @@ class ResultView:
 
     def _refuse(self, error: Exception) -> None:
         self.said.emit(str(error) or type(error).__name__)
-
-
-def _figures_of(answer: Answer, image: Any, folder: Path, own_folder: bool) -> list[Path]:
-    """Write the figures of a result into a folder, or into a new one there."""
-    if own_folder:
-        folder = new_folder(folder, f"{answer.source or 'result'} pictures")
-    return save_result_pictures(folder, answer.solution, image, answer.unit)
