@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
 from typing import Any
 
 from napari.layers import Labels, Vectors
@@ -28,12 +27,10 @@ class Choices:
     ----------
     viewer : napari.Viewer or ViewerModel
     form : DockForm
-    changed : callable
-        Called when something else is chosen.
     """
 
-    def __init__(self, viewer: Any, form: DockForm, changed: Callable[[], None]) -> None:
-        self._viewer, self._form, self._changed = viewer, form, changed
+    def __init__(self, viewer: Any, form: DockForm) -> None:
+        self._viewer, self._form = viewer, form
         motion = form.motion
         self._fields: dict[str, Any] = {
             "tissue": form.tissue.choice,
@@ -109,11 +106,10 @@ class Choices:
 
     def choose_first(self) -> None:
         """Choose the image in front, or one that is worked on, and what is painted on it."""
-        results = shared(self._viewer, ResultLayers)
-        image = image_in_front(
-            self._viewer, self._form.image.offered, self._drawn_on or results.sources
-        )
-        layers = list(self._viewer.layers)
+        self.look()
+        viewer, offered = self._viewer, self._form.image.offered
+        worked_on = self._drawn_on or shared(viewer, ResultLayers).sources
+        image, layers = image_in_front(viewer, offered, worked_on), list(viewer.layers)
         if image is not None:
             self._choose(image)
             layers = painted_on(image, layers, self.view)
@@ -192,4 +188,3 @@ class Choices:
             for layer in painted_on(image, self._viewer.layers, self.view):
                 self._take_painted(layer)
         self._begun = known is not None
-        self._changed()

@@ -68,7 +68,6 @@ class DockForm:
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
         self.model.model.changed.connect(self._on_model)
-        self._on_model()
         fields = (self.model, self.model.in_detail, self.motion.edge, self.motion.fields.preset)
         parts = (self.tissue.edited, self.motion.boundary.edited)
         for told in (*parts, *(field.changed for field in fields)):

@@ -152,7 +152,7 @@ class SoftTissue(Dock):
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
-        self._choices = Choices(viewer, form, self.touch)
+        self._choices = Choices(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
@@ -164,10 +164,7 @@ class SoftTissue(Dock):
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
         self._connect()
-        self._choices.look()
         self._choices.choose_first()
-        self._guide.invite()
-        self.touch()
 
     # What there is to see
 
@@ -250,7 +247,6 @@ class SoftTissue(Dock):
         """Have the mouse move the view again; what is drawn stays."""
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
-        self._watch.look_at_mouse()
 
     def undo(self) -> None:
         """Take back what was done last."""
@@ -376,7 +372,6 @@ class SoftTissue(Dock):
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
-        form.edited.connect(self.touch)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.clicked.connect(
@@ -398,7 +393,6 @@ class SoftTissue(Dock):
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
-        self._watch.active_changed.connect(self._show_tool)
         self._watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:

@@ -44,8 +44,6 @@ class ViewerWatch:
     guide : Guide
     """
 
-    #: Another layer feels the mouse, or ours does again.
-    active_changed = Signal()
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
 
@@ -220,7 +218,7 @@ class ViewerWatch:
             if stopped:
                 pointer.release()
             self._guide.look_at_mouse(stopped)
-            self.active_changed.emit()
+            pointer.changed.emit()
 
     def _on_active(self, *_: Any) -> None:
         if is_selection_kept(self._viewer):

@@ -191,16 +191,13 @@ class ResultView:
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
         shown, arrows = self.shown, result.layer("arrows")
+        moves = self.player.playing or self._errands.busy("moment")
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self._look_at(arrows)
         elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
             self._look_at(arrows)
-        elif (
-            self.player.playing
-            or self._errands.busy("moment")
-            or self._form.slider.value != words.FULL
-        ):
+        elif moves or self._form.slider.value != words.FULL:
             self._draw_whole()  # all of it is there again
 
     def _on_active(self, *_: Any) -> None:
