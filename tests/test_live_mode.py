@@ -441,25 +441,25 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
 def test_tables_are_undone_and_followed(living, settle):
     widget, (_, _, boundary) = living
     footer = widget._form.footer
-    assert not footer.steps.undo.enabled
+    assert not footer.undo.enabled
     rules, materials = widget.rules, widget.materials
     Cell(widget._form.motion.boundary.seen, 1, 4).write("5")
-    assert footer.steps.undo.tooltip == (
+    assert footer.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
     Cell(widget._form.tissue.seen, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
-    footer.steps.undo.native.click()
+    footer.undo.native.click()
     assert widget.materials == materials
     assert widget.status == "Took back: changed the stiffness of label 1 in 'Tissue'."
-    footer.steps.undo.native.click()
+    footer.undo.native.click()
     settle(widget)
     assert widget.rules == rules
     assert boundary.metadata[METADATA]["rules"][1]["vector"] == (0.0, 3.0)
     assert_newest(widget)
-    assert not footer.steps.undo.enabled
-    footer.steps.redo.native.click()
+    assert not footer.undo.enabled
+    footer.redo.native.click()
     settle(widget)
     assert_newest(widget)
     assert widget.rules != rules
@@ -471,9 +471,9 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     settle(widget)
     widget._form.tissue.table.look()
     assert 5 in [row.label for row in widget.materials]
-    assert not widget._form.footer.steps.undo.enabled
+    assert not widget._form.footer.undo.enabled
     widget._form.tissue.table.add()
-    assert "added label 6 to 'Tissue'" in widget._form.footer.steps.undo.tooltip
+    assert "added label 6 to 'Tissue'" in widget._form.footer.undo.tooltip
     widget.undo()
     assert [row.label for row in widget.materials] == [0, 1, 5]
 
@@ -488,7 +488,7 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(l
     QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
     assert widget.rules != before
     viewer_of(widget).layers.remove(boundary)
-    assert not widget._form.footer.steps.undo.enabled
+    assert not widget._form.footer.undo.enabled
 
 
 def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edited(living):
@@ -522,7 +522,7 @@ def test_a_curve_is_undone_with_what_it_shows(widget, small_sample, wait_for):
     editor.plot.select(1)
     editor.stiffness.setValue(editor.stiffness.value() * 3)
     assert widget.curve != before
-    assert "changed the curve" in widget._form.footer.steps.undo.tooltip
+    assert "changed the curve" in widget._form.footer.undo.tooltip
     wait_for(lambda: not np.array_equal(shown.data, stiff))
     widget.undo()
     assert widget.curve == before

@@ -16,6 +16,8 @@ from napari_hmrf.solver.solution import Solution
 
 #: Lines of the grid across the longer side.
 _LINES = 30
+#: Moments kept, in bytes; a second pass then costs nothing.
+_KEPT = 256 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,25 @@ class Motion:
         if self._pictures:
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
-        return Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
+        moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
+        while self._kept and (len(self._kept) + 1) * moment.nbytes > _KEPT:
+            del self._kept[next(iter(self._kept))]
+        self._kept[fraction] = moment
+        return moment
+
+    def known(self, fraction: float) -> Moment | None:
+        """What `at` has computed before, if there was room to keep it; from any thread."""
+        return self._kept.get(fraction)
+
+    @property
+    def finest(self) -> float:
+        """The smallest fraction in whose steps all moments can be kept; 0 before the first."""
+        sizes = [moment.nbytes for moment in [*self._kept.values()]]
+        return max(sizes, default=0) / _KEPT
+
+    @cached_property
+    def _kept(self) -> dict[float, Moment]:
+        return {}
 
     @cached_property
     def _pictures(self) -> dict[str, Picture]:

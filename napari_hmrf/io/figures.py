@@ -70,7 +70,11 @@ def save_pictures(
 
 
 def save_result_pictures(
-    folder: Path, solution: Solution, image: npt.ArrayLike | None = None, unit: str = "px"
+    folder: Path,
+    solution: Solution,
+    image: npt.ArrayLike | None = None,
+    unit: str = "px",
+    own_folder: str = "",
 ) -> list[Path]:
     """Draw a result into PNG files, of which no problem has to be at hand.
 
@@ -83,6 +87,8 @@ def save_result_pictures(
         What the tissue looks like before it moves.
     unit : str
         Of the displacement and of spacing.
+    own_folder : str, optional
+        What a new folder in there is called, which takes the files.
 
     Returns
     -------
@@ -90,6 +96,8 @@ def save_result_pictures(
         What was written: displacement and warped (with an image), grid, magnitude, jacobian,
         strain, energy.
     """
+    if own_folder:
+        folder = _new_folder(folder, own_folder)
     figures: dict[str, Figure] = {}
     if image is not None:
         picture = np.asarray(image)
@@ -103,7 +111,7 @@ def save_result_pictures(
     return _saved(folder, figures)
 
 
-def new_folder(parent: Path, name: str) -> Path:
+def _new_folder(parent: Path, name: str) -> Path:
     """Make a folder of a name that is not taken, so that no file is replaced."""
     kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
     folder, number = parent / kept, 1

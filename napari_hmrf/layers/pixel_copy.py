@@ -23,7 +23,7 @@ T = TypeVar("T")
 _KEPT = 4
 #: The events after which a layer's data may be others. A layer draws itself anew for many other
 #: reasons, too, but a script that has changed its array in place can say so in no other way.
-_EVENTS = ("data", "labels_update", "paint", "set_data")
+CHANGES = ("data", "labels_update", "paint", "set_data")
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
@@ -178,7 +178,7 @@ class _Copies:
         self._known: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_KEPT)
         self._fresh: set[Any] = set()
         self.made: tuple[tuple[Any, ...], Any] | None = None
-        for name in _EVENTS:
+        for name in CHANGES:
             if hasattr(layer.events, name):
                 getattr(layer.events, name).connect(self.doubt)
 

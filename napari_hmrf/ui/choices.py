@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
 from typing import Any
 
 from napari.layers import Labels, Vectors
@@ -28,12 +27,10 @@ class Choices:
     ----------
     viewer : napari.Viewer or ViewerModel
     form : DockForm
-    changed : callable
-        Called when something else is chosen.
     """
 
-    def __init__(self, viewer: Any, form: DockForm, changed: Callable[[], None]) -> None:
-        self._viewer, self._form, self._changed = viewer, form, changed
+    def __init__(self, viewer: Any, form: DockForm) -> None:
+        self._viewer, self._form = viewer, form
         motion = form.motion
         self._fields: dict[str, Any] = {
             "tissue": form.tissue.choice,
@@ -44,7 +41,7 @@ class Choices:
         }
         self._beginning = {name: field.value for name, field in self._fields.items()}
         self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
-        self._image: weakref.ref[Any] | None = None
+        self._image: Any = None
         # Whether somebody chose an image, or something that goes with the one that is chosen.
         self._by_hand = self._begun = False
         # Whether the edge is let go because of what came painted.
@@ -109,11 +106,10 @@ class Choices:
 
     def choose_first(self) -> None:
         """Choose the image in front, or one that is worked on, and what is painted on it."""
-        results = shared(self._viewer, ResultLayers)
-        image = image_in_front(
-            self._viewer, self._form.image.offered, self._drawn_on or results.sources
-        )
-        layers = list(self._viewer.layers)
+        self.look()
+        viewer, offered = self._viewer, self._form.image.offered
+        worked_on = self._drawn_on or shared(viewer, ResultLayers).sources
+        image, layers = image_in_front(viewer, offered, worked_on), list(viewer.layers)
         if image is not None:
             self._choose(image)
             layers = painted_on(image, layers, self.view)
@@ -124,21 +120,17 @@ class Choices:
         """Work has begun with the image that is chosen: no other takes its place by itself."""
         self._begun = True
 
-    def take(self, layers: list[Any]) -> None:
-        """Choose a sample's layers as they come; unless one was chosen, the image in front."""
-        form = self._form
-        by_role = {role_of(layer): layer for layer in layers}
+    def take(self, layer: Any) -> None:
+        """Choose a layer that came: what is painted, and an image unless one was chosen.
+
+        A sample's image is chosen all the same, unless something is drawn on the one there is.
+        """
+        image = self._form.image
+        free = not (self._by_hand or (self._begun and image.value is not None))
         stays = self._image is not None and bool(self._drawn_on)
-        if not (self._by_hand or stays or (self._begun and form.image.value is not None)):
-            offered = [layer for layer in form.image.offered if layer in layers]
-            image = image_in_front(self._viewer, offered, self._drawn_on)
-            if image is not None:
-                self._choose(by_role.get(IMAGE, image))
-                layers = painted_on(image, layers, self.view)
-        elif IMAGE in by_role and not stays:
-            self._choose(by_role[IMAGE])
-        for layer in layers:
-            self._take_painted(layer)
+        if layer in image.offered and not stays and (free or role_of(layer) == IMAGE):
+            self._choose(layer)
+        self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
         begun = self._begun
@@ -177,12 +169,11 @@ class Choices:
         """Keep what was chosen for the image before, and choose what goes with this one."""
         self._by_hand = True
         self._lost = self._lost and image is None
-        before = None if self._image is None else self._image()
+        before, self._image = self._image, image
         if before is image:
             return
         if before is not None:
             self._kept[before] = {name: field.value for name, field in self._fields.items()}
-        self._image = None if image is None else weakref.ref(image)
         self._form.tissue.offer(steps_of(self._viewer).edits.get(Slot(CURVE, image)))
         if image is None:
             return
@@ -197,4 +188,3 @@ class Choices:
             for layer in painted_on(image, self._viewer.layers, self.view):
                 self._take_painted(layer)
         self._begun = known is not None
-        self._changed()

@@ -68,16 +68,10 @@ class DockForm:
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
         self.model.model.changed.connect(self._on_model)
-        self._on_model()
-        for part in (self.tissue.edited, self.motion.boundary.edited):
-            part.connect(self.edited)
-        for field in (
-            self.model,
-            self.model.in_detail,
-            self.motion.edge,
-            self.motion.fields.preset,
-        ):
-            field.changed.connect(lambda _: self.edited.emit())
+        fields = (self.model, self.model.in_detail, self.motion.edge, self.motion.fields.preset)
+        parts = (self.tissue.edited, self.motion.boundary.edited)
+        for told in (*parts, *(field.changed for field in fields)):
+            told.connect(self.edited, max_args=0)
         self._assemble(outer)
 
     @property

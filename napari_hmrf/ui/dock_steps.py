@@ -34,16 +34,14 @@ class DockSteps:
     def __init__(self, native: Any, form: DockForm, steps: ViewerSteps, owner: Owner) -> None:
         self._form, self._steps, self._owner = form, steps, owner
         self._model = steps.edits
-        self._undoing = False
         tissue = form.tissue
         self._tables = (tissue.table, form.motion.boundary.table)
         for table in self._tables:
             table.changed.connect(self.note)
         tissue.editor.plot.edited.connect(self._take_curve)
         tissue.editor.plot.settled.connect(lambda _: self._model.end())
-        buttons = form.footer.steps
-        buttons.undo.changed.connect(steps.undo)
-        buttons.redo.changed.connect(steps.redo)
+        form.footer.undo.changed.connect(steps.undo)
+        form.footer.redo.changed.connect(steps.redo)
         StepKeys(native, steps)
         self._heard = Listening(
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
@@ -59,11 +57,11 @@ class DockSteps:
 
     def show(self) -> None:
         """Show what there is to take back, and to do again."""
-        self._form.footer.steps.show(self._steps)
+        self._form.footer.show_steps(self._steps)
 
     def note(self, by_itself: bool = False) -> None:
         """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
-        for table in () if self._undoing else self._tables:
+        for table in self._tables:
             slot, now = Slot(table.role, table.layer), table.contents
             if slot.layer is None or now == (before := self._model.open(slot, now)):
                 continue
@@ -103,14 +101,8 @@ class DockSteps:
 
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
         """Put back what a slot holds: a table that is shown, or a curve."""
-        if not isinstance(slot, Slot) or self._undoing:
-            return
-        self._undoing = True
-        try:
-            if slot == self._curve_slot:
-                self._form.tissue.go_by(value)
-            for table in self._tables:
-                if slot == Slot(table.role, table.layer):
-                    table.contents = value
-        finally:
-            self._undoing = False
+        if slot == self._curve_slot:
+            self._form.tissue.go_by(value)
+        for table in self._tables:
+            if slot == Slot(table.role, table.layer):
+                table.contents = value

@@ -272,11 +272,7 @@ def _moves_edge(ground: Ground, canvas: Canvas) -> bool:
     base = ground.base
     if canvas.kinds is None:
         return False
-    moved = (
-        (base.confidence > 0)
-        & (canvas.confidence > 0)
-        & (base.observed == 0)
-        & (canvas.observed != 0)
-    )
+    held = (base.confidence > 0) & (base.observed == 0)
+    moved = held & (canvas.confidence > 0) & (canvas.observed != 0)
     # What was painted was meant, and air has no edge that is seen.
     return bool((moved.any(axis=-1) & (canvas.kinds == 0) & ground.body).any())

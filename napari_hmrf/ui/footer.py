@@ -43,7 +43,8 @@ class Footer(QWidget):
     ----------
     deform, cancel : PushButton
     live : LiveChoice
-    steps : StepButtons
+    undo, redo : PushButton
+        Their tooltips say what they would do.
     chip : QPushButton
         There only when there is something to know of the tissue that is seen.
     """
@@ -54,7 +55,8 @@ class Footer(QWidget):
         self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
         self.cancel.enabled = False
         self.live = LiveChoice()
-        self.steps = StepButtons()
+        self.undo = PushButton(text="Undo", enabled=False)
+        self.redo = PushButton(text="Redo", enabled=False)
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
         self.chip = QPushButton()
@@ -66,7 +68,7 @@ class Footer(QWidget):
         layout.setSpacing(2)
         # magicgui's containers end with the last reference.
         self._rows = [
-            row(self.live, self.steps.undo, self.steps.redo, self.help),
+            row(self.live, self.undo, self.redo, self.help),
             row(self.deform, self.cancel),
         ]
         for each in self._rows:
@@ -90,6 +92,12 @@ class Footer(QWidget):
             layout.addWidget(label)
         self.help.changed.connect(lambda _: self.say(self.help.tooltip))
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+
+    def show_steps(self, steps: ViewerSteps) -> None:
+        """Show what there is to take back, and to do again."""
+        self.undo.tooltip, self.redo.tooltip = steps.undo_tooltip, steps.redo_tooltip
+        self.undo.enabled = steps.edits.next_undo is not None
+        self.redo.enabled = steps.edits.next_redo is not None
 
     def say(self, status: str) -> None:
         """Show a sentence."""
@@ -168,25 +176,6 @@ class LiveChoice(CheckBox):
     def _on_decided(self, *_: object) -> None:
         self._decided = True
         self.judge(self._shape)
-
-
-class StepButtons:
-    """Undo and Redo; their tooltips say what they would do.
-
-    Attributes
-    ----------
-    undo, redo : PushButton
-    """
-
-    def __init__(self) -> None:
-        self.undo = PushButton(text="Undo", enabled=False)
-        self.redo = PushButton(text="Redo", enabled=False)
-
-    def show(self, steps: ViewerSteps) -> None:
-        """Show what there is to take back, and to do again."""
-        self.undo.tooltip, self.redo.tooltip = steps.undo_tooltip, steps.redo_tooltip
-        self.undo.enabled = steps.edits.next_undo is not None
-        self.redo.enabled = steps.edits.next_redo is not None
 
 
 class StepKeys(QObject):

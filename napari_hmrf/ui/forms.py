@@ -11,8 +11,6 @@ from qtpy.QtCore import QEvent, QObject, QSize
 from qtpy.QtWidgets import QScrollArea, QSizePolicy
 
 T = TypeVar("T")
-#: The lowest confidence that is asked for; below, it says nothing.
-LEAST_CONFIDENCE = 0.05
 
 
 class Part(Generic[T]):
@@ -41,11 +39,6 @@ def narrow(menu: Any) -> None:
     box = menu.native
     box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     box.setMinimumContentsLength(8)
-
-
-def confidence_slider(tooltip: str) -> FloatSlider:
-    """A field for how sure something is."""
-    return share("confidence", tooltip, name="confidence", value=1.0, min=LEAST_CONFIDENCE)
 
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:

@@ -15,7 +15,6 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.ui.events import single_shot
 
 _log = logging.getLogger("napari_hmrf")
-_Work = Callable[[], Any]
 _Answer = Callable[[Any], None]
 # What those who wait for an errand are told.
 _DOING = "what 'Soft tissue' draws or gets ready, which closing that dock stops"
@@ -71,7 +70,7 @@ class Newest(QObject):
     def _on_came(self) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, []
-        if waiting and not self._released:
+        if waiting:
             self._answer(waiting[0])
 
 
@@ -88,49 +87,45 @@ class Errands:
 
     def __init__(self, refused: Callable[[Exception], None]) -> None:
         self._refused = refused
-        self._waiting: dict[str, tuple[_Work, _Answer]] = {}
-        self._under_way: dict[str, tuple[Future[Any], _Answer]] = {}
+        self._sent: dict[Future[Any], tuple[str, _Answer]] = {}
         self._ended = Newest(self._on_ended)
 
-    def send(self, kind: str, work: _Work, answer: _Answer) -> None:
+    def send(self, kind: str, work: Callable[[], Any], answer: _Answer) -> None:
         """Have work done; `answer` is called with what it returns, unless newer work replaces it.
 
         What is being computed already is shown, too, so that something moves while one drags.
         """
-        self._waiting[kind] = work, answer
-        self._submit(kind)
+        for future in self._of(kind):
+            if future.cancel():
+                del self._sent[future]
+        future = compute_thread.submit(work, _DOING)
+        self._sent[future] = kind, answer
+        future.add_done_callback(self._ended.put)
 
     def busy(self, kind: str | None = None) -> bool:
         """Whether an errand of a kind, or any, is not answered yet."""
-        kinds = self._waiting.keys() | self._under_way.keys()
-        return bool(kinds) if kind is None else kind in kinds
+        return bool(self._of(kind))
 
     def forget(self, kind: str | None = None) -> None:
         """Answer nothing of a kind, or of all, that was sent."""
-        for each in [kind] if kind is not None else [*self._waiting, *self._under_way]:
-            self._waiting.pop(each, None)
-            if each in self._under_way:
-                self._under_way.pop(each)[0].cancel()
+        for future in self._of(kind):
+            del self._sent[future]
+            future.cancel()
 
     def release(self) -> None:
         """Answer nothing any more."""
         self.forget()
         self._ended.release()
 
-    def _submit(self, kind: str) -> None:
-        if kind in self._waiting and kind not in self._under_way:
-            work, answer = self._waiting.pop(kind)
-            future = compute_thread.submit(work, _DOING)
-            self._under_way[kind] = future, answer
-            future.add_done_callback(self._ended.put)
+    def _of(self, kind: str | None) -> list[Future[Any]]:
+        return [future for future, (each, _) in self._sent.items() if kind in (None, each)]
 
     def _on_ended(self, _: Future[Any]) -> None:
         """Answer all that has ended: of what was put meanwhile only the newest is told."""
-        ended = [kind for kind, (future, _) in self._under_way.items() if future.done()]
-        for kind in ended:
-            if kind not in self._under_way:
+        for future in self._of(None):
+            if not future.done() or future not in self._sent:
                 continue  # an answer may have had others forgotten
-            future, answer = self._under_way.pop(kind)
+            kind, answer = self._sent.pop(future)
             try:
                 found = future.result(timeout=0)
             except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
@@ -138,7 +133,6 @@ class Errands:
                 self._refused(error)
             else:
                 answer(found)
-            self._submit(kind)
 
 
 class Repainted(QObject):
@@ -159,7 +153,6 @@ class Repainted(QObject):
     def __init__(self, answer: Callable[[], None]) -> None:
         super().__init__()
         self._timer = single_shot(self, 0, answer)
-        self._released = False
 
     def ask(self) -> None:
         """Have the answer called after the next painting."""
@@ -168,14 +161,13 @@ class Repainted(QObject):
     def event(self, event: QEvent | None) -> bool:
         """What was asked for has been painted."""
         if event is not None and event.type() == self._KIND:
-            if not self._released:
-                self._timer.start()
+            self._timer.start()
             return True
         return bool(super().event(event))
 
     def release(self) -> None:
         """Tell nothing any more."""
-        self._released = True
         with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+            QCoreApplication.removePostedEvents(self)
             self._timer.stop()
             self.deleteLater()

@@ -13,7 +13,7 @@ from qtpy.QtGui import QColor, QIcon, QPixmap
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import BOUNDARY, Role, Table
-from napari_hmrf.layers.pixel_copy import copy_slice
+from napari_hmrf.layers.pixel_copy import CHANGES, copy_slice
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.labels import unlisted
@@ -24,7 +24,7 @@ LABEL, NAME = range(2)
 #: How long after the last brush stroke the labels are looked at, in milliseconds.
 _PAUSE = 150
 #: The layer's events after which there may be new labels, or other colours.
-_EVENTS = ("data", "set_data", "labels_update", "paint", "colormap")
+_EVENTS = (*CHANGES, "colormap")
 _ROLE = Qt.ItemDataRole
 
 

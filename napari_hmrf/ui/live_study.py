@@ -91,7 +91,6 @@ class LiveStudy:
         self.latest: Done | None = None
         self.settling = False
         self.note = ""
-        self._layers: tuple[Any, ...] = ()
         self._copies = shared(viewer, LayerCopies)
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
@@ -201,14 +200,9 @@ class LiveStudy:
             return
         study = self._stand_on(study, request.layers[0])
         self.settling, self._since, self._asked = True, time.monotonic(), study
-        self._layers = request.layers
         self.note = ""
         self._follower.settle(study, self._form.model.in_detail.details.device)
         self._poll.start()
-
-    def is_solving(self, layer: Any) -> bool:
-        """Whether a layer is among those of which something is solved from nothing."""
-        return self.settling and any(layer is each for each in self._layers)
 
     def cancel(self, why: str = "") -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
@@ -344,7 +338,7 @@ class LiveStudy:
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
         footer = self._form.footer
-        footer.warn(messages.warnings_of(done), messages.warned_of(done))
+        footer.warn(*messages.warnings_of(done))
         footer.tell(messages.brief(done), messages.details(done))
         settled = self.settling
         if settled:

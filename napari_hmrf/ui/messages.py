@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
@@ -97,38 +98,31 @@ def cannot_be_rigid(names: Sequence[str]) -> str:
 def report(done: Done) -> str:
     """What came out, in a sentence."""
     place = done.moved.study.grid.place
-    where = (
-        f"{place.slice_seen.replace('slice', 'Slice')}: tissue" if place.slice_seen else "Tissue"
-    )
+    seen = place.slice_seen.replace("slice", "Slice")
+    where = f"{seen}: tissue" if seen else "Tissue"
     solution = done.outputs.solution
     if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
         return STILL
     return f"{where} moved up to {_farthest(done)}."
 
 
-def warnings_of(done: Done) -> str:
-    """What to beware of, in sentences; "" if nothing."""
-    outputs, parts = done.outputs, []
+def warnings_of(done: Done) -> tuple[str, str]:
+    """What to beware of, in sentences and in a few words; "" if nothing."""
+    outputs, parts, short = done.outputs, list[str](), ""
     if outputs.folds > _HANDFUL and outputs.worst is not None:
         row, col = outputs.worst
+        short = f"Folds at {outputs.folds} pixels: show where"
         parts.append(
             f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
             f"pushed through itself (it folds), which no tissue does. {_less(done.moved.study)}."
         )
     if outputs.overlaps > _HANDFUL:
+        short = short or f"Overlaps at {outputs.overlaps} pixels"
         parts.append(
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
-    return " ".join([*parts, *map(sentence_of, done.notes)])
-
-
-def warned_of(done: Done) -> str:
-    """What to beware of, in a few words."""
-    outputs = done.outputs
-    if outputs.folds > _HANDFUL:
-        return f"Folds at {outputs.folds} pixels: show where"
-    return f"Overlaps at {outputs.overlaps} pixels" if outputs.overlaps > _HANDFUL else ""
+    return " ".join([*parts, *map(sentence_of, done.notes)]), short
 
 
 def sentence_of(clause: str) -> str:
@@ -178,11 +172,8 @@ def details(done: Done) -> str:
 def brief(done: Done) -> str:
     """The model, how far tissue moved and how long that took, in a line."""
     run = done.outputs.solution.provenance
-    return f"{run.model}: moved up to {_farthest(done)} in {_time(run.seconds)}"
-
-
-def _time(seconds: float) -> str:
-    return f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.2g} s"
+    time = f"{1000 * run.seconds:.0f} ms" if run.seconds < 1 else f"{run.seconds:.2g} s"
+    return f"{run.model}: moved up to {_farthest(done)} in {time}"
 
 
 def removed(layer: Any) -> str:
@@ -212,8 +203,7 @@ def progress(monitor: Monitor, seconds: float, what: str = "Deforming") -> str:
 def _farthest(done: Done) -> str:
     """The longest displacement, in the unit of the image; in pixels, too, if they are square."""
     solution = done.outputs.solution
-    squares = (solution.displacement.astype(np.float32) ** 2).sum(axis=-1)
-    length = float(np.sqrt(squares.max()))
+    length = float(magnitude(solution.displacement).max())
     unit, size = unit_symbol(done.moved.study.grid.place.unit), solution.spacing[0]
     if any(other != size for other in solution.spacing):
         return f"{length:.3g} {unit}"

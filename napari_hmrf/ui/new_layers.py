@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from napari.layers import Labels
 
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
-from napari_hmrf.layers.pixel_copy import fits
+from napari_hmrf.layers.pixel_copy import fits, plane_shape
 from napari_hmrf.layers.place import Frame, place_of
 from napari_hmrf.layers.slice_view import View, layer_extents
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
@@ -21,10 +22,10 @@ from napari_hmrf.tissue.usual_lengths import usual_step
 _LARGEST = 2**30
 
 
-def add_missing(
-    viewer: Any, image: Any, tissue: Any, boundary: Any, view: View | None = None
-) -> tuple[Any, Any]:
+def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View) -> tuple[Any, Any]:
     """Add what an image lacks to be painted on, and put a brush into the user's hand.
+
+    What stays unpainted is normal tissue; the boundary's first two labels hold and push.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ def add_missing(
     image : napari.layers.Image
     tissue, boundary : napari.layers.Layer or None
         What is chosen, of this image or another.
-    view : View, optional
+    view : View
 
     Returns
     -------
@@ -42,20 +43,27 @@ def add_missing(
     Raises
     ------
     ProblemError
-        As `layers_to_paint_on`.
+        If the slice that is shown is none of the image's.
     """
     tissue_there, boundary_there = (
         layer is not None and fits(layer, image, view) for layer in (tissue, boundary)
     )
-    if not (tissue_there and boundary_there):
-        layers, (new_tissue, new_boundary) = viewer.layers, layers_to_paint_on(image, view)
-        if not tissue_there:
-            tissue = new_tissue
-            # What holds is to be seen on top.
-            layers.insert(layers.index(boundary) if boundary_there else len(layers), tissue)
-        if not boundary_there:
-            boundary = new_boundary
-            layers.append(boundary)
+    layers, blank = viewer.layers, partial(_blank, image, view)
+    if not tissue_there:
+        paper = PRESETS[0]
+        materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
+        tissue = blank("Tissue", described(TISSUE, materials, paper.unit), opacity=0.4)
+        # What holds is to be seen on top.
+        layers.insert(layers.index(boundary) if boundary_there else len(layers), tissue)
+    if not boundary_there:
+        frame = Frame.of(image, view)
+        push = usual_step(plane_shape(image, frame), frame.spacing)
+        rules = (
+            BoundaryRule(1, "fixed", name="holds"),
+            BoundaryRule(2, "expand", amount=push, name="grows"),
+        )
+        boundary = blank("Boundary", described(BOUNDARY, rules), colormap=boundary_colours())
+        layers.append(boundary)
     first = tissue
     if not isinstance(tissue, Labels) or (tissue_there and not boundary_there):
         first = boundary
@@ -65,46 +73,12 @@ def add_missing(
     return tissue, boundary
 
 
-def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
-    """Make a tissue and a boundary layer on an image's pixels, in its place.
-
-    What stays unpainted is normal tissue; the boundary's first two labels hold and push.
-
-    Parameters
-    ----------
-    image : napari.layers.Image
-    view : View, optional
-
-    Returns
-    -------
-    tissue, boundary : napari.layers.Labels
-
-    Raises
-    ------
-    ProblemError
-        If the slice that is shown is none of the image's.
-    """
-    frame = Frame.of(image, view)
-    shape = layer_extents(image)
-    place = place_of(image)
+def _blank(image: Any, view: View, name: str, known: dict[str, Any], **look: Any) -> Labels:
+    """A layer on an image's pixels, in its place, of which nothing is painted."""
+    frame, shape, place = Frame.of(image, view), layer_extents(image), place_of(image)
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
         place = frame.placement(image=True)
-    paper = PRESETS[0]
-    materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
-    rows, cols = (shape[axis] for axis in frame.plane)
-    push = usual_step((rows, cols), frame.spacing)
-    rules = (
-        BoundaryRule(1, "fixed", name="holds"),
-        BoundaryRule(2, "expand", amount=push, name="grows"),
-    )
-
-    def blank(name: str, known: dict[str, Any], **look: Any) -> Any:
-        layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=known, **look, **place)
-        layer.brush_size = max(3, round(max(rows, cols) / 40))
-        return layer
-
-    return (
-        blank("Tissue", described(TISSUE, materials, paper.unit), opacity=0.4),
-        blank("Boundary", described(BOUNDARY, rules), colormap=boundary_colours()),
-    )
+    layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=known, **look, **place)
+    layer.brush_size = max(3, round(max(plane_shape(image, frame)) / 40))
+    return layer

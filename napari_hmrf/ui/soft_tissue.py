@@ -153,7 +153,7 @@ class SoftTissue(Dock):
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
-        self._choices = Choices(viewer, form, self.touch)
+        self._choices = Choices(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
@@ -165,10 +165,7 @@ class SoftTissue(Dock):
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
         self._connect()
-        self._choices.look()
         self._choices.choose_first()
-        self._guide.invite()
-        self.touch()
 
     # What there is to see
 
@@ -251,7 +248,6 @@ class SoftTissue(Dock):
         """Have the mouse move the view again; what is drawn stays."""
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
-        self._watch.look_at_mouse()
 
     def undo(self) -> None:
         """Take back what was done last."""
@@ -385,11 +381,17 @@ class SoftTissue(Dock):
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
-        form.edited.connect(self.touch)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
-        form.tissue.editor.anew.clicked.connect(lambda: self._try(self._begin_curve))
-        form.motion.boundary.landmarks.take.changed.connect(lambda _: self._try(self._take_points))
+        form.tissue.editor.anew.clicked.connect(
+            lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
+        )
+        points = form.motion.boundary.landmarks
+        points.take.changed.connect(
+            lambda _: self._try(
+                lambda: self.take_landmarks(points.where.value, points.should.value)
+            )
+        )
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
@@ -401,7 +403,6 @@ class SoftTissue(Dock):
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
-        self._watch.active_changed.connect(self._show_tool)
         self._watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:
@@ -411,13 +412,6 @@ class SoftTissue(Dock):
             motion.remove.enabled = pointer.hand.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
-
-    def _begin_curve(self) -> None:
-        self.tissue_from_intensity(self._live_study.first_curve())
-
-    def _take_points(self) -> None:
-        points = self._form.motion.boundary.landmarks
-        self.take_landmarks(points.where.value, points.should.value)
 
     def _ask_where_to_save(self) -> None:
         name = "study" if self.image is None else str(self.image.name)
@@ -454,7 +448,8 @@ class SoftTissue(Dock):
             if tissue is not None:
                 tissue.visible = False  # it would tint what was deformed
 
-    def _on_over(self, closed: bool) -> None:
+    def on_over(self, closed: bool) -> None:
+        """The dock was closed, or the window is gone."""
         if closed:
             self._live_study.cancel()
             self._live_study.forget()
@@ -465,7 +460,7 @@ class SoftTissue(Dock):
         for part in (watch, guide, live, self._view, self._steps, self._form):
             part.release()
         self._pointer.end()
-        super()._on_over(closed)
+        super().on_over(closed)
 
     def _on_first(self) -> None:
         if self.docked:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import Container
@@ -35,7 +34,7 @@ class Dock(Container):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(labels=False)
         self._viewer = unwrapped(napari_viewer)
-        self._life = _Life(self, self._on_docked, self._on_over)
+        self._life = _Life(self)
         self._fitting = single_shot(self.native, _LAID_OUT, self._viewer.reset_view)
         clear_middle(self._viewer)
 
@@ -49,11 +48,12 @@ class Dock(Container):
         """Whether there is a dock around this, in a window."""
         return not self.away and self.native.parent() is not None
 
-    def _on_docked(self) -> None:
+    def on_docked(self) -> None:
+        """See all of the image beside the dock, if all was seen before."""
         if sees_all(self._viewer):
             self._fitting.start()
 
-    def _on_over(self, closed: bool) -> None:
+    def on_over(self, closed: bool) -> None:
         """The dock was closed, or the window is gone: listen to nothing any more."""
         if closed:
             for timer in self.native.findChildren(QTimer):
@@ -64,12 +64,9 @@ class _Life:
     """Ends with a dock widget; then nothing of Qt's is touched any more."""
 
     # A closure over the owner would be called by Qt even while Python is taking both apart.
-    def __init__(
-        self, owner: Container, at_docking: Callable[[], None], at_end: Callable[[bool], None]
-    ) -> None:
+    def __init__(self, owner: Dock) -> None:
         self.over = self._docked = False
         self._owner = weakref.ref(owner)
-        self._at_docking, self._at_end = weakref.WeakMethod(at_docking), weakref.WeakMethod(at_end)
         _living.add(self)
         owner.native.destroyed.connect(self._on_destroyed)
         owner.native_parent_changed.connect(self._on_parent)
@@ -81,8 +78,8 @@ class _Life:
         """Napari closes a dock by taking the widget out of it."""
         owner, docked = self._owner(), self._docked
         self._docked = not self.over and owner is not None and owner.native.parent() is not None
-        if self._docked and not docked and (tell := self._at_docking()) is not None:
-            tell()
+        if owner is not None and self._docked and not docked:
+            owner.on_docked()
         elif docked and not self._docked:
             self.end(closed=True)
 
@@ -90,8 +87,8 @@ class _Life:
         """The dock was closed, or its window is gone."""
         over, self.over = self.over, True
         _living.discard(self)
-        if not over and (tell := self._at_end()) is not None:
-            tell(closed)
+        if not over and (owner := self._owner()) is not None:
+            owner.on_over(closed)
 
 
 def sees_all(viewer: Any) -> bool:

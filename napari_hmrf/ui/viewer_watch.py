@@ -10,12 +10,14 @@ from psygnal import Signal
 
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
+from napari_hmrf.layers.pixel_copy import CHANGES
+from napari_hmrf.layers.place import PLACE
 from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.events import Listening, Pixels, single_shot
+from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
@@ -42,8 +44,6 @@ class ViewerWatch:
     guide : Guide
     """
 
-    #: Another layer feels the mouse, or ours does again.
-    active_changed = Signal()
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
 
@@ -60,7 +60,7 @@ class ViewerWatch:
         self._viewer, self._form, self._choices = viewer, form, choices
         self._results = shared(viewer, ResultLayers)
         self._pointer, self._live, self._guide = pointer, live, guide
-        self._pixels = Pixels(live.touch, refreshed=True)
+        self._read: list[Any] = []
         self._fitting = single_shot(native, 50, viewer.reset_view)
         self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
@@ -69,7 +69,7 @@ class ViewerWatch:
         self._begun = self._was_active = False
         live.moved_on.connect(self._on_other)
         self._layers = Listening()
-        self._slice = _slice_of(viewer.dims)
+        self._slice = self._slice_shown
         form.edited.connect(self._on_choice)
         form.image.changed.connect(self._on_choice)
         self._events = Listening(
@@ -88,8 +88,8 @@ class ViewerWatch:
 
     def release(self) -> None:
         """Listen no more."""
-        for heard in (self._events, self._layers, self._pixels):
-            heard.release()
+        self._events.release()
+        self._layers.release()
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
@@ -125,12 +125,10 @@ class ViewerWatch:
     def _on_choice(self, *_: Any) -> None:
         form = self._form
         boundary = form.motion.boundary
-        chosen = (form.image.value, form.tissue.layer, boundary.choice.value)
-        layers = (*chosen, boundary.confidence.value)
-        self._pixels.listen_to([layer for layer in layers if layer is not None])
-        missing = form.image.value is not None and None in self._painted
-        form.make.enabled = missing
-        form.intensity.enabled = form.image.value is not None
+        image, there = form.image.value, form.image.value is not None
+        self._read = [image, form.tissue.layer, boundary.choice.value, boundary.confidence.value]
+        form.make.enabled = there and None in self._painted
+        form.intensity.enabled = there
         self._mark()
         self._live.touch()
         self._guide.look_at_view()
@@ -139,38 +137,58 @@ class ViewerWatch:
 
     def _on_slice(self, *_: Any) -> None:
         # An arrow over the image's edge makes the canvas larger, and napari says as much.
-        before, self._slice = self._slice, _slice_of(self._viewer.dims)
+        before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
             self._pointer.release()
             self.look_at_mouse()
             self._live.touch()
 
+    @property
+    def _slice_shown(self) -> tuple[tuple[int, ...], list[float]]:
+        """Which axes are drawn, and where on all others."""
+        dims = self._viewer.dims
+        return dims.displayed, [dims.point[axis] for axis in dims.not_displayed]
+
     def _listen_to_layers(self) -> None:
-        """Listen to whether layers are shown, and taken to be painted on: those there are now."""
+        """Listen to what is done with layers: those there are now."""
         self._layers.release()
-        layers = list(self._viewer.layers)
-        painted = [layer for layer in layers if isinstance(layer, Labels)]
+        answers: dict[str, Any] = {"visible": self._guide.look_at_view, "mode": self._on_mode}
+        answers.update(dict.fromkeys((*CHANGES, *PLACE), self._on_pixels))
         self._layers = Listening(
-            *((layer.events.visible, self._guide.look_at_view) for layer in layers),
-            *((layer.events.mode, self._on_mode) for layer in painted),
+            *(
+                (layer.events[name], answer)
+                for layer in self._viewer.layers
+                for name, answer in answers.items()
+                if name in layer.events
+            )
         )
+
+    def _on_pixels(self, event: Any) -> None:
+        """The pixels of a layer, or their place, may be others."""
+        if self._reads(event.source):
+            self._live.touch()
+
+    def _reads(self, layer: Any) -> bool:
+        """Whether a layer is among those that are read."""
+        return any(layer is each for each in self._read)
 
     def _on_inserted(self, event: Any) -> None:
         self._listen_to_layers()
         self._choices.look()
-        self._choices.take([event.value])
+        self._choices.take(event.value)
         if role_of(event.value) and len(self._viewer.layers) == 1:
             self._fitting.start()  # napari fitted it before it knew the canvas
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
+        was_read = self._reads(event.value)
         self._listen_to_layers()
         self._choices.look()
-        self._let_go_of(event.value)
+        self._let_go_of(event.value, was_read)
         self._leaving.start()
         self._on_choice()
 
-    def _let_go_of(self, layer: Any) -> None:
+    def _let_go_of(self, layer: Any, was_read: bool) -> None:
         """A layer was removed: nothing is computed of it any more."""
         live, display, why = self._live, self._pointer.display, messages.removed(layer)
         if layer is display.arrows.former and not display.quiet:
@@ -180,7 +198,7 @@ class ViewerWatch:
             live.cancel(why)
             live.forget()
             self._guide.say_gone(layer)
-        elif live.is_solving(layer):
+        elif was_read and live.settling:
             live.cancel(why)
 
     def _on_left(self) -> None:
@@ -200,7 +218,7 @@ class ViewerWatch:
             if stopped:
                 pointer.release()
             self._guide.look_at_mouse(stopped)
-            self.active_changed.emit()
+            pointer.changed.emit()
 
     def _on_active(self, *_: Any) -> None:
         if is_selection_kept(self._viewer):
@@ -236,13 +254,3 @@ class ViewerWatch:
         while event.type == "mouse_move":
             yield
         self._live.show_before(False)
-
-
-def _slice_of(dims: Any) -> tuple[int, tuple[int, ...], tuple[float, ...]]:
-    """In how many dimensions, which axes are drawn, and where on all others."""
-    shown = tuple(int(axis) for axis in dims.displayed)
-    return (
-        int(dims.ndisplay),
-        shown,
-        tuple(float(at) for axis, at in enumerate(dims.point) if axis not in shown),
-    )

@@ -81,9 +81,7 @@ class CurveEditor(QtWidgets.QWidget):
         if self.curve.void_below is None:
             # What a first tick says: it is likely, and the dark end of the curve if nothing is.
             air = between_air_and_tissue(values)
-            self._showing = True
             self.void_below.show_value(self.curve.points[0][0] if air is None else air)
-            self._showing = False
 
     def _assemble(self) -> None:
         layout, label = QtWidgets.QVBoxLayout(self), QtWidgets.QLabel

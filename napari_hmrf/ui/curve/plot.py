@@ -269,12 +269,11 @@ class CurvePlot(QWidget):
         if self._held is None:
             self._ends = self._around(curve)
         (left, right), (bottom, top) = self._ends
-        axes.set_yscale("log" if curve.logarithmic else "linear")
-        axes.set(xlim=(left, right), ylim=(bottom, top))
-        if curve.logarithmic and top < 100 * bottom:
+        if curve.logarithmic:
             axes.set_yscale("log", subs=(2, 5))
-        elif curve.logarithmic:
+        if top >= 100 * bottom:  # there are decades to see
             axes.minorticks_off()
+        axes.set(xlim=(left, right), ylim=(bottom, top))
         for axis in (axes.xaxis, axes.yaxis):
             axis.set(major_formatter="{x:g}", minor_formatter="{x:g}")
         unit = f" ({curve.unit})" if curve.unit else ""

@@ -62,7 +62,8 @@ class Pointer:
 
     #: The drawing is another.
     drawn = Signal()
-    #: What is drawn, what can be undone or what is selected is another, or another tool is taken.
+    #: What is drawn, what can be undone or what is selected is another, or another tool is taken,
+    #: or the mouse draws with it or no longer does.
     changed = Signal()
     #: What there is to say, in words; "": what can be done next.
     said = Signal(str)

@@ -12,9 +12,11 @@ from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.palette import Palette
-from napari_hmrf.ui.forms import LEAST_CONFIDENCE, confidence_slider, length, narrow, share
+from napari_hmrf.ui.forms import length, narrow, share
 from napari_hmrf.ui.motion.tools import BY_NAME, Tool
 
+#: The lowest confidence that is asked for; below, it says nothing.
+_LEAST_CONFIDENCE = 0.05
 _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
     "it by more than about that"
@@ -47,7 +49,9 @@ class ToolFields(Container):
             "of the image",
             name="amount",
         )
-        self.confidence = confidence_slider(_SURE)
+        self.confidence = share(
+            "confidence", _SURE, name="confidence", value=1.0, min=_LEAST_CONFIDENCE
+        )
         self.sure = share(
             "becomes",
             "How sure it is what is held or moved under the brush. 1: exactly so, "
@@ -81,7 +85,8 @@ class ToolFields(Container):
             tooltip="Published tissues to paint with, as the tissue layer has no table of its own; "
             "what is not painted behaves as the first of them",
         )
-        narrow(self.preset)
+        for menu in (self.preset, self.components):
+            narrow(menu)
         self._own_table = False
         super().__init__(
             widgets=[
@@ -156,7 +161,7 @@ class ToolFields(Container):
             field, what = getattr(self, name), _SAYS.get(name, name)
             value = said.get(what, field.value)
             if name == "confidence":
-                value = max(value, LEAST_CONFIDENCE)
+                value = max(value, _LEAST_CONFIDENCE)
             if name != "material" or value in field.choices:
                 with field.changed.blocked():
                     field.value = value

@@ -35,7 +35,6 @@ class UnderCursor:
         self._points: Points | None = None
         self._tissue: Any = None
         self._place: Frame | None = None
-        self._ways = Directions()
         self._materials: dict[int, Material] = {}
         self._line = ""
         viewer.events.status.connect(self._on_status)
@@ -52,7 +51,6 @@ class UnderCursor:
         self._shown, self._points, self._tissue, self._place = shown, points, None, None
         if shown is None:
             return
-        self._ways = Directions.of(shown.answer.frame, self._viewer)
         self._tissue = tissue = tissue_of(self._viewer.layers, shown.answer)
         if tissue is not None:
             self._place = frame_in(tissue, shown.answer)
@@ -78,11 +76,12 @@ class UnderCursor:
         found, shown = self.at(position), self._shown
         if found is None or shown is None:
             return ""
-        more, overlay = [self._stiffness(found)], shown.overlay
+        answer, more, overlay = shown.answer, [self._stiffness(found)], shown.overlay
         if overlay is not None and overlay.picture is not None:
             strain = float(overlay.picture[found.row, found.col])
             more.insert(0, strain_of(overlay.name, strain))
-        return at_point(shown.answer.unit, found, self._ways, more, shown.percent)
+        ways = Directions.of(answer.frame, self._viewer)
+        return at_point(answer.unit, found, ways, more, shown.percent)
 
     def _stiffness(self, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

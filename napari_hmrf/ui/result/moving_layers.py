@@ -36,12 +36,14 @@ class MovingLayers:
     ----------
     overlay : Overlay, optional
         What lies over the image.
+    motion : Motion
+        What moves.
     source : napari.layers.Image, optional
         What is moved.
     image : ndarray, optional
         A copy of that.
     percent : int
-        How much of the deformation was chosen to be seen.
+        How much of the deformation is drawn.
     longest : float
         How far anything moves, in the unit of the answer.
     """
@@ -51,18 +53,11 @@ class MovingLayers:
         self.overlay: Overlay | None = None
         self.source = source_of(viewer.layers, answer)
         self.image: npt.NDArray[Any] | None = None
+        self.motion = Motion(answer.solution)
         self.percent = FULL
         self.longest = float(magnitude(answer.solution.displacement).max(initial=0.0))
-        # How long arrows are at 100 %, and at how much of the deformation they are drawn.
-        self._length, self._drawn = arrows.length, FULL
-
-    @property
-    def motion(self) -> Motion:
-        """What moves."""
-        overlay, solution = self.overlay, self.answer.solution
-        if overlay is None:
-            return Motion(solution, self.image)
-        return Motion(solution, self.image, overlay.picture, overlay.name == "grid")
+        # How long arrows are at 100 %.
+        self._length = arrows.length
 
     def copy_image(self) -> None:
         """Have the image be moved as it is now.
@@ -72,7 +67,19 @@ class MovingLayers:
         HmrfError
             If it cannot be read; the rest moves.
         """
-        self.image = None if self.source is None else picture_of(self.source, self.answer)
+        if self.source is not None:
+            self.image = picture_of(self.source, self.answer)
+            self.motion = Motion(self.answer.solution, self.image)
+
+    def lay_over(self, made: Overlay | None, show: bool = False) -> None:
+        """Have something lie over the image, or nothing, and move with the tissue from now on."""
+        solution, self.overlay = self.answer.solution, made
+        if made is None:
+            self.layers.drop("overlay")
+            self.motion = Motion(solution, self.image)
+        else:
+            self.layers.put("overlay", made.layer, self.source, show)
+            self.motion = Motion(solution, self.image, made.picture, made.name == "grid")
 
     def layer(self, part: Part) -> Any:
         """The layer of a part; None if it is gone, or the arrows are that hold the result."""
@@ -106,7 +113,7 @@ class MovingLayers:
         """Let them end where the tissue is at so much of the deformation; their data stay."""
         if (arrows := self.layer("arrows")) is not None:
             # Somebody may have chosen another length.
-            if self._drawn and arrows.length != self._length * self._drawn / FULL:
-                self._length = arrows.length * FULL / self._drawn
+            if self.percent and arrows.length != self._length * self.percent / FULL:
+                self._length = arrows.length * FULL / self.percent
             arrows.length = self._length * percent / FULL
-        self._drawn = percent
+        self.percent = percent

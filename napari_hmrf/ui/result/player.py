@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections import OrderedDict
 from functools import partial
 from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.moving_layers import MovingLayers
+from napari_hmrf.ui.result.result_messages import FULL
 
 #: All of the deformation in one direction, in seconds.
 SECONDS = 2.0
@@ -21,8 +20,6 @@ SECONDS = 2.0
 _TICK = 40
 #: Steps of the slider in which is played, at best, in per cent.
 _STEP = 2
-#: Moments kept, in bytes; a second pass then costs nothing.
-_KEPT = 256 * 2**20
 
 
 class Player:
@@ -35,6 +32,8 @@ class Player:
 
     Attributes
     ----------
+    shown : MovingLayers or None
+        The result whose moments are drawn.
     moved : Signal(int)
         Per cent that playing has come to.
     playing_changed : Signal(bool)
@@ -45,17 +44,9 @@ class Player:
 
     def __init__(self, parent: Any, errands: Errands) -> None:
         self._errands = errands
-        self._shown: MovingLayers | None = None
-        self._motion: Motion | None = None
-        self._kept: OrderedDict[int, Moment] = OrderedDict()
+        self.shown: MovingLayers | None = None
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
-
-    def go_through(self, shown: MovingLayers | None) -> None:
-        """Draw moments of this from now on, by what moves of it now; or of nothing."""
-        self._shown = shown
-        self._motion = None if shown is None else shown.motion
-        self._kept.clear()
 
     @property
     def playing(self) -> bool:
@@ -64,9 +55,9 @@ class Player:
 
     def play(self) -> None:
         """Go back and forth until stopped, beginning where the slider is."""
-        if self._shown is None or self.playing:
+        if self.shown is None or self.playing:
             return
-        self._started = time.monotonic() - SECONDS * self._shown.percent / 100
+        self._started = time.monotonic() - SECONDS * self.shown.percent / FULL
         self._timer.start()
         self.playing_changed.emit(True)
 
@@ -78,39 +69,23 @@ class Player:
 
     def show(self, percent: int) -> None:
         """Draw a moment, at once if it is kept, else as soon as it is computed."""
-        if self._shown is None or self._motion is None:
+        if (shown := self.shown) is None:
             return
-        kept = self._kept.get(percent)
-        if kept is not None:
-            self._kept.move_to_end(percent)
-            self._shown.draw(percent, kept)
-            return
-        work = partial(self._motion.at, percent / 100)
-        self._errands.send("moment", work, partial(self._on_moment, percent, self._motion))
-
-    def _on_moment(self, percent: int, motion: Motion, moment: Moment) -> None:
-        if self._shown is None or motion is not self._motion:
-            return
-        self._kept[percent] = moment
-        while len(self._kept) > 1 and len(self._kept) * moment.nbytes > _KEPT:
-            self._kept.popitem(last=False)
-        self._shown.draw(percent, moment)
+        if (moment := shown.motion.known(percent / FULL)) is not None:
+            self._errands.forget("moment")
+            shown.draw(percent, moment)
+        else:
+            work = partial(shown.motion.at, percent / FULL)
+            self._errands.send("moment", work, partial(shown.draw, percent))
 
     def _on_tick(self) -> None:
         # The slider waits for the picture: both always say the same.
-        if self._shown is None or self._errands.busy("moment"):
+        if self.shown is None or self._errands.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2
         part = along if along <= 1 else 2 - along
-        step = self._step
-        percent = min(100, round(100 * part / step) * step)
-        if percent != self._shown.percent:
+        # As fine as all moments can be kept.
+        step = max(_STEP, math.ceil(FULL * self.shown.motion.finest))
+        percent = min(FULL, round(FULL * part / step) * step)
+        if percent != self.shown.percent:
             self.moved.emit(percent)
-
-    @property
-    def _step(self) -> int:
-        """As fine as all moments can be kept."""
-        if not self._kept:
-            return _STEP
-        size = next(reversed(self._kept.values())).nbytes
-        return max(_STEP, math.ceil(100 * size / _KEPT))

@@ -70,10 +70,8 @@ def overlay_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, s
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
     )
-    words = {
-        key: about.format(unit=unit, rows=rows, columns=columns) for key, about in _ABOUT.items()
-    }
-    return [(NOTHING, NOTHING), *((about, key) for key, about in words.items())]
+    words = {"unit": unit, "rows": rows, "columns": columns}
+    return [(NOTHING, NOTHING), *((said.format(**words), name) for name, said in _ABOUT.items())]
 
 
 def how_far(

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from napari.utils.key_bindings import coerce_keybinding
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Points
-from napari_hmrf.io.figures import new_folder, save_result_pictures
+from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
-from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.result_lookup import (
     can_be_source,
     result_of,
@@ -31,8 +30,6 @@ from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
-
-_BEFORE = coerce_keybinding(BEFORE_KEY)
 
 
 class ResultView:
@@ -84,7 +81,7 @@ class ResultView:
             (viewer.dims.events.order, self._say_how_far),
             (results.changed, self._on_changed),
         )
-        if not any(key == _BEFORE for key in getattr(viewer, "keymap", {})):
+        with suppress(ValueError):  # somebody else's
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
         found = [layer for layer in viewer.layers if result_of(layer) is not None]
         seen = [layer for layer in found if results.of(layer).visible]
@@ -127,16 +124,18 @@ class ResultView:
 
     def save(self, folder: Path, own_folder: bool = False) -> None:
         """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
-        if self.shown is None:
+        if (shown := self.shown) is None:
             self.said.emit(words.NO_RESULT)
             return
         self.said.emit(words.SAVING)
-        work = partial(_figures_of, self.shown.answer, self.shown.image, folder, own_folder)
-        self._errands.send("pictures", work, self._on_saved)
+        answer = shown.answer
+        made = f"{answer.source or 'result'} pictures" if own_folder else ""
+        what = folder, answer.solution, shown.image, answer.unit, made
+        self._errands.send("pictures", partial(save_result_pictures, *what), self._on_saved)
 
     def rest(self) -> None:
         """Leave the layers as they were before they were moved."""
-        if self._while_key_is_held in getattr(self._viewer, "keymap", {}).values():
+        if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
 
@@ -155,30 +154,27 @@ class ResultView:
         self._put_back()
         self._heard.release()
         self.cursor.watch(None)
-        answer = None if arrows is None else result_of(arrows)
-        layers = None if answer is None else self._results.of(arrows)
-        other = before is None or layers is not before.layers
+        answer, shown = None if arrows is None else result_of(arrows), None
+        if answer is not None:
+            shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
+        other = before is None or shown is None or shown.layers is not before.layers
         if before is not None and other:
             before.layers.leave()
-        self._form.enabled = answer is not None
-        if answer is None or layers is None:
-            self.shown = None
-            self.player.go_through(None)
-            self._form.how_far.say("")
+        self.shown = self.player.shown = shown
+        self._form.enabled = shown is not None
+        self._say_how_far()
+        if shown is None:
             return
-        self.shown = shown = MovingLayers(self._viewer, arrows, answer, layers)
         try:
             shown.copy_image()
         except HmrfError as error:
             self._refuse(error)
-        self.player.go_through(shown)
         self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
         self._on_eye()
-        self._say_how_far()
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
-        points = partial(Points, answer.solution)
+        points = partial(Points, shown.answer.solution)
         self._errands.send("points", points, partial(self.cursor.watch, shown))
 
     def _offer(self, shown: MovingLayers) -> None:
@@ -195,16 +191,13 @@ class ResultView:
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
         shown, arrows = self.shown, result.layer("arrows")
+        moves = self.player.playing or self._errands.busy("moment")
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self._look_at(arrows)
         elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
             self._look_at(arrows)
-        elif (
-            self.player.playing
-            or self._errands.busy("moment")
-            or self._form.slider.value != words.FULL
-        ):
+        elif moves or self._form.slider.value != words.FULL:
             self._draw_whole()  # all of it is there again
 
     def _on_active(self, *_: Any) -> None:
@@ -253,7 +246,7 @@ class ResultView:
             return
         if name == words.NOTHING:
             self._errands.forget("overlay")
-            self._show_overlay(shown, None)
+            self._on_overlay(shown, name, False, None)
         else:
             answer = partial(self._on_overlay, shown, name, chosen)
             self._errands.send("overlay", partial(overlay_of, shown.answer, name), answer)
@@ -261,24 +254,12 @@ class ResultView:
     def _on_overlay(
         self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
     ) -> None:
-        if shown is not self.shown:
-            return
-        self._show_overlay(shown, made, chosen)
+        self._errands.forget("moment")
+        shown.lay_over(made, chosen)
         if made is None and chosen:
             self.said.emit(words.LACKING[name])
         if self._form.slider.value != words.FULL:
             self.player.show(self._form.slider.value)
-
-    def _show_overlay(
-        self, shown: MovingLayers, made: Overlay | None, chosen: bool = False
-    ) -> None:
-        """Have this lie over the image, and move with the tissue from now on."""
-        if made is None:
-            shown.layers.drop("overlay")
-        else:
-            shown.layers.put("overlay", made.layer, shown.source, chosen)
-        shown.overlay = made
-        self.player.go_through(shown)
 
     # How much is seen
 
@@ -311,17 +292,17 @@ class ResultView:
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():
             self._form.slider.value = percent
-        if self.shown is not None:
-            self.shown.percent = percent
         self._say_how_far()
 
     def _say_how_far(self, *_: Any) -> None:
         """Say how much is seen, and whether it is the slice of the result that is shown."""
+        far = ""
         if (shown := self.shown) is not None:
             arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
             apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
-            far = words.how_far(shown.answer, shown.longest, shown.percent, apart)
-            self._form.how_far.say(far)
+            percent = self._form.slider.value
+            far = words.how_far(shown.answer, shown.longest, percent, apart)
+        self._form.how_far.say(far)
 
     # What is pressed
 
@@ -357,10 +338,3 @@ class ResultView:
 
     def _refuse(self, error: Exception) -> None:
         self.said.emit(str(error) or type(error).__name__)
-
-
-def _figures_of(answer: Answer, image: Any, folder: Path, own_folder: bool) -> list[Path]:
-    """Write the figures of a result into a folder, or into a new one there."""
-    if own_folder:
-        folder = new_folder(folder, f"{answer.source or 'result'} pictures")
-    return save_result_pictures(folder, answer.solution, image, answer.unit)
