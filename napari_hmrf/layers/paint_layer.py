@@ -72,7 +72,7 @@ def show_painted(
     Parameters
     ----------
     canvas : Canvas
-        With what was painted; it has kinds.
+        With what was painted.
     base : Canvas
         Beneath it.
     window : Box
@@ -82,7 +82,6 @@ def show_painted(
     confidence : ndarray of float32, shape (H, W), optional
         How sure is what is held or moved; the larger of its components.
     """
-    assert canvas.kinds is not None
     kinds = canvas.kinds[window]
     kinds = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
     sure = canvas.confidence[window].max(axis=-1)
@@ -95,10 +94,9 @@ def show_painted(
     rows, cols = np.ogrid[window]
     stripe = (rows + cols) // width % 2 == 0
     shown[(kinds == KINDS["free"]) & stripe] = 0
-    if canvas.labels is not None and base.labels is not None:
-        labels = canvas.labels[window]
-        tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
-        shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
+    labels = canvas.labels[window]
+    tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
+    shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
     picture[window] = shown
 
 
@@ -179,7 +177,7 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     canvas : Canvas
-        With what was painted; it has kinds.
+        With what was painted.
 
     Returns
     -------
@@ -189,7 +187,6 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
         Red, green, blue and opacity of each, 0 to 1.
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
-    assert kinds is not None
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
     counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(

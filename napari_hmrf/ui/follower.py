@@ -270,8 +270,6 @@ def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
 def _moves_edge(ground: Ground, canvas: Canvas) -> bool:
     """Whether a patch that was taken hold of lies over what is held without it."""
     base = ground.base
-    if canvas.kinds is None:
-        return False
     moved = (
         (base.confidence > 0)
         & (canvas.confidence > 0)

@@ -134,8 +134,7 @@ class Drawing:
         Raises
         ------
         ProblemError
-            If a stroke that is to expand is an open line, or there are no labels to paint tissue
-            in.
+            If a stroke that is to expand is an open line.
         """
         canvas = base.copy()
         for mark in self.marks:
