@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
-from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_layers import LayerData, vector_layer
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 
@@ -87,18 +86,14 @@ def arrow_lines(
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     """A Vectors layer to show arrows in, still without any."""
-    attributes: dict[str, Any] = {
-        **frame.placement(),
-        "name": NAME,
+    look = {
         "vector_style": "line",
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
-        "opacity": 1.0,
-        "metadata": {METADATA: {"kind": "drawing", "slice": frame.slice_name}},
+        "ndim": frame.ndim,  # napari cannot tell how many axes no arrows have
     }
-    # napari cannot tell how many axes no arrows have.
-    none = frame.put_vectors(np.zeros((0, 2, 2)))
-    return LayerData(none, {**attributes, "ndim": frame.ndim}, "vectors")
+    known = {"kind": "drawing", "slice": frame.slice_name}
+    return vector_layer(frame, np.zeros((0, 2, 2)), NAME, known, look)
 
 
 def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:

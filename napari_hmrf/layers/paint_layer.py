@@ -15,12 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
-from napari_hmrf.field.colormaps import OPACITY
 from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows
-from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_layers import LayerData, pixel_layer
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
@@ -139,34 +137,15 @@ def painted_layer(
     frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]
 ) -> LayerData:
     """A Labels layer of what was painted."""
-    return LayerData(
-        frame.put_image(picture),
-        {
-            **frame.placement(image=True),
-            "name": NAME,
-            "opacity": 1.0,
-            "colormap": painted_colours(tissues),
-            "metadata": {METADATA: {"kind": "painted", "slice": frame.slice_name}},
-        },
-        "labels",
-    )
+    known = {"kind": "painted", "slice": frame.slice_name}
+    look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
+    return pixel_layer(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
     """An Image layer of how sure is what is held or moved."""
-    return LayerData(
-        frame.put_image(confidence),
-        {
-            **frame.placement(image=True),
-            "name": "Confidence",
-            "colormap": quantity_colours(signed=False),
-            "contrast_limits": (0.0, 1.0),
-            "blending": "translucent",
-            "opacity": OPACITY,
-            "metadata": {METADATA: {"kind": "painted confidence", "slice": frame.slice_name}},
-        },
-        "image",
-    )
+    known = {"kind": "painted confidence", "slice": frame.slice_name}
+    return pixel_layer(frame, confidence, "Confidence", known, confidence_look())
 
 
 def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
