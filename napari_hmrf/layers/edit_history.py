@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import paint_steps, unwrapped
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
@@ -139,10 +139,9 @@ class ViewerSteps:
 
     def where(self, slot: Any) -> str:
         """Where something is edited, in words, if there is more than one place; else nothing."""
-        if not isinstance(slot, Slot) or slot.what != DRAWING:
+        if slot.what != DRAWING:
             return ""
-        drawn = [each for each in self.edits.slots if isinstance(each, Slot)]
-        images = {id(each.layer) for each in drawn if each.what == DRAWING}
+        images = {id(each.layer) for each in self.edits.slots if each.what == DRAWING}
         where = "" if slot.place is None else slot.place.name
         if len(images) > 1:
             where += f" of '{slot.layer.name}'" if where else f"'{slot.layer.name}'"
@@ -168,7 +167,7 @@ class ViewerSteps:
     def _go_to(self, slot: Any) -> None:
         """Show the slice that something was drawn on, unless the viewer shows other axes."""
         viewer = self._viewer()
-        if viewer is None or not isinstance(slot, Slot) or slot.place is None:
+        if viewer is None or slot.place is None:
             return
         plane, index = slot.place.plane, slot.place.index
         dims, layer = viewer.dims, slot.layer
@@ -186,12 +185,12 @@ class ViewerSteps:
 
     def _on_changed(self, slot: Any, value: Any) -> None:
         """Have the layer carry its table; whoever shows it listens for itself."""
-        if isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY) and isinstance(value, Table):
-            value.give_to(slot.layer, TISSUE if slot.what == TISSUE else BOUNDARY)
+        if slot.what in (TISSUE, BOUNDARY):
+            value.give_to(slot.layer, slot.what)
 
     def _on_removed(self, event: Any) -> None:
         gone = event.value
-        self.edits.drop(lambda slot: isinstance(slot, Slot) and slot.layer is gone)
+        self.edits.drop(lambda slot: slot.layer is gone)
 
 
 def steps_of(viewer: Any) -> ViewerSteps:

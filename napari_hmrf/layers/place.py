@@ -26,11 +26,6 @@ _TOLERANCE = 1e-3
 _FARTHEST = 2**31
 
 
-def place_of(layer: Any) -> dict[str, Any]:
-    """Keyword arguments that make a layer of the same axes lie where this one does."""
-    return {name: getattr(layer, name) for name in PLACE}
-
-
 @dataclass(frozen=True)
 class Frame:
     """The place of a slice: which of a layer's axes are its rows and columns, and the transform.

@@ -11,7 +11,7 @@ from napari.layers import Labels
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import fits
-from napari_hmrf.layers.place import Frame, place_of
+from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View, layer_extents
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -86,7 +86,7 @@ def layers_to_paint_on(image: Any, view: View | None = None) -> tuple[Any, Any]:
     """
     frame = Frame.of(image, view)
     shape = layer_extents(image)
-    place = place_of(image)
+    place = frame.placement()
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
         place = frame.placement(image=True)

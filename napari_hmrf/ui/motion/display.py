@@ -58,8 +58,6 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # Whose picture is shown although nothing has moved.
-        self._still: Result | None = None
         self._busy = False
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
@@ -87,15 +85,15 @@ class Display:
     def stand_on(self, study: Study | None, image: Any) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
         self._touches_wait.stop()
-        before, still, self._still = self.result, self._still, None
+        before, moved = self.result, self.moved
         self._image = image
         self.seen = None
         with self.own_doing():
-            if still is not None:
-                still.remove()
             self.painted.forget()
-            if before is not None:
+            if before is not None and moved is not None:
                 before.drop(CONFIDENCE)
+                if moved.ground is not None and not moved.moves:
+                    before.remove()  # its picture is shown although nothing has moved
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.place, study.grid.shape)
@@ -130,7 +128,6 @@ class Display:
                 self._show_result({"image": picture}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
                 result.remove()
-            self._still = None if moved.moves else result
             self.show_painted(seen, hand)
 
     def finish(self, done: Done) -> None:

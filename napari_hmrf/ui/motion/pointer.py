@@ -9,6 +9,7 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.ground import Ground
@@ -20,7 +21,6 @@ from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
-from napari_hmrf.ui.motion.badge import Badge
 from napari_hmrf.ui.motion.display import Display
 from napari_hmrf.ui.motion.hands import Hand
 from napari_hmrf.ui.motion.tool_fields import ToolFields
@@ -77,7 +77,8 @@ class Pointer:
         # Whether what is selected was picked up, and not just made.
         self._picked = False
         self.display = Display(native, viewer, self)
-        self._badge = Badge(viewer)
+        # The text in a corner of the canvas, and what we said there.
+        self._corner, self._in_corner = text_of(viewer), ""
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
@@ -178,8 +179,11 @@ class Pointer:
         self.say_tool()
 
     def say_tool(self) -> None:
-        """Say on the canvas which tool the mouse has, if any."""
-        self._badge.say(self._fields.words if self.active else "")
+        """Say on the canvas which tool the mouse has, if any; what others wrote there stays."""
+        corner = self._corner
+        if not corner.visible or corner.text == self._in_corner:
+            self._in_corner = corner.text = self._fields.words if self.active else ""
+            corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Have another drawing, as one step."""
@@ -220,7 +224,7 @@ class Pointer:
         """Draw no more; take away the layers that nobody answers. What is drawn stays."""
         self.stand_on(None)
         self.display.leave()
-        self._badge.say("")
+        self.say_tool()
 
     def end(self) -> None:
         """Feel nothing any more."""
