@@ -153,6 +153,30 @@ def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.floa
     )
 
 
+def spread(where: npt.NDArray[np.bool_], apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
+    """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
+
+    Parameters
+    ----------
+    where : ndarray of bool, shape (H, W)
+    apart : float or array_like, shape (2,)
+        Rows and columns of a cell, in pixels.
+
+    Returns
+    -------
+    ndarray of int, shape (N, 2)
+    """
+    pixels = np.argwhere(where)
+    if not len(pixels):
+        return pixels
+    cells = (pixels / np.asarray(apart)).astype(np.int64)
+    off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
+    order = np.argsort(off, kind="stable")
+    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    _, first = np.unique(key[order], return_index=True)
+    return pixels[order[first]]
+
+
 def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:
     """(start, step) of every line, in pixels."""
     arrow = mark.arrow(spacing) if isinstance(mark, Landmark) else mark

@@ -10,6 +10,7 @@ from napari_hmrf.field.animation import Motion, moved_grid
 from napari_hmrf.field.deformation import pixels_between
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.strain import folds
+from napari_hmrf.layers.arrow_layer import spread
 from napari_hmrf.layers.label_colours import (
     OBSERVED,
     OVER,
@@ -121,11 +122,8 @@ def _given_layer(answer: Answer, problem: Problem, name: Name) -> LayerData:
         c = problem.confidence.max(axis=-1)
         return answer.pixels(name, c, name, confidence_look())
     y, known = problem.observed, problem.known  # what was held has a dot
-    apart_by = pixels_between(_ACROSS, answer.shape, problem.spacing)
-    starts = np.argwhere(known.any(axis=-1))
-    if len(starts):
-        _, first = np.unique(starts // apart_by, axis=0, return_index=True)
-        starts = starts[first]
+    apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
+    starts = spread(np.asarray(known.any(axis=-1)), apart)
     steps = np.where(known, y, 0)[tuple(starts.T)] / problem.spacing
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300

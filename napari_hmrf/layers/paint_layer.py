@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
-from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows
+from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows, spread
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData, pixel_layer
@@ -171,7 +171,7 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
     counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(
         axis=-1
     )
-    places = _spread(counts, apart / size)
+    places = spread(counts, apart / size)
     lines: list[npt.NDArray[np.float64]] = []
     colours: list[npt.NDArray[np.float64]] = []
     for action in _MARKED:
@@ -196,19 +196,6 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 #: The arms of their crosses.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
-
-
-def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
-    """Pixels of a region, one in each cell of a size in pixels, the nearest to its middle."""
-    pixels = np.argwhere(where)
-    if not len(pixels):
-        return pixels
-    cells = (pixels / apart).astype(np.int64)
-    off = np.abs(pixels / apart - cells - 0.5).max(axis=1)
-    order = np.argsort(off, kind="stable")
-    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    _, first = np.unique(key[order], return_index=True)
-    return pixels[order[first]]
 
 
 def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:

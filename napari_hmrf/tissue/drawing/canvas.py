@@ -102,20 +102,11 @@ def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     reach = [brush_reach(radius, spacing) / size for size in spacing]
     points = np.array([point for line in lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    rows, cols = (
-        slice(math.ceil(first), math.floor(last) + 1) for first, last in zip(low, high, strict=True)
-    )
-    return common((rows, cols), whole)
-
-
-def common(one: Box, other: Box) -> Box:
-    """The pixels in both."""
-    return _overlap(one[0], other[0]), _overlap(one[1], other[1])
-
-
-def _overlap(one: slice, other: slice) -> slice:
-    begin = max(one.start, other.start)
-    return slice(begin, max(begin, min(one.stop, other.stop)))
+    sides = []
+    for first, last, side in zip(low, high, whole, strict=True):
+        begin = max(math.ceil(first), side.start)
+        sides.append(slice(begin, max(begin, min(math.floor(last) + 1, side.stop))))
+    return sides[0], sides[1]
 
 
 def is_empty(box: Box) -> bool:
@@ -274,12 +265,8 @@ def _expanded_whole(
 ) -> tuple[FloatArray, FloatArray, Box]:
     """The same of its whole region, and where that lies: normals depend on all of it."""
     rows, cols = shape
-    points = np.array([point for line in stroke.lines for point in line])
-    reach = brush_reach(stroke.radius, spacing) / np.array(spacing) + 1
-    low, high = np.floor(points.min(axis=0) - reach), np.ceil(points.max(axis=0) + reach) + 1
-    own = slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
     # A region that leaves the image has its outline out there, but not endlessly far.
-    box = common(own, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
+    box = box_of(stroke, spacing, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
     painted = covered(stroke, spacing, box)
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
     y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
