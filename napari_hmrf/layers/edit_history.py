@@ -89,7 +89,7 @@ class ViewerSteps:
 
     def __init__(self, viewer: Any) -> None:
         self.edits = StudyModel()
-        self._viewer = weakref.ref(viewer)
+        self._viewer = weakref.proxy(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
         self._keys: UndoKeys | None = None
         self.edits.changed.connect(self._on_changed)
@@ -97,15 +97,13 @@ class ViewerSteps:
 
     def undo(self) -> None:
         """Take back what was done last, and go to where that was."""
-        if self._interrupted():
-            return
-        self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
+        if not self._interrupted():
+            self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Do again what was taken back last, and go to where that is."""
-        if self._interrupted():
-            return
-        self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
+        if not self._interrupted():
+            self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
     @property
     def undo_tooltip(self) -> str:
@@ -125,10 +123,9 @@ class ViewerSteps:
         owner : Owner
             Who wants it; the keys stay until nobody does.
         """
-        viewer = self._viewer()
         self._owners.add(owner)
-        if viewer is not None and self._keys is None:
-            self._keys = UndoKeys(viewer, self)
+        if self._keys is None:
+            self._keys = UndoKeys(self._viewer, self)
 
     def unbind_keys(self, owner: Owner) -> None:
         """Leave the viewer's keys alone, unless somebody else still wants them."""
@@ -166,11 +163,10 @@ class ViewerSteps:
 
     def _go_to(self, slot: Any) -> None:
         """Show the slice that something was drawn on, unless the viewer shows other axes."""
-        viewer = self._viewer()
-        if viewer is None or slot.place is None:
+        if slot.place is None:
             return
         plane, index = slot.place.plane, slot.place.index
-        dims, layer = viewer.dims, slot.layer
+        dims, layer = self._viewer.dims, slot.layer
         view, missing = View.of(dims), dims.ndim - layer.ndim
         if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
             return

@@ -177,7 +177,7 @@ class _Reader:
         unit = str(known_of(layer).get("unit", ""))
         if isinstance(layer, Labels):
             rows = request.materials
-            rows = rows_of(layer, TISSUE) or () if rows is None else tuple(rows)
+            rows = rows_of(layer, TISSUE) if rows is None else tuple(rows)
             return Tissue(
                 labels=self._slice(layer),
                 materials=rows,
@@ -210,7 +210,7 @@ class _Reader:
         if request.drawing is None and not labels.any():
             _refuse_unpainted(layer, self._frames[id(layer)])
         rules = request.rules
-        rules = rows_of(layer, BOUNDARY) or () if rules is None else tuple(rules)
+        rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
     def _arrows(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
