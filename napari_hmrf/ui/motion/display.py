@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, Result, ResultLayers
@@ -180,19 +178,15 @@ class Display:
 
     def draw(self, drawing: Drawing, hand: Hand) -> None:
         """Show arrows, landmarks, and the marks of what is painted."""
-        parts: list[Lines] = []
+        below: list[Lines] = []
         seen, stroke = self.seen, hand.mark
         if seen is not None and seen.marks is not None:
-            parts.append(seen.marks)
+            below.append(seen.marks)
         moved = self.moved
         ground = None if moved is None else moved.ground
         if isinstance(stroke, Stroke) and not hand.holding and moved and ground:
-            parts.append(outline_of(stroke, ground.base, moved.goes_to))
-        more = None
-        if parts:
-            lines, colours = zip(*parts, strict=True)
-            more = np.concatenate(lines), np.concatenate(colours)
-        self.arrows.show(drawing, hand.selected, hand.pending, more, quick=hand.holding)
+            below.append(outline_of(stroke, ground.base, moved.goes_to))
+        self.arrows.show(drawing, hand.selected, hand.pending, below, quick=hand.holding)
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""

@@ -13,7 +13,7 @@ from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.ground import Ground
-from napari_hmrf.study.study import Study
+from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
@@ -73,10 +73,10 @@ class Pointer:
         self._fields, self._steps = fields, steps
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
-        self.hand: Hand = self.tool.hand(self.history)
         # Whether what is selected was picked up, and not just made.
         self._picked = False
         self.display = Display(native, viewer, self)
+        self._open_hand()
         # The text in a corner of the canvas, and what we said there.
         self._corner, self._in_corner = text_of(viewer), ""
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
@@ -253,11 +253,11 @@ class Pointer:
             self.said.emit(motion_messages.NOTHING)
         elif hand.pending is not None:
             self.said.emit(motion_messages.HALF)
+        elif isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
+            self.said.emit(motion_messages.NO_STEP)
         else:
             self.said.emit("")
         if self.tool.is_brush:
-            if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
-                self.said.emit(motion_messages.NO_STEP)
             self.display.touch(hand, point, first=True)
         if hand.holding:
             self.display.arrows.hide_circle()
@@ -340,12 +340,9 @@ class Pointer:
 
     def _open_hand(self) -> None:
         """Hold the tool, with nothing selected."""
-        seen = self.display.seen
-        if seen is None:
-            self.hand = self.tool.hand(self.history)
-        else:
-            grid = seen.moved.study.grid
-            self.hand = self.tool.hand(self.history, grid.spacing, grid.shape)
+        moved = self.display.moved
+        grid = Grid((1, 1), (1.0, 1.0)) if moved is None else moved.study.grid
+        self.hand: Hand = self.tool.hand(self.history, grid.spacing, grid.shape)
 
     def _show_how(self) -> None:
         mark = self.hand.mark
