@@ -13,6 +13,7 @@ from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, touches
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
@@ -46,6 +47,8 @@ class Display:
         The tissue as it is seen.
     tissues : dict of int to colour
         Of the tissues that can be painted.
+    quiet : bool
+        Whether layers come and go by our own doing.
     """
 
     def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
@@ -56,21 +59,21 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        self._busy = False
+        self.quiet = False
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
         self._places = 0
         self._touches_wait = single_shot(native, _AHEAD, self._show_touches)
 
     @property
-    def quiet(self) -> bool:
-        """Whether layers come and go by our own doing."""
-        return self._busy
-
-    @property
     def moved(self) -> Deformation | None:
         """The tissue as it is seen."""
         return None if self.seen is None else self.seen.moved
+
+    @property
+    def ground(self) -> Ground | None:
+        """What tissue follows on; None while something is read, or compiled."""
+        return None if self.seen is None else self.seen.moved.ground
 
     @property
     def result(self) -> Result | None:
@@ -108,7 +111,7 @@ class Display:
 
     def is_beside(self, stroke: Stroke) -> bool:
         """Whether a stroke lies beside all tissue, and does not make any."""
-        ground = None if self.moved is None else self.moved.ground
+        ground = self.ground
         if ground is None or stroke.action == "tissue":
             return False
         return not touches(stroke, ground.base, ground.body)
@@ -182,10 +185,8 @@ class Display:
         seen, stroke = self.seen, hand.mark
         if seen is not None and seen.marks is not None:
             below.append(seen.marks)
-        moved = self.moved
-        ground = None if moved is None else moved.ground
-        if isinstance(stroke, Stroke) and not hand.holding and moved and ground:
-            below.append(outline_of(stroke, ground.base, moved.goes_to))
+        if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
+            below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
         self.arrows.show(drawing, hand.selected, hand.pending, below, quick=hand.holding)
 
     def leave(self) -> None:
@@ -199,8 +200,8 @@ class Display:
     @contextmanager
     def own_doing(self) -> Iterator[None]:
         """Layers that come and go meanwhile do so by our own doing."""
-        before, self._busy = self._busy, True
+        before, self.quiet = self.quiet, True
         try:
             yield
         finally:
-            self._busy = before
+            self.quiet = before

@@ -12,7 +12,6 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
@@ -110,12 +109,6 @@ class Pointer:
             **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
         }
 
-    @property
-    def _ground(self) -> Ground | None:
-        """What tissue follows on; None while something is read, or compiled."""
-        moved = self.display.moved
-        return None if moved is None else moved.ground
-
     # What can be done
 
     def stand_on(self, study: Study | None, image: Any = None) -> None:
@@ -175,7 +168,7 @@ class Pointer:
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()
-        self.said.emit("" if self._ground else motion_messages.PREPARING)
+        self.said.emit("" if moved.ground else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
@@ -207,7 +200,7 @@ class Pointer:
         if seen.moved.error is not None:
             self._show_error(seen)
             return
-        before, known = self.display.seen, self._ground
+        before, known = self.display.seen, self.display.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
