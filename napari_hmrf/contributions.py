@@ -85,13 +85,12 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     layers: list[LayerData] = []
     for each in [path] if isinstance(path, str) else path:
         try:
-            outputs = result_layers(Solution.load(each))
+            made = result_layers(Solution.load(each)).layers["arrows"]
         except ValueError as error:
             if isinstance(error, FileFormatError):
                 raise
             raise FileFormatError(f"{Path(each).name}: not a valid result: {error}") from error
-        made = outputs.layers["arrows"]
-        layers.append((made.data, {**made.attributes, "name": Path(each).stem}, made.kind))
+        layers.append(made._replace(attributes={**made.attributes, "name": Path(each).stem}))
     return layers
 
 

@@ -188,15 +188,13 @@ def test_the_uppermost_stroke_is_found_under_a_place():
 
 
 def test_what_was_painted_last_is_known_of_each_pixel():
-    base = Canvas.blank(SHAPE, SPACING)
-    base = Canvas(base.observed, base.confidence, None, SPACING, np.zeros(SHAPE, np.uint8))
     marks = (
         Stroke("pin", (((20, 20),),), 8.0),
         Stroke("free", (((20, 20),),), 3.0),
         Stroke("confidence", (((20, 20), (20, 30)),), 3.0, confidence=0.5),
         Arrow((20, 24), (0, 0), 2.0),
     )
-    rendering = Rendering(base)
+    rendering = Rendering(Canvas.blank(SHAPE, SPACING))
     rendering.show(Drawing(marks))
     kinds = rendering.canvas.kinds
     assert [kinds[20, col] for col in (20, 22, 24, 30)] == [2, 1, 0, 0]

@@ -84,13 +84,20 @@ def edit(steps, what, place, move, tell):
     tell()
 
 
+def painted(rules):
+    """What is painted, to be drawn on."""
+    canvas = Canvas.blank(BOUNDARY.shape)
+    canvas.observed[...], canvas.confidence[...] = boundary_images(BOUNDARY, rules)
+    return canvas
+
+
 def problem_of(state, prior, rendering=None):
     """What the layers say, rendered anew or kept up to date."""
     if rendering is not None and state["rules"] == FIRST["rules"]:
         rendering.show(state["drawing"])
         canvas = rendering.canvas
     else:
-        canvas = state["drawing"].render(Canvas(*boundary_images(BOUNDARY, state["rules"])))
+        canvas = state["drawing"].render(painted(state["rules"]))
     if isinstance(prior, ElasticPrior):
         prior = ElasticPrior(poisson_image(TISSUE, state["materials"]), penalty=prior.penalty)
     return Problem(
@@ -107,7 +114,7 @@ def problem_of(state, prior, rendering=None):
 @given(sequence=edits)
 def test_live_results_are_those_of_a_cold_solve(prior, sequence):
     steps, updates = begun(), []
-    rendering = Rendering(Canvas(*boundary_images(BOUNDARY, FIRST["rules"])))
+    rendering = Rendering(painted(FIRST["rules"]))
 
     def now():
         return {slot: steps.get(slot) for slot in FIRST}

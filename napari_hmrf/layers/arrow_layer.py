@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
-from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_layers import LayerData, vector_layer
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 
@@ -87,18 +86,14 @@ def arrow_lines(
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     """A Vectors layer to show arrows in, still without any."""
-    attributes: dict[str, Any] = {
-        **frame.placement(),
-        "name": NAME,
+    look = {
         "vector_style": "line",
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
-        "opacity": 1.0,
-        "metadata": {METADATA: {"kind": "drawing", "slice": frame.slice_name}},
+        "ndim": frame.ndim,  # napari cannot tell how many axes no arrows have
     }
-    # napari cannot tell how many axes no arrows have.
-    none = frame.put_vectors(np.zeros((0, 2, 2)))
-    return LayerData(none, {**attributes, "ndim": frame.ndim}, "vectors")
+    known = {"kind": "drawing", "slice": frame.slice_name}
+    return vector_layer(frame, np.zeros((0, 2, 2)), NAME, known, look)
 
 
 def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:
@@ -156,6 +151,30 @@ def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.floa
     return np.concatenate(
         [np.stack([at - arm, np.broadcast_to(2 * arm, at.shape)], axis=1) for arm in arms]
     )
+
+
+def spread(where: npt.NDArray[np.bool_], apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
+    """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
+
+    Parameters
+    ----------
+    where : ndarray of bool, shape (H, W)
+    apart : float or array_like, shape (2,)
+        Rows and columns of a cell, in pixels.
+
+    Returns
+    -------
+    ndarray of int, shape (N, 2)
+    """
+    pixels = np.argwhere(where)
+    if not len(pixels):
+        return pixels
+    cells = (pixels / np.asarray(apart)).astype(np.int64)
+    off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
+    order = np.argsort(off, kind="stable")
+    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    _, first = np.unique(key[order], return_index=True)
+    return pixels[order[first]]
 
 
 def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:

@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import paint_steps, unwrapped
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
@@ -89,7 +89,7 @@ class ViewerSteps:
 
     def __init__(self, viewer: Any) -> None:
         self.edits = StudyModel()
-        self._viewer = weakref.ref(viewer)
+        self._viewer = weakref.proxy(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
         self._keys: UndoKeys | None = None
         self.edits.changed.connect(self._on_changed)
@@ -97,15 +97,13 @@ class ViewerSteps:
 
     def undo(self) -> None:
         """Take back what was done last, and go to where that was."""
-        if self._interrupted():
-            return
-        self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
+        if not self._interrupted():
+            self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Do again what was taken back last, and go to where that is."""
-        if self._interrupted():
-            return
-        self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
+        if not self._interrupted():
+            self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
     @property
     def undo_tooltip(self) -> str:
@@ -125,10 +123,9 @@ class ViewerSteps:
         owner : Owner
             Who wants it; the keys stay until nobody does.
         """
-        viewer = self._viewer()
         self._owners.add(owner)
-        if viewer is not None and self._keys is None:
-            self._keys = UndoKeys(viewer, self)
+        if self._keys is None:
+            self._keys = UndoKeys(self._viewer, self)
 
     def unbind_keys(self, owner: Owner) -> None:
         """Leave the viewer's keys alone, unless somebody else still wants them."""
@@ -139,10 +136,9 @@ class ViewerSteps:
 
     def where(self, slot: Any) -> str:
         """Where something is edited, in words, if there is more than one place; else nothing."""
-        if not isinstance(slot, Slot) or slot.what != DRAWING:
+        if slot.what != DRAWING:
             return ""
-        drawn = [each for each in self.edits.slots if isinstance(each, Slot)]
-        images = {id(each.layer) for each in drawn if each.what == DRAWING}
+        images = {id(each.layer) for each in self.edits.slots if each.what == DRAWING}
         where = "" if slot.place is None else slot.place.name
         if len(images) > 1:
             where += f" of '{slot.layer.name}'" if where else f"'{slot.layer.name}'"
@@ -167,11 +163,10 @@ class ViewerSteps:
 
     def _go_to(self, slot: Any) -> None:
         """Show the slice that something was drawn on, unless the viewer shows other axes."""
-        viewer = self._viewer()
-        if viewer is None or not isinstance(slot, Slot) or slot.place is None:
+        if slot.place is None:
             return
         plane, index = slot.place.plane, slot.place.index
-        dims, layer = viewer.dims, slot.layer
+        dims, layer = self._viewer.dims, slot.layer
         view, missing = View.of(dims), dims.ndim - layer.ndim
         if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
             return
@@ -186,12 +181,12 @@ class ViewerSteps:
 
     def _on_changed(self, slot: Any, value: Any) -> None:
         """Have the layer carry its table; whoever shows it listens for itself."""
-        if isinstance(slot, Slot) and slot.what in (TISSUE, BOUNDARY) and isinstance(value, Table):
-            value.give_to(slot.layer, TISSUE if slot.what == TISSUE else BOUNDARY)
+        if slot.what in (TISSUE, BOUNDARY):
+            value.give_to(slot.layer, slot.what)
 
     def _on_removed(self, event: Any) -> None:
         gone = event.value
-        self.edits.drop(lambda slot: isinstance(slot, Slot) and slot.layer is gone)
+        self.edits.drop(lambda slot: slot.layer is gone)
 
 
 def steps_of(viewer: Any) -> ViewerSteps:

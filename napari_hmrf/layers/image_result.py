@@ -11,7 +11,7 @@ import numpy as np
 from napari.layers import Layer, Vectors
 from psygnal import Signal
 
-from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.metadata import METADATA, add_known, known_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
@@ -57,6 +57,7 @@ class Result:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
+        Or a weak proxy of it.
     anchor : napari.layers.Layer
         What was deformed; of a result from a file the layer of arrows that holds it.
     where : str
@@ -72,17 +73,13 @@ class Result:
     moving = False
 
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
-        self._viewer_ref, self._anchor = weakref.ref(viewer), weakref.ref(anchor)
+        self._viewer, self._anchor = viewer, weakref.ref(anchor)
         self.where = where
         self.is_before = False
         # The image, if it is only seen as long as it is seen as it was.
         self._opened: Callable[[], Any] = lambda: None
         self._frame: Frame | None = None
         self._held: dict[Part, _Held] = {}
-
-    @property
-    def _viewer(self) -> Any:
-        return self._viewer_ref()
 
     # What there is
 
@@ -164,7 +161,7 @@ class Result:
             layer.data = held.part = data
             held.own = None
             # Whoever saves the layer now can tell what it is.
-            _know(layer, percent=percent)
+            add_known(layer, percent=percent)
 
     def show_whole(self) -> None:
         """Put back what was there before a part was shown, where nobody else has drawn since."""
@@ -172,7 +169,7 @@ class Result:
             if held.part is not None and layer.data is held.part:
                 if held.whole is not None:
                     layer.data = held.whole
-                    _know(layer)
+                    add_known(layer, percent=_WHOLE)
                 elif _percent_of(layer) != _WHOLE:
                     self.want(part, False)
             held.part = held.whole = None
@@ -294,12 +291,6 @@ def _percent_of(layer: Any) -> int:
     return int(known_of(layer).get("percent", _WHOLE))
 
 
-def _know(layer: Any, **facts: Any) -> None:
-    """Have a layer's metadata say how much of the deformation it shows; by default all."""
-    known = {key: value for key, value in known_of(layer).items() if key != "percent"}
-    layer.metadata = {**layer.metadata, METADATA: {**known, **facts}}
-
-
 def _fits(layer: Any, made: LayerData) -> bool:
     """Whether a layer can show this: other pixels or another scale, but no other sort of thing."""
     axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
@@ -339,16 +330,12 @@ class ResultLayers:
     changed = Signal(object)
 
     def __init__(self, viewer: Any) -> None:
-        self._viewer_ref = weakref.ref(viewer)
+        self._viewer = weakref.proxy(viewer)
         # By the layer itself, not its id: that is given to another layer when the layer is gone.
         self._results: weakref.WeakKeyDictionary[Any, dict[str, Result]]
         self._results = weakref.WeakKeyDictionary()
         self._orphans: list[Result] = []
         viewer.layers.events.removed.connect(self._on_removed)
-
-    @property
-    def _viewer(self) -> Any:
-        return self._viewer_ref()
 
     @property
     def sources(self) -> list[Any]:

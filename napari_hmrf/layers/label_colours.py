@@ -8,8 +8,10 @@ import numpy as np
 from napari.utils import colormaps
 from napari.utils.colormaps.standardize_color import transform_color
 
-from napari_hmrf.field.colormaps import DIVERGING, FOLDED, RISING, opacity
+from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 
+#: How a quantity lies over an image.
+OVER = {"blending": "translucent", "opacity": OPACITY}
 #: Of the arrows that show what is known of the motion.
 OBSERVED = "magenta"
 #: Of the arrows of a result: seen on black, grey and white.
@@ -53,6 +55,11 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
     colours[:, 3] = opacity(part, signed)
     low = transform_color(FOLDED)[0] if folds else None
     return colormaps.Colormap(colours, name=f"{name}, clear", low_color=low)
+
+
+def confidence_look() -> dict[str, Any]:
+    """How an Image layer of how sure that is lies over an image."""
+    return {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **OVER}
 
 
 def stiffness_colours() -> Any:

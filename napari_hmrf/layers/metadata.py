@@ -6,7 +6,7 @@ A table is a value, too, that can be taken back; what was done to it is said in 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any, Literal, NamedTuple
 
 from pydantic import TypeAdapter
@@ -42,6 +42,11 @@ def known_of(layer: Any) -> Mapping[str, Any]:
     """What is known of a layer; nothing, for a layer of others."""
     known = layer.metadata.get(METADATA)
     return known if isinstance(known, Mapping) else {}
+
+
+def add_known(layer: Any, **facts: Any) -> None:
+    """Have more be known of a layer."""
+    layer.metadata = {**layer.metadata, METADATA: {**known_of(layer), **facts}}
 
 
 def described(role: Role, rows: Iterable[Any] = (), unit: str = "") -> dict[str, Any]:
@@ -100,8 +105,8 @@ def role_of(layer: Any) -> Role | None:
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
 
-def rows_of(layer: Any, role: Role) -> tuple[Any, ...] | None:
-    """The table that a layer's metadata carry, if they carry one that can be read."""
+def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
+    """The table that a layer's metadata carry; empty if they carry none that can be read."""
     key, row_type = _TABLES[role]
     try:
         return tuple(
@@ -109,7 +114,7 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...] | None:
             for row in known_of(layer)[key]
         )
     except (KeyError, TypeError, AttributeError):
-        return None
+        return ()
 
 
 def _as_row(row: Material | BoundaryRule) -> dict[str, Any]:
@@ -132,7 +137,7 @@ class Table(NamedTuple):
     @classmethod
     def of(cls, layer: Any, role: Role) -> Table:
         """The table a layer carries; an empty one if it carries none."""
-        return cls(rows_of(layer, role) or (), str(known_of(layer).get("unit", "")))
+        return cls(rows_of(layer, role), str(known_of(layer).get("unit", "")))
 
     def give_to(self, layer: Any, role: Role) -> None:
         """Have a layer carry the table."""
@@ -150,10 +155,6 @@ def change(before: Table, after: Table, name: str) -> str:
     if len(differing) != 1 or now.keys() != was.keys() or before.unit != after.unit:
         return f"changed the table of '{name}'"
     old, new = was[differing[0]], now[differing[0]]
-    changed = [
-        field.name
-        for field in fields(new)
-        if getattr(new, field.name, None) != getattr(old, field.name, None)
-    ]
+    changed = [name for name, value in vars(new).items() if value != vars(old).get(name)]
     what = _WORDS.get(changed[0], "the row") if len(changed) == 1 else "the row"
     return f"changed {what} of label {new.label} in '{name}'"

@@ -7,12 +7,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from napari_hmrf.field.animation import Motion, moved_grid
-from napari_hmrf.field.colormaps import OPACITY
 from napari_hmrf.field.deformation import pixels_between
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.strain import folds
+from napari_hmrf.layers.arrow_layer import spread
 from napari_hmrf.layers.label_colours import (
     OBSERVED,
+    OVER,
+    confidence_look,
     fold_colours,
     quantity_colours,
     stiffness_colours,
@@ -24,8 +26,6 @@ from napari_hmrf.solver.problem import Problem
 Name = Quantity | Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
-#: How quantities lie over the image.
-_OVER = {"blending": "translucent", "opacity": OPACITY}
 
 
 class Overlay(NamedTuple):
@@ -97,7 +97,7 @@ def quantity_layer(answer: Answer, quantity: Quantity, shown: Coloured | None = 
     shown = shown or coloured(answer.solution, quantity)
     title, unit = QUANTITIES[quantity]
     colours = quantity_colours(shown.signed, shown.folded)
-    look = {"colormap": colours, "contrast_limits": shown.limits, **_OVER}
+    look = {"colormap": colours, "contrast_limits": shown.limits, **OVER}
     return answer.pixels(quantity, shown.values, f"{title} ({unit or answer.unit})", look)
 
 
@@ -116,18 +116,14 @@ def _given_layer(answer: Answer, problem: Problem, name: Name) -> LayerData:
     if name == "stiffness":
         m = problem.stiffness
         most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
-        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **_OVER}
+        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **OVER}
         return answer.pixels(name, m, name, look)
     if name == "confidence":
         c = problem.confidence.max(axis=-1)
-        look = {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **_OVER}
-        return answer.pixels(name, c, name, look)
+        return answer.pixels(name, c, name, confidence_look())
     y, known = problem.observed, problem.known  # what was held has a dot
-    apart_by = pixels_between(_ACROSS, answer.shape, problem.spacing)
-    starts = np.argwhere(known.any(axis=-1))
-    if len(starts):
-        _, first = np.unique(starts // apart_by, axis=0, return_index=True)
-        starts = starts[first]
+    apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
+    starts = spread(np.asarray(known.any(axis=-1)), apart)
     steps = np.where(known, y, 0)[tuple(starts.T)] / problem.spacing
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300

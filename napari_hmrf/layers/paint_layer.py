@@ -15,12 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
-from napari_hmrf.field.colormaps import OPACITY
-from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows
-from napari_hmrf.layers.label_colours import SELECTED, quantity_colours
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows, spread
+from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_layers import LayerData, pixel_layer
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
@@ -72,7 +70,7 @@ def show_painted(
     Parameters
     ----------
     canvas : Canvas
-        With what was painted; it has kinds.
+        With what was painted.
     base : Canvas
         Beneath it.
     window : Box
@@ -82,7 +80,6 @@ def show_painted(
     confidence : ndarray of float32, shape (H, W), optional
         How sure is what is held or moved; the larger of its components.
     """
-    assert canvas.kinds is not None
     kinds = canvas.kinds[window]
     kinds = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
     sure = canvas.confidence[window].max(axis=-1)
@@ -95,10 +92,9 @@ def show_painted(
     rows, cols = np.ogrid[window]
     stripe = (rows + cols) // width % 2 == 0
     shown[(kinds == KINDS["free"]) & stripe] = 0
-    if canvas.labels is not None and base.labels is not None:
-        labels = canvas.labels[window]
-        tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
-        shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
+    labels = canvas.labels[window]
+    tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
+    shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
     picture[window] = shown
 
 
@@ -141,34 +137,15 @@ def painted_layer(
     frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]
 ) -> LayerData:
     """A Labels layer of what was painted."""
-    return LayerData(
-        frame.put_image(picture),
-        {
-            **frame.placement(image=True),
-            "name": NAME,
-            "opacity": 1.0,
-            "colormap": painted_colours(tissues),
-            "metadata": {METADATA: {"kind": "painted", "slice": frame.slice_name}},
-        },
-        "labels",
-    )
+    known = {"kind": "painted", "slice": frame.slice_name}
+    look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
+    return pixel_layer(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
     """An Image layer of how sure is what is held or moved."""
-    return LayerData(
-        frame.put_image(confidence),
-        {
-            **frame.placement(image=True),
-            "name": "Confidence",
-            "colormap": quantity_colours(signed=False),
-            "contrast_limits": (0.0, 1.0),
-            "blending": "translucent",
-            "opacity": OPACITY,
-            "metadata": {METADATA: {"kind": "painted confidence", "slice": frame.slice_name}},
-        },
-        "image",
-    )
+    known = {"kind": "painted confidence", "slice": frame.slice_name}
+    return pixel_layer(frame, confidence, "Confidence", known, confidence_look())
 
 
 def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
@@ -179,7 +156,7 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     canvas : Canvas
-        With what was painted; it has kinds.
+        With what was painted.
 
     Returns
     -------
@@ -189,13 +166,12 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
         Red, green, blue and opacity of each, 0 to 1.
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
-    assert kinds is not None
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
     counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(
         axis=-1
     )
-    places = _spread(counts, apart / size)
+    places = spread(counts, apart / size)
     lines: list[npt.NDArray[np.float64]] = []
     colours: list[npt.NDArray[np.float64]] = []
     for action in _MARKED:
@@ -220,19 +196,6 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 #: The arms of their crosses.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
-
-
-def _spread(where: npt.NDArray[np.bool_], apart: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
-    """Pixels of a region, one in each cell of a size in pixels, the nearest to its middle."""
-    pixels = np.argwhere(where)
-    if not len(pixels):
-        return pixels
-    cells = (pixels / apart).astype(np.int64)
-    off = np.abs(pixels / apart - cells - 0.5).max(axis=1)
-    order = np.argsort(off, kind="stable")
-    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    _, first = np.unique(key[order], return_index=True)
-    return pixels[order[first]]
 
 
 def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:

@@ -200,6 +200,5 @@ class _Copies:
 
 
 def _same(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> bool:
-    if one.dtype != other.dtype or one.shape != other.shape:
-        return False
-    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+    same_type = one.dtype == other.dtype
+    return same_type and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from napari.layers import Image
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from napari_hmrf.layers.slice_view import View, is_unit, slice_shown, unit_factor
@@ -24,11 +25,6 @@ _STORED = ("plane", "index", *PLACE, "matrix")
 _TOLERANCE = 1e-3
 #: Slices beyond this are nobody's.
 _FARTHEST = 2**31
-
-
-def place_of(layer: Any) -> dict[str, Any]:
-    """Keyword arguments that make a layer of the same axes lie where this one does."""
-    return {name: getattr(layer, name) for name in PLACE}
 
 
 @dataclass(frozen=True)
@@ -343,19 +339,7 @@ class Frame:
         """
         if solution.frame:
             return cls.from_dict(solution.frame)
-        scale = _as_tuples(solution.spacing)
-        return cls(
-            plane=(0, 1),
-            index=(0, 0),
-            scale=scale,
-            translate=(0.0, 0.0),
-            rotate=((1.0, 0.0), (0.0, 1.0)),
-            shear=(0.0,),
-            affine=_as_tuples(np.eye(3)),
-            units=("pixel", "pixel"),
-            axis_labels=("-2", "-1"),
-            matrix=_as_tuples(np.diag([*scale, 1.0])),
-        )
+        return cls.of(Image(np.zeros((2, 2)), scale=solution.spacing))
 
 
 #: Checks the types of what a file holds.

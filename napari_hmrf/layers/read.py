@@ -116,6 +116,8 @@ class _Reader:
         self._reference = reference = request.layers[0]
         self._frame = Frame.of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
+        self._of_arrows: tuple[str, ...] = ()
+        self._multiscale = any(layer.multiscale for layer in request.layers)
         self._frames = {
             id(layer): self._frame if layer is reference else Frame.of(layer, request.view)
             for layer in request.layers
@@ -124,8 +126,7 @@ class _Reader:
     def study(self, prior: Prior, optimizer: Optimizer) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
-        tissue, notes = self._tissue(), self._notes()
-        motion, more = self._motion()
+        tissue, motion = self._tissue(), self._motion()
         parts = {
             "image": reference,
             "tissue": request.tissue,
@@ -153,10 +154,10 @@ class _Reader:
                 labels_name="" if request.tissue is None else str(request.tissue.name),
                 look=look_of(request.image),
                 labels_look=look_of(request.tissue) if tissue.labels is not None else {},
-                level=0 if any(_multiscale(layer) for layer in request.layers) else None,
+                level=0 if self._multiscale else None,
             ),
             names=names,
-            notes=notes + more,
+            notes=(*self._notes(), *self._of_arrows),
         )
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
@@ -176,7 +177,7 @@ class _Reader:
         unit = str(known_of(layer).get("unit", ""))
         if isinstance(layer, Labels):
             rows = request.materials
-            rows = rows_of(layer, TISSUE) or () if rows is None else tuple(rows)
+            rows = rows_of(layer, TISSUE) if rows is None else tuple(rows)
             return Tissue(
                 labels=self._slice(layer),
                 materials=rows,
@@ -197,25 +198,23 @@ class _Reader:
             record=tissue_record(layer, ()),
         )
 
-    def _motion(self) -> tuple[Motion, tuple[str, ...]]:
+    def _motion(self) -> Motion:
         request, layer = self._request, self._request.boundary
         drawing = request.drawing or Drawing()
         if isinstance(layer, Vectors):
-            observed, counts, notes = self._arrows(layer)
-            return Motion(
-                request.hold_edge, observed=observed, counts=counts, drawing=drawing
-            ), notes
+            observed, counts = self._arrows(layer)
+            return Motion(request.hold_edge, observed=observed, counts=counts, drawing=drawing)
         if layer is None:
-            return Motion(request.hold_edge, drawing=drawing), ()
+            return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
             _refuse_unpainted(layer, self._frames[id(layer)])
         rules = request.rules
-        rules = rows_of(layer, BOUNDARY) or () if rules is None else tuple(rules)
-        return Motion(request.hold_edge, labels, rules, drawing=drawing), ()
+        rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
+        return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
-    def _arrows(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any], tuple[str, ...]]:
-        """What arrows observe, how sure each is, and what there is to say of them."""
+    def _arrows(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """What arrows observe, and how sure each is."""
         own, confidence = self._frames[id(layer)], self._request.confidence
         check_size(layer, own, self._reference, self._frame, self._shape)
         sure = None if confidence is None else self._slice(confidence)
@@ -231,10 +230,10 @@ class _Reader:
             return y, c, out
 
         y, c, out = self._copies.made(layer, (data, sure, own, spacing, shape), observe)
-        if not out:
-            return y, c, ()
-        what = "1 arrow points" if out == 1 else f"{out} arrows point"
-        return y, c, (f"{what} straight out of the slice and did not count",)
+        if out:
+            what = "1 arrow points" if out == 1 else f"{out} arrows point"
+            self._of_arrows = (f"{what} straight out of the slice and did not count",)
+        return y, c
 
     def _notes(self) -> tuple[str, ...]:
         request, frame, notes = self._request, self._frame, []
@@ -247,7 +246,7 @@ class _Reader:
             notes.append(
                 f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
             )
-        if any(_multiscale(layer) for layer in request.layers):
+        if self._multiscale:
             notes.append(f"computed on the finest level, {self._shape[0]} x {self._shape[1]}")
         notes += [
             f"of '{layer.name}' {self._frames[id(layer)].slice_seen} was taken"
@@ -284,10 +283,6 @@ def look_of(layer: Any) -> dict[str, Any]:
         "contrast_limits": tuple(layer.contrast_limits),
         "gamma": layer.gamma,
     }
-
-
-def _multiscale(layer: Any) -> bool:
-    return bool(getattr(layer, "multiscale", False))
 
 
 FloatArray = npt.NDArray[np.float32]
@@ -329,7 +324,7 @@ def arrow_observations(
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
         raise ProblemError("observed", f"has NaN or infinity in vector {bad[0]}. Remove it.")
-    others = [axis for axis in range(own.ndim) if axis not in own.plane]
+    others = list(own.others)
     here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
     inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
     outward = vectors[:, 1][:, others].any(axis=1) & ~inward

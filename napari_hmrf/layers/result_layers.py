@@ -105,14 +105,13 @@ class Answer:
             By default what was deformed.
         """
         name = self._name(what, source or self.source)
-        return _pixel_layer(self.frame, pixels, name, {"kind": kind, **self.facts}, look, sort)
+        return pixel_layer(self.frame, pixels, name, {"kind": kind, **self.facts}, look, sort)
 
     def vectors(self, kind: str, segments: Array, what: str, look: Facts) -> LayerData:
         """Segments, (N, 2, 2) in pixels, as a layer; the other parameters are as of `pixels`."""
         known = {"kind": kind, **self.facts, "solution": self.solution}
-        attributes = {**look, **self.frame.placement(), "length": 1.0, "opacity": 1.0}
-        attributes.update(name=self._name(what, self.source), metadata={METADATA: known})
-        return LayerData(self.frame.put_vectors(segments), attributes, "vectors")
+        name = self._name(what, self.source)
+        return vector_layer(self.frame, segments, name, known, {**look, "length": 1.0})
 
     def _name(self, what: str, source: str) -> str:
         parameters = self.solution.provenance.parameters
@@ -245,18 +244,37 @@ def picture_layer(
     """
     known = {**(facts or _whence(frame, pictures)), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
-    return _pixel_layer(frame, picture, name, known, pictures.look)
+    return pixel_layer(frame, picture, name, known, pictures.look)
 
 
-def _pixel_layer(
+def pixel_layer(
     frame: Frame, pixels: Array, name: str, known: Facts, look: Facts, sort: str = "image"
 ) -> LayerData:
-    """Pixels of a slice as a layer that lies there, with what it is to know of itself."""
+    """Pixels of a slice as a layer that lies there, with what it is to know of itself.
+
+    Parameters
+    ----------
+    frame : Frame
+    pixels : ndarray, shape (H, W) or (H, W, 3 or 4)
+    name : str
+    known : mapping
+        For its metadata.
+    look : mapping
+        How it is drawn, as a new layer takes it.
+    sort : {"image", "labels"}
+    """
     attributes = {**look, **frame.placement(image=True), "name": name}
     attributes["metadata"] = {METADATA: dict(known)}
     if sort == "image":
         attributes["rgb"] = pixels.ndim == 3
     return LayerData(frame.put_image(pixels), attributes, sort)
+
+
+def vector_layer(frame: Frame, segments: Array, name: str, known: Facts, look: Facts) -> LayerData:
+    """Segments, (N, 2, 2) in pixels of a slice, as a layer; as of `pixel_layer`."""
+    attributes = {**look, **frame.placement(), "name": name, "opacity": 1.0}
+    attributes["metadata"] = {METADATA: dict(known)}
+    return LayerData(frame.put_vectors(segments), attributes, "vectors")
 
 
 def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:

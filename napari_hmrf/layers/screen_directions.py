@@ -39,7 +39,9 @@ class Directions(NamedTuple):
         """
         axes = list(frame.plane)
         linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
-        ways = _ways(viewer)
+        # Where the world's rows and columns run on the canvas.
+        down, right = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
+        ways = str(down), str(right)
         seen = []
         for step in linear.T:
             main = int(np.abs(step).argmax())
@@ -84,12 +86,6 @@ class Directions(NamedTuple):
             if length
         ]
         return ", ".join(parts) or "0"
-
-
-def _ways(viewer: Any) -> tuple[str, str]:
-    """Where the world's rows and columns run on the canvas."""
-    down, right = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
-    return str(down), str(right)
 
 
 def _to(way: str) -> str:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from napari_hmrf.layers.place import PLACE
 from napari_hmrf.layers.result_layers import LayerData
 
-#: Viewers whose selection will be as it was.
+#: The layers of viewers whose selection will be as it was.
 _kept: list[Any] = []
 
 
@@ -67,7 +67,7 @@ def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
 def same_selection(viewer: Any) -> Iterator[None]:
     """Add layers without taking the brush out of the user's hand."""
     selected, active = set(viewer.layers.selection), viewer.layers.selection.active
-    _kept.append(viewer)
+    _kept.append(viewer.layers)
     try:
         yield
         viewer.layers.selection = {layer for layer in selected if layer in viewer.layers}
@@ -79,7 +79,7 @@ def same_selection(viewer: Any) -> Iterator[None]:
 
 def is_selection_kept(viewer: Any) -> bool:
     """Whether the selection changes only until a layer of ours is added."""
-    return any(each is viewer for each in _kept)
+    return any(each is viewer.layers for each in _kept)
 
 
 _Shared = TypeVar("_Shared")

@@ -125,7 +125,6 @@ class Ground:
         checkpoint()
         there = tissue.m > 0
         base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
-        base = replace(base, kinds=np.zeros(study.grid.shape, dtype=np.uint8))
         notes += _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
         if ignored:
@@ -162,9 +161,7 @@ class Ground:
             Naming the part, what is wrong with it and what to do.
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
-        m, prior = self.stiffness, self.prior
-        if canvas is not self.base and canvas.labels is not None and self.base.labels is not None:
-            m, prior = self.palette.painted(canvas.labels, self.base.labels, m, prior)
+        m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
         refuse_nothing(self.study, m, canvas.confidence)
         at_rest = np.zeros(self.shape, dtype=bool)
         if isinstance(prior, ElasticPrior):

@@ -177,8 +177,8 @@ class Study:
     pictures : Pictures
         What is deformed along with the tissue, and what it may be told from.
     names : mapping of str to Named
-        What people call the parts: "image", "tissue", "boundary", "confidence", "landmarks" and
-        "drawing". What is wrong is said of these.
+        What people call the parts: "image", "tissue", "boundary", "confidence" and "drawing". What
+        is wrong is said of these.
     notes : tuple of str
         What people should know of how it was read, as clauses.
 

@@ -8,7 +8,7 @@ change, so that what comes back is exactly what was there.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 from psygnal import Signal
@@ -59,7 +59,7 @@ class StudyModel:
         return self._now.get(slot, default)
 
     @property
-    def slots(self) -> Iterable[Hashable]:
+    def slots(self) -> tuple[Any, ...]:
         """Those that are known."""
         return tuple(self._now)
 
@@ -184,7 +184,7 @@ class StudyModel:
         self.end()
         return self._go(self._future, self._past)
 
-    def drop(self, unwanted: Callable[[Hashable], bool]) -> None:
+    def drop(self, unwanted: Callable[[Any], bool]) -> None:
         """Forget slots with all their steps; those of the others stay, in their order."""
         if self._begun is not None and unwanted(self._begun.slot):
             self._begun = None

@@ -270,8 +270,6 @@ def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
 def _moves_edge(ground: Ground, canvas: Canvas) -> bool:
     """Whether a patch that was taken hold of lies over what is held without it."""
     base = ground.base
-    if canvas.kinds is None:
-        return False
     held = (base.confidence > 0) & (base.observed == 0)
     moved = held & (canvas.confidence > 0) & (canvas.observed != 0)
     # What was painted was meant, and air has no edge that is seen.

@@ -185,7 +185,7 @@ def painting(layer: Any) -> str:
     """What is painted with from now on, by its name in the table if it has one."""
     label, role = int(layer.selected_label), role_of(layer)
     rows = rows_of(layer, role) if role in (TISSUE, BOUNDARY) else ()
-    name = next((row.name for row in rows or () if row.label == label), "")
+    name = next((row.name for row in rows if row.label == label), "")
     what = f"'{name}' (label {label})" if name else f"label {label}"
     return f"Painting {what} in '{layer.name}'."
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 from napari_hmrf.tissue.drawing.marks import (
     Action,
@@ -49,37 +48,19 @@ class Canvas:
         Observed displacement, (row, col), in the unit of `spacing`; material.
     confidence : ndarray, shape (H, W, 2), float32
         Confidence per component, 0 to 1.
-    labels : ndarray of int, shape (H, W), optional
+    labels : ndarray of int, shape (H, W)
         Which tissue, for strokes that paint tissue.
+    kinds : ndarray of uint8, shape (H, W)
+        What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
     spacing : (float, float)
         Size of a pixel in (row, col) direction.
-    kinds : ndarray of uint8, shape (H, W), optional
-        What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
-
-    Raises
-    ------
-    ProblemError
-        If the images are not of one size.
     """
 
     observed: FloatArray
     confidence: FloatArray
-    labels: npt.NDArray[Any] | None = None
-    spacing: tuple[float, float] = (1.0, 1.0)
-    kinds: npt.NDArray[np.uint8] | None = None
-
-    def __post_init__(self) -> None:
-        for field, image in (("observed", self.observed), ("confidence", self.confidence)):
-            if image.shape != (*self.shape, 2) or image.dtype != np.float32:
-                raise ProblemError(
-                    field,
-                    f"is an image of {image.dtype}, {image.shape}, but float32, "
-                    f"{(*self.shape, 2)} is needed to draw on.",
-                )
-        if self.labels is not None and self.labels.shape != self.shape:
-            raise ProblemError(
-                "stiffness", f"has labels of shape {self.labels.shape}, but {self.shape} is needed."
-            )
+    labels: npt.NDArray[Any]
+    kinds: npt.NDArray[np.uint8]
+    spacing: tuple[float, float]
 
     @classmethod
     def blank(
@@ -88,10 +69,11 @@ class Canvas:
         spacing: Sequence[float] = (1.0, 1.0),
         labels: npt.NDArray[Any] | None = None,
     ) -> Canvas:
-        """Nothing is observed yet."""
+        """Nothing is observed yet, and without `labels` all is of one tissue."""
         rows, cols = spacing
-        nothing = np.zeros((*shape, 2), dtype=np.float32)
-        return cls(nothing, nothing.copy(), labels, (float(rows), float(cols)))
+        y, kinds = np.zeros((*shape, 2), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
+        tissue = kinds.copy() if labels is None else labels
+        return cls(y, y.copy(), tissue, kinds, (float(rows), float(cols)))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -105,10 +87,9 @@ class Canvas:
         return slice(0, rows), slice(0, cols)
 
     @property
-    def images(self) -> list[npt.NDArray[Any]]:
-        """Those there are, always in one order."""
-        images = (self.observed, self.confidence, self.labels, self.kinds)
-        return [image for image in images if image is not None]
+    def images(self) -> tuple[npt.NDArray[Any], ...]:
+        """All of them, always in one order."""
+        return self.observed, self.confidence, self.labels, self.kinds
 
     def copy(self) -> Canvas:
         """The same images, to be drawn on."""
@@ -121,20 +102,11 @@ def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     reach = [brush_reach(radius, spacing) / size for size in spacing]
     points = np.array([point for line in lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    rows, cols = (
-        slice(math.ceil(first), math.floor(last) + 1) for first, last in zip(low, high, strict=True)
-    )
-    return common((rows, cols), whole)
-
-
-def common(one: Box, other: Box) -> Box:
-    """The pixels in both."""
-    return _overlap(one[0], other[0]), _overlap(one[1], other[1])
-
-
-def _overlap(one: slice, other: slice) -> slice:
-    begin = max(one.start, other.start)
-    return slice(begin, max(begin, min(one.stop, other.stop)))
+    sides = []
+    for first, last, side in zip(low, high, whole, strict=True):
+        begin = max(math.ceil(first), side.start)
+        sides.append(slice(begin, max(begin, min(math.floor(last) + 1, side.stop))))
+    return sides[0], sides[1]
 
 
 def is_empty(box: Box) -> bool:
@@ -148,7 +120,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     Raises
     ------
     ProblemError
-        If a stroke that is to expand is an open line, or there are no labels to paint tissue in.
+        If a stroke that is to expand is an open line.
     """
     box = box_of(mark, canvas.spacing, window)
     if is_empty(box):
@@ -177,21 +149,16 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         share = np.where(where, share, 0)[..., None] * (c > 0)
         c += share * (np.float32(mark.confidence) - c)
     else:
-        if canvas.labels is None:
-            raise ProblemError(
-                "stiffness", "has no labels to paint tissue in. Choose a Labels layer as tissue."
-            )
         canvas.labels[box][where] = mark.label
         return
-    if canvas.kinds is not None:
-        kinds = canvas.kinds[box]
-        if isinstance(mark, Arrow):
-            kinds[where] = 0
-        elif mark.action == "confidence":
-            # What is pinned, moved or freed stays so; the rest shows that it was gone over.
-            kinds[where & (kinds == 0) & (c > 0).any(axis=-1)] = KINDS["confidence"]
-        else:
-            kinds[where] = KINDS[mark.action]
+    kinds = canvas.kinds[box]
+    if isinstance(mark, Arrow):
+        kinds[where] = 0
+    elif mark.action == "confidence":
+        # What is pinned, moved or freed stays so; the rest shows that it was gone over.
+        kinds[where & (kinds == 0) & (c > 0).any(axis=-1)] = KINDS["confidence"]
+    else:
+        kinds[where] = KINDS[mark.action]
 
 
 def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]) -> None:
@@ -298,12 +265,8 @@ def _expanded_whole(
 ) -> tuple[FloatArray, FloatArray, Box]:
     """The same of its whole region, and where that lies: normals depend on all of it."""
     rows, cols = shape
-    points = np.array([point for line in stroke.lines for point in line])
-    reach = brush_reach(stroke.radius, spacing) / np.array(spacing) + 1
-    low, high = np.floor(points.min(axis=0) - reach), np.ceil(points.max(axis=0) + reach) + 1
-    own = slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
     # A region that leaves the image has its outline out there, but not endlessly far.
-    box = common(own, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
+    box = box_of(stroke, spacing, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
     painted = covered(stroke, spacing, box)
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
     y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)

@@ -7,14 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from napari_hmrf.tissue.drawing.canvas import (
-    Box,
-    Canvas,
-    box_of,
-    covers,
-    is_empty,
-    paint,
-)
+from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
 from napari_hmrf.tissue.drawing.marks import (
     Arrow,
     Landmark,
@@ -134,8 +127,7 @@ class Drawing:
         Raises
         ------
         ProblemError
-            If a stroke that is to expand is an open line, or there are no labels to paint tissue
-            in.
+            If a stroke that is to expand is an open line.
         """
         canvas = base.copy()
         for mark in self.marks:

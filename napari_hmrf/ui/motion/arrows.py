@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext
 from typing import Any, Protocol
 
@@ -13,7 +13,7 @@ from napari.layers import Layer
 
 from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
-from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.metadata import add_known
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
@@ -115,9 +115,7 @@ class ArrowsLayer:
             return
         for name, value in frame.placement().items():
             setattr(layer, name, value)
-        known = layer.metadata.get(METADATA)
-        if isinstance(known, dict):
-            known["slice"] = frame.slice_name
+        add_known(layer, slice=frame.slice_name)
         self._frame = frame
 
     def show(
@@ -125,7 +123,7 @@ class ArrowsLayer:
         drawing: Drawing,
         selected: int | None,
         pending: Point | None = None,
-        more: Lines | None = None,
+        below: Iterable[Lines] = (),
         quick: bool = False,
     ) -> None:
         """Draw the arrows, where the first click of a pair was, and more lines below them.
@@ -135,10 +133,8 @@ class ArrowsLayer:
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
-        lines, colours = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
-        if more is not None:
-            lines = np.concatenate([more[0], lines])
-            colours = np.concatenate([more[1], colours])
+        own = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
+        lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)
         same = np.array_equal(layer.edge_color, colours)
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
@@ -153,9 +149,7 @@ class ArrowsLayer:
     def keep(self, drawing: Drawing) -> None:
         """Keep the drawing with the layer."""
         if self.layer is not None:
-            known = self._layer.metadata.get(METADATA, {})
-            kept = {**known, "drawing": drawing.as_dict()}
-            self._layer.metadata = {**self._layer.metadata, METADATA: kept}
+            add_known(self._layer, drawing=drawing.as_dict())
 
     def show_radius(self, radius: float) -> None:
         """Have the pointer be as large as the patch that would be taken hold of."""

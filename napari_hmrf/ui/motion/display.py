@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, Result, ResultLayers
@@ -15,6 +13,7 @@ from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, touches
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
@@ -48,6 +47,8 @@ class Display:
         The tissue as it is seen.
     tissues : dict of int to colour
         Of the tissues that can be painted.
+    quiet : bool
+        Whether layers come and go by our own doing.
     """
 
     def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
@@ -58,23 +59,21 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # Whose picture is shown although nothing has moved.
-        self._still: Result | None = None
-        self._busy = False
+        self.quiet = False
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
         self._places = 0
         self._touches_wait = single_shot(native, _AHEAD, self._show_touches)
 
     @property
-    def quiet(self) -> bool:
-        """Whether layers come and go by our own doing."""
-        return self._busy
-
-    @property
     def moved(self) -> Deformation | None:
         """The tissue as it is seen."""
         return None if self.seen is None else self.seen.moved
+
+    @property
+    def ground(self) -> Ground | None:
+        """What tissue follows on; None while something is read, or compiled."""
+        return None if self.seen is None else self.seen.moved.ground
 
     @property
     def result(self) -> Result | None:
@@ -87,15 +86,15 @@ class Display:
     def stand_on(self, study: Study | None, image: Any) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
         self._touches_wait.stop()
-        before, still, self._still = self.result, self._still, None
+        before, moved = self.result, self.moved
         self._image = image
         self.seen = None
         with self.own_doing():
-            if still is not None:
-                still.remove()
             self.painted.forget()
-            if before is not None:
+            if before is not None and moved is not None:
                 before.drop(CONFIDENCE)
+                if moved.ground is not None and not moved.moves:
+                    before.remove()  # its picture is shown although nothing has moved
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.place, study.grid.shape)
@@ -112,7 +111,7 @@ class Display:
 
     def is_beside(self, stroke: Stroke) -> bool:
         """Whether a stroke lies beside all tissue, and does not make any."""
-        ground = None if self.moved is None else self.moved.ground
+        ground = self.ground
         if ground is None or stroke.action == "tissue":
             return False
         return not touches(stroke, ground.base, ground.body)
@@ -130,7 +129,6 @@ class Display:
                 self._show_result({"image": picture}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
                 result.remove()
-            self._still = None if moved.moves else result
             self.show_painted(seen, hand)
 
     def finish(self, done: Done) -> None:
@@ -183,19 +181,13 @@ class Display:
 
     def draw(self, drawing: Drawing, hand: Hand) -> None:
         """Show arrows, landmarks, and the marks of what is painted."""
-        parts: list[Lines] = []
+        below: list[Lines] = []
         seen, stroke = self.seen, hand.mark
         if seen is not None and seen.marks is not None:
-            parts.append(seen.marks)
-        moved = self.moved
-        ground = None if moved is None else moved.ground
-        if isinstance(stroke, Stroke) and not hand.holding and moved and ground:
-            parts.append(outline_of(stroke, ground.base, moved.goes_to))
-        more = None
-        if parts:
-            lines, colours = zip(*parts, strict=True)
-            more = np.concatenate(lines), np.concatenate(colours)
-        self.arrows.show(drawing, hand.selected, hand.pending, more, quick=hand.holding)
+            below.append(seen.marks)
+        if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
+            below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
+        self.arrows.show(drawing, hand.selected, hand.pending, below, quick=hand.holding)
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""
@@ -208,8 +200,8 @@ class Display:
     @contextmanager
     def own_doing(self) -> Iterator[None]:
         """Layers that come and go meanwhile do so by our own doing."""
-        before, self._busy = self._busy, True
+        before, self.quiet = self.quiet, True
         try:
             yield
         finally:
-            self._busy = before
+            self.quiet = before

@@ -9,10 +9,10 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.study.ground import Ground
-from napari_hmrf.study.study import Study
+from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
@@ -20,7 +20,6 @@ from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
-from napari_hmrf.ui.motion.badge import Badge
 from napari_hmrf.ui.motion.display import Display
 from napari_hmrf.ui.motion.hands import Hand
 from napari_hmrf.ui.motion.tool_fields import ToolFields
@@ -74,11 +73,12 @@ class Pointer:
         self._fields, self._steps = fields, steps
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
-        self.hand: Hand = self.tool.hand(self.history)
         # Whether what is selected was picked up, and not just made.
         self._picked = False
         self.display = Display(native, viewer, self)
-        self._badge = Badge(viewer)
+        self._open_hand()
+        # The text in a corner of the canvas, and what we said there.
+        self._corner, self._in_corner = text_of(viewer), ""
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
@@ -109,12 +109,6 @@ class Pointer:
             "]": partial(self.resize, _LARGER),
             **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
         }
-
-    @property
-    def _ground(self) -> Ground | None:
-        """What tissue follows on; None while something is read, or compiled."""
-        moved = self.display.moved
-        return None if moved is None else moved.ground
 
     # What can be done
 
@@ -175,12 +169,15 @@ class Pointer:
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()
-        self.said.emit("" if self._ground else motion_messages.PREPARING)
+        self.said.emit("" if moved.ground else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
-        """Say on the canvas which tool the mouse has, if any."""
-        self._badge.say(self._fields.words if self.active else "")
+        """Say on the canvas which tool the mouse has, if any; what others wrote there stays."""
+        corner = self._corner
+        if not corner.visible or corner.text == self._in_corner:
+            self._in_corner = corner.text = self._fields.words if self.active else ""
+            corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Have another drawing, as one step."""
@@ -204,7 +201,7 @@ class Pointer:
         if seen.moved.error is not None:
             self._show_error(seen)
             return
-        before, known = self.display.seen, self._ground
+        before, known = self.display.seen, self.display.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
@@ -221,7 +218,7 @@ class Pointer:
         """Draw no more; take away the layers that nobody answers. What is drawn stays."""
         self.stand_on(None)
         self.display.leave()
-        self._badge.say("")
+        self.say_tool()
 
     def end(self) -> None:
         """Feel nothing any more."""
@@ -250,11 +247,11 @@ class Pointer:
             self.said.emit(motion_messages.NOTHING)
         elif hand.pending is not None:
             self.said.emit(motion_messages.HALF)
+        elif isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
+            self.said.emit(motion_messages.NO_STEP)
         else:
             self.said.emit("")
         if self.tool.is_brush:
-            if isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
-                self.said.emit(motion_messages.NO_STEP)
             self.display.touch(hand, point, first=True)
         if hand.holding:
             self.display.arrows.hide_circle()
@@ -337,12 +334,9 @@ class Pointer:
 
     def _open_hand(self) -> None:
         """Hold the tool, with nothing selected."""
-        seen = self.display.seen
-        if seen is None:
-            self.hand = self.tool.hand(self.history)
-        else:
-            grid = seen.moved.study.grid
-            self.hand = self.tool.hand(self.history, grid.spacing, grid.shape)
+        moved = self.display.moved
+        grid = Grid((1, 1), (1.0, 1.0)) if moved is None else moved.study.grid
+        self.hand: Hand = self.tool.hand(self.history, grid.spacing, grid.shape)
 
     def _show_how(self) -> None:
         mark = self.hand.mark

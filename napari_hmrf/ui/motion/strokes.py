@@ -11,12 +11,7 @@ from napari.layers import Layer, Vectors
 
 from napari_hmrf.layers.paint_layer import number_of, painted_layer
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.viewer_layers import (
-    overwrite,
-    same_selection,
-    still_there,
-    update_layer,
-)
+from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 from napari_hmrf.study.study import Grid
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
@@ -134,15 +129,10 @@ class PaintedLayer:
             self._viewer.layers.remove(layer)
         self._layer = Layer.create(*made)
         self._layer.editable = False
-        _insert_below_lines(self._viewer, self._layer)
-
-
-def _insert_below_lines(viewer: Any, layer: Any) -> None:
-    """Add a layer below all lines."""
-    layers = viewer.layers
-    above = [at for at, each in enumerate(layers) if isinstance(each, Vectors)]
-    with same_selection(viewer):
-        layers.insert(min([len(layers), *above]), layer)
+        layers = self._viewer.layers
+        lines = (at for at, each in enumerate(layers) if isinstance(each, Vectors))
+        with same_selection(self._viewer):
+            layers.insert(next(lines, len(layers)), self._layer)
 
 
 def _length_of(drawing: Drawing, stroke: Stroke | None) -> int:

@@ -46,12 +46,15 @@ class Tool:
         return self.hand is Brush
 
 
+#: The fields of what speaks of tissue that moves or stays.
+_HELD = ("radius", "confidence", "components")
+
 TOOLS: tuple[Tool, ...] = (
     Tool(
         "pull",
         "Pull",
         "G",
-        ("radius", "confidence", "components"),
+        _HELD,
         "Drag tissue to pull it, or click it to hold it in place.",
         hand=Pull,
     ),
@@ -65,13 +68,7 @@ TOOLS: tuple[Tool, ...] = (
         "in the same order.",
         Pairs,
     ),
-    Tool(
-        "pin",
-        "Hold",
-        "P",
-        ("radius", "confidence", "components"),
-        "Paint what does not move.",
-    ),
+    Tool("pin", "Hold", "P", _HELD, "Paint what does not move."),
     Tool(
         "free",
         "Free",
@@ -103,13 +100,7 @@ TOOLS: tuple[Tool, ...] = (
         ("radius", "sure", "softness"),
         "Paint over what is held or moved how sure that is.",
     ),
-    Tool(
-        "tissue",
-        "Tissue",
-        "T",
-        ("radius", "material"),
-        "Paint which tissue is where.",
-    ),
+    Tool("tissue", "Tissue", "T", ("radius", "material"), "Paint which tissue is where."),
 )
 BY_NAME = {tool.name: tool for tool in TOOLS}
 

@@ -54,7 +54,7 @@ class UnderCursor:
         self._tissue = tissue = tissue_of(self._viewer.layers, shown.answer)
         if tissue is not None:
             self._place = frame_in(tissue, shown.answer)
-            self._materials = {row.label: row for row in rows_of(tissue, TISSUE) or ()}
+            self._materials = {row.label: row for row in rows_of(tissue, TISSUE)}
 
     def at(self, position: Any) -> Probe | None:
         """What happens to the tissue that is seen at a point of the world; None beside it.
