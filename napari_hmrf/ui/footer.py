@@ -6,7 +6,15 @@ from typing import Any
 
 from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtWidgets import QLabel, QProgressBar, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from qtpy.QtWidgets import (
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QToolTip,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.ui.forms import row
@@ -63,6 +71,7 @@ class Footer(QWidget):
         self.warning = ""
         self._bar = QProgressBar()
         self._status, self._details = QLabel(), QLabel()
+        self._sentence = ""
         layout = QVBoxLayout(self)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
@@ -90,7 +99,7 @@ class Footer(QWidget):
             label.setFixedHeight(lines * label.fontMetrics().lineSpacing() + more)
             label.setContentsMargins(4, 0, 4, 0)
             layout.addWidget(label)
-        self.help.changed.connect(lambda _: self.say(self.help.tooltip))
+        self.help.changed.connect(self._show_help)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def show_steps(self, steps: ViewerSteps) -> None:
@@ -100,9 +109,27 @@ class Footer(QWidget):
         self.redo.enabled = steps.edits.next_redo is not None
 
     def say(self, status: str) -> None:
-        """Show a sentence."""
-        self._status.setText(status)
+        """Show a sentence; what has no room is read where the mouse rests on it."""
+        self._sentence = status
         self._status.setToolTip(status)
+        self._fit()
+
+    def resizeEvent(self, event: Any) -> None:
+        """Let as many words be seen as there is room for."""
+        super().resizeEvent(event)
+        self._fit()
+
+    def _show_help(self, *_: object) -> None:
+        button = self.help.native
+        self.say(self.help.tooltip)
+        QToolTip.showText(button.mapToGlobal(button.rect().center()), self.help.tooltip, button)
+
+    def _fit(self) -> None:
+        label, words = self._status, self._sentence.split(" ")
+        label.setText(self._sentence)
+        while self.isVisible() and label.heightForWidth(label.width()) > label.height():
+            words.pop()
+            label.setText(f"{' '.join(words)} ...")
 
     def explain(self, technical: str) -> None:
         """Show, where the mouse rests on the sentence, what few want to know of it."""
