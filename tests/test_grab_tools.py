@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import dock_in
 from napari.layers import Image
 from patience import LONG_MS
 from person import CTRL, SHIFT, by_name, only
@@ -418,6 +419,25 @@ def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling, sett
     assert fields.words == "Push 3 right"
     settle(widget)
     assert displacement(widget)[30, 31] == pytest.approx((0, 3), abs=0.02), "as it is told now"
+
+
+def test_the_stiffness_that_is_read_is_that_of_the_tissue_that_was_brushed(
+    make_napari_viewer, small_sample, settle
+):
+    viewer = make_napari_viewer(show=True)
+    small_sample(viewer, (48, 64))
+    widget = dock_in(viewer)
+    settle(widget)
+    stiff = replace(widget.materials[1], label=9, name="lump", stiffness=77.0)
+    widget.materials = (*widget.materials, stiff)
+    lump = Stroke("tissue", (((20, 20), (20, 24)),), 4.0, label=9)
+    pull = Arrow((30, 40), (0, 3), 4.0)
+    for drawing, said in ((Drawing((lump, pull)), True), (Drawing((pull,)), False)):
+        widget.drawing = drawing
+        settle(widget)
+        line = widget._view.cursor.line_at((20, 22))
+        assert ("lump" in line) == said
+        assert "stiffness" in line
 
 
 def test_undo_and_redo_go_through_all_tools(pulling, settle):

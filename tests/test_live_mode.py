@@ -415,13 +415,20 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     boundary.brush_size = 5
     deformed = viewer.layers["MR deformed, elastic"]
     assert not deformed.visible, "paint lies where tissue was before it moved"
-    pictures = []
-    deformed.events.set_data.connect(lambda: pictures.append(np.array(deformed.data)))
+    found = []
+    dock.seen.connect(found.append)
     places = [(row, 32) for row in range(14, 34, 2)]
-    during = []
-    person.paint(*places, between=lambda: (settle(dock), during.append(len(pictures))))
+    during, shown = [], []
+
+    def look():
+        settle(dock)
+        during.append(len(found))
+        shown.append(deformed.visible)
+
+    person.paint(*places, between=look)
     assert during[0] >= 1, "while the button is down"
     assert during[-1] > during[0]
+    assert not any(shown), "and the image is seen as it was"
     settle(dock)
     assert deformed.visible, "it is watched between two strokes"
     assert (boundary.data == 1).sum() > 100

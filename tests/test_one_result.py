@@ -567,6 +567,79 @@ def test_paint_is_put_on_the_image_as_it_was(at_hand, settle):
     assert viewer.layers["MR deformed, elastic"].visible
 
 
+def test_nothing_replaces_the_image_as_it_was_while_a_button_is_down(at_hand, settle):
+    person, dock = at_hand
+    viewer = person.viewer
+    drag_a_patch(person, dock, settle)
+    dock.live = True
+    Screen(dock).click_row("air")
+    found = []
+    dock.followed.connect(found.append)
+    person.press(20, 20)
+    person.move(20, 30)
+    settle(dock)  # the tissue has followed, and the mouse is still
+    assert found, "a newer result is there"
+    assert dock.before
+    assert not any(viewer.layers[name].visible for name in pictures(viewer))
+    person.release(20, 30)
+    settle(dock)
+    assert not dock.before
+    assert viewer.layers["MR deformed, elastic"].visible, "as it has moved"
+
+
+def test_a_number_can_be_typed_without_taking_up_a_brush(at_hand, settle):
+    person, dock = at_hand
+    drag_a_patch(person, dock, settle)
+    Screen(dock).cell("gel", "Stiffness").click()
+    assert dock.active, "the tool stays in the hand"
+    Screen(dock).click_row("gel")
+    assert not dock.active
+
+
+def test_where_the_only_pull_is_taken_back_there_is_no_result(at_hand, settle):
+    person, dock = at_hand
+    dock.boundary = dock.tissue = None
+    drag_a_patch(person, dock, settle)
+    assert dock.at((28, 36)) is not None
+    assert Screen(dock).button("Play").isEnabled()
+    dock.undo()
+    settle(dock)
+    assert dock.result is None
+    assert dock.at((28, 36)) is None
+    assert not Screen(dock).button("Play").isEnabled()
+    assert "moved up to" not in Screen(dock).words
+    dock.redo()
+    settle(dock)
+    assert dock.at((28, 36)) is not None
+
+
+def test_undo_goes_to_the_image_that_was_drawn_on(two_images, settle):
+    viewer, dock = two_images
+    dock.image = viewer.layers["MR"]
+    settle(dock)
+    dock.undo()
+    settle(dock)
+    assert dock.image is viewer.layers["CT"]
+    assert not dock.drawing.marks
+    assert not dock.shown.motion.drawing.marks, "and what is seen is without it"
+
+
+def test_undo_in_the_dock_takes_back_paint_that_came_last_as_the_keys_do(at_hand, settle):
+    person, dock = at_hand
+    drag_a_patch(person, dock, settle)
+    Screen(dock).click_row("gel")
+    layer = person.viewer.layers.selection.active
+    before = layer.data.copy()
+    layer.paint((5, 5), 3)
+    assert (layer.data != before).any()
+    Screen(dock).press("Undo")
+    settle(dock)
+    assert (layer.data == before).all()
+    assert dock.drawing.marks, "what was pulled before stays"
+    Screen(dock).press("Undo")
+    assert not dock.drawing.marks
+
+
 def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(open_window, settle):
     person, dock = open_window()
     grab(dock)

@@ -105,6 +105,14 @@ class ViewerSteps:
         if not self._interrupted():
             self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
+    def choose(self, name: str) -> None:
+        """Undo or redo as the keys do: the active layer's paint if it was last, or what is ours."""
+        active = self._viewer.layers.selection.active
+        if self._keys is None:
+            getattr(self, name)()
+        else:
+            self._keys.choose(active, name)
+
     @property
     def undo_tooltip(self) -> str:
         """What `undo` would do, for its button; it ends with the key."""
@@ -228,7 +236,7 @@ class UndoKeys:
         bound = ExitStack()
         for key, name in KEYS.items():
             with suppress(ValueError):  # somebody else's
-                owner.bind_key(key, lambda each, name=name: self._choose(each, name))
+                owner.bind_key(key, lambda each, name=name: self.choose(each, name))
                 bound.callback(owner.bind_key, key, None)
         return bound
 
@@ -241,7 +249,7 @@ class UndoKeys:
             active.events.paint.connect(self._on_paint)
             self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
 
-    def _choose(self, owner: Any, name: str) -> None:
+    def choose(self, owner: Any, name: str) -> None:
         """Take back, or do again, what is ours, or a layer's paint."""
         step = self._edits.next_undo
         later = name == "undo" and self._ours and step is not None

@@ -100,6 +100,10 @@ class Result:
         held = self._held[part]
         return bool(layer.visible if layer.visible != held.seen else held.wanted)
 
+    def holds(self, part: Part) -> bool:
+        """Whether the newest result has a part; tissue that is at rest has no arrows."""
+        return part in self._held and self._held[part].current
+
     @property
     def visible(self) -> bool:
         """Whether anything of it is seen."""

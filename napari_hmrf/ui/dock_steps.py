@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import CURVE, Owner, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import CURVE, DRAWING, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
@@ -40,8 +40,8 @@ class DockSteps:
             table.changed.connect(self.note)
         tissue.editor.plot.edited.connect(self._take_curve)
         tissue.editor.plot.settled.connect(lambda _: self._model.end())
-        form.footer.undo.changed.connect(steps.undo)
-        form.footer.redo.changed.connect(steps.redo)
+        form.footer.undo.changed.connect(lambda _: steps.choose("undo"))
+        form.footer.redo.changed.connect(lambda _: steps.choose("redo"))
         StepKeys(native, steps)
         self._heard = Listening(
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
@@ -100,7 +100,9 @@ class DockSteps:
         return Slot(CURVE, self._form.image.value)
 
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
-        """Put back what a slot holds: a table that is shown, or a curve."""
+        """Put back a table that is shown, or a curve; and choose the image that is drawn on."""
+        if slot.what == DRAWING and slot.layer in self._form.image.offered:
+            self._form.image.value = slot.layer
         if slot == self._curve_slot:
             self._form.tissue.go_by(value)
         for table in self._tables:

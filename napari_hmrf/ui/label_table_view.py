@@ -46,7 +46,7 @@ class LabelTableView(QTableView):
         header.setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
         header.setMinimumSectionSize(30)
         header.geometriesChanged.connect(self.updateGeometry)
-        self.clicked.connect(self._pick)
+        self.clicked.connect(self._on_click)
         table.modelReset.connect(self._on_rows)
         table.dataChanged.connect(self._show_columns)
         table.headerDataChanged.connect(self._show_columns)
@@ -76,6 +76,10 @@ class LabelTableView(QTableView):
             self.clearSelection()
         elif not self.selectionModel().isRowSelected(row := labels.index(label)):
             self.selectRow(row)
+
+    def _on_click(self, index: Any) -> None:
+        if index.column() <= NAME:  # in the others somebody may want to type
+            self._pick(index)
 
     def _pick(self, index: Any) -> None:
         if index.isValid():

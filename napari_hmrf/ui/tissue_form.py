@@ -134,6 +134,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
 
     def _on_choice(self, layer: Any) -> None:
         self.editor.setVisible(layer == BRIGHTNESS)
+        self.border.visible = isinstance(layer, Labels)  # without, the dark border is soft
         super()._on_choice(layer)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from napari.layers import Image
 
 from napari_hmrf.field.tissue_point import Points, Probe
@@ -12,6 +13,7 @@ from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.layer_names import full_resolution
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.result.moving_layers import MovingLayers
@@ -76,14 +78,15 @@ class UnderCursor:
         found, shown = self.at(position), self._shown
         if found is None or shown is None:
             return ""
-        answer, more, overlay = shown.answer, [self._stiffness(found)], shown.overlay
+        answer, overlay = shown.answer, shown.overlay
+        more = [self._stiffness(answer.problem, found)]
         if overlay is not None and overlay.picture is not None:
             strain = float(overlay.picture[found.row, found.col])
             more.insert(0, strain_of(overlay.name, strain))
         ways = Directions.of(answer.frame, self._viewer)
         return at_point(answer.unit, found, ways, more, shown.percent)
 
-    def _stiffness(self, found: Probe) -> str:
+    def _stiffness(self, problem: Problem | None, found: Probe) -> str:
         tissue, frame = self._tissue, self._place
         if frame is None or tissue not in self._viewer.layers:
             return ""
@@ -93,6 +96,10 @@ class UnderCursor:
         if isinstance(tissue, Image):
             return stiffness_of("", float(f"{float(value):.3g}"), unit)
         material = self._materials.get(int(value))
+        if problem is not None:  # a brush may have made it other tissue
+            solved = problem.stiffness[found.row, found.col]
+            same = [row for row in self._materials.values() if np.float32(row.stiffness) == solved]
+            material = material if material in same else next(iter(same), None)
         if material is None:
             return ""
         return stiffness_of(material.name, material.stiffness, unit)

@@ -151,13 +151,14 @@ class ResultView:
     def _look_at(self, arrows: Any) -> None:
         """Look at the result that a layer of arrows holds, as it is now; None: at none."""
         before = self.shown
-        self._put_back()
-        self._heard.release()
-        self.cursor.watch(None)
         answer, shown = None if arrows is None else result_of(arrows), None
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
+        # A newer state of the same is not seen as long as somebody looks at what was before.
+        self._put_back(release=other)
+        self._heard.release()
+        self.cursor.watch(None)
         if before is not None and other:
             before.layers.leave()
         self.shown = self.player.shown = shown
@@ -195,6 +196,8 @@ class ResultView:
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self._look_at(arrows)
+        elif not result.moving and not result.holds("arrows"):
+            self._look_at(None)
         elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
             self._look_at(arrows)
         elif moves or self._form.slider.value != words.FULL:
@@ -273,11 +276,12 @@ class ResultView:
             return True
         return False
 
-    def _put_back(self) -> None:
+    def _put_back(self, release: bool = True) -> None:
         """Leave the layers as they were before they were moved."""
         self._errands.forget()
         if self.shown is not None:
-            self.shown.layers.release()
+            if release:
+                self.shown.layers.release()
             self.shown.layers.show_whole()
         self._draw_whole()
 
