@@ -162,7 +162,8 @@ def test_where_nothing_is_painted_any_more_tissue_is_where_it_was(living, settle
     boundary.data = np.zeros_like(painted)
     settle(widget)
     assert widget.solution is None
-    assert not [name for name in names(widget) if name.startswith("MR ")]
+    layers = viewer_of(widget).layers
+    assert not any(layer.visible for layer in layers if layer.name.startswith("MR "))
     assert image.visible
     assert (widget.status, widget.details) == (STILL, "")
     boundary.data = painted

@@ -128,7 +128,8 @@ class Display:
                 picture = picture_layer(study.grid.place, study.pictures, moved.image, run)
                 self._show_result({"image": picture}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
-                result.remove()
+                # Hidden, not removed: where no lines are left napari 0.7 can end the program.
+                self._show_result({}, moving=False)
             self.show_painted(seen, hand)
 
     def finish(self, done: Done) -> None:
