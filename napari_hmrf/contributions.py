@@ -71,7 +71,7 @@ def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]]
     """Offer to read a saved result; None for any other file."""
     from napari_hmrf.solver.solution import is_solution_file
 
-    paths = [path] if isinstance(path, str) else path
+    paths = _listed(path)
     return _read if paths and all(is_solution_file(each) for each in paths) else None
 
 
@@ -83,7 +83,7 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     from napari_hmrf.solver.solution import Solution
 
     layers: list[LayerData] = []
-    for each in [path] if isinstance(path, str) else path:
+    for each in _listed(path):
         try:
             made = result_layers(Solution.load(each)).layers["arrows"]
         except ValueError as error:
@@ -98,7 +98,7 @@ def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | N
     """Offer to read a scan where it lies in the patient; None for any other file or folder."""
     from napari_hmrf.io.images import is_scan
 
-    paths = [path] if isinstance(path, str) else path
+    paths = _listed(path)
     return _read_scans if paths and all(is_scan(each) for each in paths) else None
 
 
@@ -109,7 +109,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
     from napari_hmrf.layers.metadata import IMAGE, described
 
     layers: list[LayerData] = []
-    for each in [path] if isinstance(path, str) else path:
+    for each in _listed(path):
         image = load_image(each)
         attributes = {
             "name": Path(each).name.partition(".")[0],
@@ -139,7 +139,7 @@ def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]
     """Offer to read landmarks of BigWarp or Slicer; None for any other file."""
     from napari_hmrf.io.landmark_files import is_landmark_file
 
-    paths = [path] if isinstance(path, str) else path
+    paths = _listed(path)
     return _read_landmarks if paths and all(map(is_landmark_file, paths)) else None
 
 
@@ -149,7 +149,7 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
     from napari_hmrf.io.landmark_files import load_points
 
     layers: list[LayerData] = []
-    for each in [path] if isinstance(path, str) else path:
+    for each in _listed(path):
         file, name = load_points(each), Path(each).name.partition(".")[0]
         n = file.points.shape[1]
         place = {"units": ("mm",) * n if file.unit == "mm" else ("pixel",) * n}
@@ -168,6 +168,11 @@ def _place(place: Any) -> dict[str, Any]:
     frame = frame_of(place)
     names = ("scale", "affine", "units", "axis_labels")
     return {name: frame[name] for name in names}
+
+
+def _listed(path: PathOrPaths) -> list[str]:
+    """The files that napari speaks of: one, or several."""
+    return [path] if isinstance(path, str) else path
 
 
 def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.moved_points import looked_up
 from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.solver.problem import as_numbers
 
@@ -65,12 +66,8 @@ def inverse_displacement(
     ProblemError
         Naming the input at fault.
     """
-    d = as_numbers("displacement", displacement).astype(np.float64)
-    n = d.ndim - 1
-    if n not in (2, 3) or d.shape[-1] != n:
-        raise ProblemError(
-            "displacement", f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) of a volume."
-        )
+    d = as_field(displacement)
+    n = d.shape[-1]
     sites = np.moveaxis(np.indices(d.shape[:-1], dtype=np.float64), 0, -1)
     if n == 3:
         origins, known = _by_newton(d / spacing, sites)
@@ -86,9 +83,19 @@ def inverse_displacement(
     back = (origins - sites) * spacing
     residual = np.nan
     if known.any():
-        away = _at(d / spacing, origins[known]) + origins[known] - sites[known]
+        away = looked_up(d / spacing, origins[known]) + origins[known] - sites[known]
         residual = float(np.linalg.norm(away, axis=-1).max())
     return Inverse(back, residual)
+
+
+def as_field(displacement: npt.ArrayLike) -> Float64Array:
+    """A displacement of a slice or of a volume, in double precision; or a `ProblemError`."""
+    d = as_numbers("displacement", displacement).astype(np.float64)
+    if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
+        raise ProblemError(
+            "displacement", f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) of a volume."
+        )
+    return d
 
 
 def _by_newton(
@@ -105,8 +112,10 @@ def _by_newton(
     open_ones = np.arange(len(targets))
     for _ in range(_STEPS):
         at = found[open_ones]
-        away = at + _at(pixels, at) - targets[open_ones]
-        slope = np.eye(n) + _at(slopes.reshape(*sites.shape[:-1], n * n), at).reshape(-1, n, n)
+        away = at + looked_up(pixels, at) - targets[open_ones]
+        slope = np.eye(n) + looked_up(slopes.reshape(*sites.shape[:-1], n * n), at).reshape(
+            -1, n, n
+        )
         # Where a field folds there is no way back; a slope that is no slope is stepped over.
         flat = np.abs(np.linalg.det(slope)) < 1e-3
         slope[flat] = np.eye(n)
@@ -117,16 +126,6 @@ def _by_newton(
         if not len(open_ones):
             break
     return found.reshape(sites.shape), np.ones(sites.shape[:-1], dtype=bool)
-
-
-def _at(field: Float64Array, points: Float64Array) -> Float64Array:
-    """Look a field up between its sites, linearly; beyond its edge it stays as it is there."""
-    look_up = scipy.ndimage.map_coordinates
-    parts = [
-        look_up(field[..., part], points.T, order=1, mode="nearest")
-        for part in range(field.shape[-1])
-    ]
-    return np.stack(parts, axis=-1)
 
 
 def _extended(values: Float64Array, known: npt.NDArray[np.bool_]) -> Float64Array:

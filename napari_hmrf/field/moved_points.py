@@ -41,9 +41,18 @@ def moved_points(
     n = d.shape[-1]
     if at.ndim != 2 or at.shape[1] != n:
         raise ProblemError("points", f"have shape {at.shape}. Give (N, {n}), a row for each point.")
-    steps = [
-        scipy.ndimage.map_coordinates(d[..., axis], at.T, order=1, mode="nearest") / spacing[axis]
-        for axis in range(n)
+    return at + looked_up(d, at) / spacing
+
+
+def looked_up(
+    field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Look a field, ([D,] H, W, k), up at points, (N, n) in pixels: linear between its sites.
+
+    Beyond its edge it stays as it is there.
+    """
+    parts = [
+        scipy.ndimage.map_coordinates(field[..., part], points.T, order=1, mode="nearest")
+        for part in range(field.shape[-1])
     ]
-    moved: npt.NDArray[np.float64] = at + np.stack(steps, axis=-1)
-    return moved
+    return np.stack(parts, axis=-1)

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.warp import warp
-from napari_hmrf.io.fields import Place, place_of, read_field
+from napari_hmrf.io.fields import Place, placed, read_field
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import (
     POINT_SUFFIXES,
@@ -23,9 +23,9 @@ from napari_hmrf.io.landmark_files import (
     load_points,
     save_points,
 )
-from napari_hmrf.io.study_file import is_study_file, load_study
+from napari_hmrf.io.study_file import is_study_file, load_solved
 from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.solver.solution import Solution, is_solution_file
+from napari_hmrf.solver.solution import is_solution_file
 
 Pixels = npt.NDArray[Any]
 
@@ -47,14 +47,11 @@ class FieldFile:
         Of a slice of a volume with three spacings.
     tissue : ndarray of bool or None
         What moves; None if the file does not say: everything.
-    solution : Solution or None
-        If it is one of this package.
     """
 
     displacement: npt.NDArray[np.floating]
     place: Place
     tissue: npt.NDArray[np.bool_] | None = None
-    solution: Solution | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -77,17 +74,9 @@ def load_field(path: str | os.PathLike[str]) -> FieldFile:
     HmrfError, OSError
         As of `read_field`.
     """
-    solution = None
-    if is_solution_file(path):
-        solution = Solution.load(path)
-    elif is_study_file(path):
-        solution = load_study(path).solution
-        if solution is None:
-            raise FileFormatError(f"{Path(path).name}: the study was saved without its field.")
-    if solution is not None:
-        place = place_of(solution)
-        factor = np.array(place.spacing[-2:]) / solution.spacing
-        return FieldFile(solution.displacement * factor, place, solution.tissue, solution)
+    if is_solution_file(path) or is_study_file(path):
+        _, solution = load_solved(path)
+        return FieldFile(*placed(solution), solution.tissue)
     field = read_field(path)
     d = field.displacement
     if d.ndim == 4 and len(d) == 1 and np.abs(d[..., 0]).max() < _ROUNDING:  # a slice of a volume

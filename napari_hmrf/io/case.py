@@ -17,7 +17,13 @@ from napari_hmrf.io.fields import Place, frame_of, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
 from napari_hmrf.io.material_tables import load_materials
-from napari_hmrf.io.study_file import Saved, is_study_file, load_study, save_study
+from napari_hmrf.io.study_file import (
+    Saved,
+    is_study_file,
+    load_solved,
+    load_study,
+    save_study,
+)
 from napari_hmrf.io.tables import read_materials, read_rules
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -135,7 +141,7 @@ def measured(path: Path, labels: Path | None = None) -> DataFrame:
     """
     from pandas import DataFrame
 
-    study, solution = _solved(path)
+    study, solution = load_solved(path)
     tissue = None if study is None else study.tissue
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
@@ -154,22 +160,13 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
     HmrfError, OSError
         If a file cannot be read; or if it holds no field, or no image and none is given.
     """
-    study, solution = _solved(path)
+    study, solution = load_solved(path)
     pixels = None if study is None else study.pictures.image
     if image is not None:
         pixels = load_image(image).pixels
     if pixels is None:
         raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
     return solution, pixels
-
-
-def _solved(path: Path) -> tuple[Study | None, Solution]:
-    if not is_study_file(path):
-        return None, Solution.load(path)
-    study, solution = load_study(path)
-    if solution is None:
-        raise HmrfError(f"{path.name}: the study was saved without its field. Solve it first.")
-    return study, solution
 
 
 def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:

@@ -24,7 +24,7 @@ import pint
 from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
-from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.field.inverse_field import as_field, inverse_displacement
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 
@@ -124,12 +124,8 @@ def write_field(
         )
     _refuse_beside(target, suffix)
     sitk = simpleitk()
-    d = as_numbers("displacement", displacement).astype(np.float64)
-    n = d.ndim - 1
-    if n not in (2, 3) or d.shape[-1] != n:
-        raise ProblemError(
-            "displacement", f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) of a volume."
-        )
+    d = as_field(displacement)
+    n = d.shape[-1]
     if not np.isfinite(d).all():
         raise ProblemError("displacement", "holds NaN or infinite values. Replace those vectors.")
     size = _lengths("spacing", spacing, (n, 3))
@@ -274,6 +270,12 @@ def frame_of(place: Place) -> dict[str, Any]:
     }
 
 
+def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
+    """The displacement of a solution in the unit of its `place_of`, and that place."""
+    place = place_of(solution)
+    return solution.displacement * (np.array(place.spacing[-2:]) / solution.spacing), place
+
+
 def _length(frame: Mapping[str, Any], axis: int) -> float:
     """How many mm an axis of the world counts by, 1 if it counts pixels; 0 if it is no length."""
     unit = str(frame["units"][axis])
@@ -307,10 +309,10 @@ def export_field(
     HmrfError, OSError
         As of `write_field`; or if its image lies where no such file can say.
     """
-    place = place_of(solution)
+    displacement, place = placed(solution)
     return write_field(
         path,
-        solution.displacement * (np.array(place.spacing[-2:]) / solution.spacing),
+        displacement,
         **place._asdict(),
         forward=forward,
         tissue=solution.tissue,

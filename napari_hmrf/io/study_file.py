@@ -128,6 +128,26 @@ def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     return Saved(study, content.solution)
 
 
+def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
+    """Read a study with its field, or a saved result, of which no study is known.
+
+    Raises
+    ------
+    FileFormatError
+        If it is neither, or damaged; or if the study was saved without its field.
+    OSError
+        If it cannot be opened.
+    """
+    if not is_study_file(path):
+        return None, Solution.load(path)
+    study, solution = load_study(path)
+    if solution is None:
+        raise FileFormatError(
+            f"{Path(path).name}: the study was saved without its field. Solve it first."
+        )
+    return study, solution
+
+
 def is_study_file(path: str | os.PathLike[str]) -> bool:
     """Tell, by reading little of it, whether a file says that it is a study's."""
     return array_file.claims_to_be(path, STUDY_FORMAT)

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
 
 T = TypeVar("T")
 #: Larger files are no tables of ours, and are not read.
@@ -40,8 +40,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
 
     def row(cells: dict[str, str]) -> dict[str, Any]:
         named = {"name": f"tissue {cells.get('label')}", **cells}
-        stiffness = cells["stiffness"].casefold()
-        return {**named, "stiffness": "inf" if stiffness == "rigid" else stiffness}
+        return {**named, "stiffness": read_stiffness(cells["stiffness"])}
 
     return _read(path, _MATERIALS, row, needed=("label", "stiffness"))
 
