@@ -334,7 +334,6 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     assert layer.contrast_limits == [0, 3]
     set_to(look, overlay="jacobian")
     assert layer.name == "MR Jacobian (area ratio)"
-    assert viewer.layers.index(layer) == viewer.layers.index("MR deformed") + 1
     inside = layer.data[10, 5:19]
     assert ((inside > 1.02) & (inside < 1.4)).all(), "the block is pulled apart"
     low, high = layer.contrast_limits
@@ -351,6 +350,20 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     assert not layer.visible
     with pytest.raises(ValueError, match=r"'heat' is not a valid choice.*'nothing', 'magnitude'"):
         look.overlay = "heat"
+
+
+@pytest.mark.parametrize("overlay", ["jacobian", "labels"])
+def test_paint_tints_no_colours_of_a_result_whenever_it_comes(look, run, set_to, overlay):
+    viewer = viewer_of(look)
+    set_to(look, overlay=overlay)
+    (name,) = {"MR Jacobian (area ratio)", "Tissue deformed"} & set(names(viewer))
+    assert names(viewer)[-2:] == [name, "MR arrows"], "arrows are seen on colours, too"
+    for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
+        viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    run(look)
+    set_to(look)
+    assert names(viewer)[-1] == name
 
 
 def test_one_thing_at_a_time_lies_over_the_image(look, set_to):

@@ -11,7 +11,7 @@ import numpy as np
 from napari.layers import Layer, Vectors
 from psygnal import Signal
 
-from napari_hmrf.layers.metadata import METADATA, add_known, known_of
+from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, known_of, role_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
@@ -256,6 +256,7 @@ class Result:
         """Have a layer show this: the one that is there, or a new one."""
         layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
         name, is_scale = made.attributes["name"], part != "image" and made.kind == "image"
+        is_overlaid = part == "overlay" and made.kind != "vectors"
         with same_selection(self._viewer):
             if held is None or layer is None or not _fits(layer, made):
                 wanted = layer is None or self.wants(part)
@@ -274,16 +275,24 @@ class Result:
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
+                now, at = layers.index(layer), self._index(part, made, source)
+                if is_overlaid and now + 1 < at:  # paint has come since
+                    layers.move(now, at)
         held.own = held.part = held.whole = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
-        """Pictures go directly above what was deformed and has moved, lines on top."""
+        """Pictures go directly above what was deformed and has moved, lines on top.
+
+        An overlay goes above paint, too, through which its colours would be read as others.
+        """
         layers = self._viewer.layers
         if made.kind == "vectors":
             return len(layers)
         if part == CONFIDENCE:  # with what else is painted
             return next((at for at, each in enumerate(layers) if _is_drawn(each)), len(layers))
         below = [] if part == "image" else [self.layer("image")]
+        if part == "overlay":
+            below += [each for each in layers if _is_paint(each)]
         if source is None:
             below.append(self._anchor())
         else:
@@ -307,6 +316,12 @@ def _fits(layer: Any, made: LayerData) -> bool:
 def _is_drawn(layer: Any) -> bool:
     """Whether a layer is of lines, or shows what brushes have painted."""
     return isinstance(layer, Vectors) or known_of(layer).get("kind") == "painted"
+
+
+def _is_paint(layer: Any) -> bool:
+    """Whether a layer says what tissue is, what holds it, or how sure that is."""
+    painted = known_of(layer).get("kind") in (CONFIDENCE, "painted")
+    return painted or role_of(layer) in (TISSUE, BOUNDARY)
 
 
 def _is_moved(layer: Any, where: str) -> bool:
