@@ -30,12 +30,21 @@ TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, col
         ({"rotate": 60}, ("right", "up")),
         ({"rotate": 30, "scale": (-1, 1)}, ("up", "right")),
         ({"rotate": 30, "scale": (1, -1)}, ("down", "left")),
-        ({"rotate": 45}, ("", "")),
+        ({"rotate": 44.9}, ("down", "right")),
+        ({"affine": [[1, 1, 0], [0, 0.4, 0], [0, 0, 1]]}, ("", "")),
     ],
 )
 def test_rows_and_columns_run_as_they_are_seen(place, seen):
     image = Image(np.zeros((20, 30)), **place)
-    assert Directions.of(Frame.of(image)) == seen
+    ways = Directions.of(Frame.of(image))
+    assert ways[:2] == seen
+    # Whatever the angle: a step along the way named is seen to go there, and nowhere else.
+    pixels = np.divide(ways.along((3.0, 0.0)), Frame.of(image).spacing)
+    goes = np.subtract(image.data_to_world(pixels), image.data_to_world((0, 0)))
+    if all(seen):
+        towards = {"down": (3, 0), "up": (-3, 0), "right": (0, 3), "left": (0, -3)}[seen[0]]
+        np.testing.assert_allclose(goes, towards, atol=1e-6)
+        np.testing.assert_allclose(ways.seen(ways.along((3.0, -2.0))), (3, -2))
 
 
 def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
@@ -43,10 +52,12 @@ def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
     image = viewer.add_image(np.zeros((20, 30)), scale=(1, -1))
     viewer.dims.order = (1, 0)
     frame = Frame.of(image, View.of(viewer.dims))
-    assert Directions.of(frame, viewer) == ("up", "right"), "the image's columns are the rows now"
+    assert Directions.of(frame, viewer)[:2] == ("up", "right"), (
+        "the image's columns are the rows now"
+    )
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "right")
-    assert Directions.of(frame, viewer) == ("down", "right")
+    assert Directions.of(frame, viewer) == Directions("down", "right"), "and nothing is turned"
 
 
 def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
@@ -94,28 +105,50 @@ def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_window, se
     assert words[1:] == ["up and down only (rows)", "left and right only (columns)"]
 
 
-@pytest.mark.parametrize(
-    ("place", "ways"),
-    [({"rotate": 30}, ("down", "right")), ({"rotate": 30, "scale": (-1, -1)}, ("up", "left"))],
-)
-def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(
-    open_window, settle, place, ways
-):
+@pytest.mark.parametrize("place", [{"rotate": 30}, {"rotate": 30, "scale": (-1, -1)}])
+def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_window, settle, place):
     _, widget = open_window(**place)
     widget.tool = "move"
     widget.start()
     settle(widget)
-    table, fields = widget._form.motion.boundary.table, widget.fields
-    for axis, (way, field) in enumerate(zip(ways, (fields.by_row, fields.by_col), strict=True)):
-        assert head(widget._form.motion.boundary.seen, 3 + axis).startswith(way)
-        assert field.label.startswith(way)
-        assert "below 0" in table.columns[3 + axis].about
-        assert "below 0" in field.tooltip
-        step = np.eye(2)[axis]
-        layer = widget.image
-        goes = np.subtract(layer.data_to_world(step), layer.data_to_world((0, 0)))
-        towards = {"down": (1, 0), "up": (-1, 0), "right": (0, 1), "left": (0, -1)}[way]
-        assert goes @ towards > 0.8
+    fields, layer = widget.fields, widget.image
+    down = fields.by_row.label.split(" ")[0]
+    fields.by_row.value = 5.0 if down == "up" else -5.0
+    assert "as it is seen" in fields.by_row.tooltip
+    assert fields.words == "Push 5 up"
+
+    def goes(by):
+        return np.subtract(layer.data_to_world(by), layer.data_to_world((0, 0)))
+
+    np.testing.assert_allclose(goes(fields.how.by), (-5, 0), atol=1e-6)
+    fields.show_how(fields.how)
+    assert abs(fields.by_row.value) == 5
+    assert fields.by_col.value == 0
+    table = widget._form.motion.boundary.table
+    table.layer = widget._viewer.add_labels(np.zeros(layer.data.shape, int), name="walls", **place)
+    table.rows = (BoundaryRule(1, "move"),)
+    for column, text in ((3, "7"), (4, "-2")):
+        assert head(widget._form.motion.boundary.seen, column)
+        assert table.setData(table.index(0, column), text)
+    shown = [table.index(0, column).data() for column in (3, 4)]
+    assert shown == ["7", "-2"], "as it was typed"
+    to = {"down": (7, -2), "up": (-7, 2)}[down]
+    np.testing.assert_allclose(goes(table.rows[0].vector), to, atol=1e-6)
+
+
+def test_what_is_said_of_one_direction_of_a_turned_layer_is_of_the_image_s(open_window, settle):
+    _, widget = open_window(rotate=30)
+    widget.tool = "move"
+    widget.start()
+    settle(widget)
+    fields = widget.fields
+    fields.components.value = "row"
+    fields.by_row.value = 4.0
+    assert fields.words == "Push 3 down, 1.73 right, along the image's rows only"
+    widget.image.rotate = 0
+    settle(widget)
+    assert fields.words.endswith("up and down only")
+    assert fields.by_row.value == pytest.approx(4 * np.cos(np.pi / 6), abs=0.01), "the same motion"
 
 
 def test_slices_are_called_as_the_slider_does():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,24 +10,29 @@ import numpy as np
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.place import Frame
 
-#: Beyond this tilt, in degrees, nobody can tell which way of the screen is the nearest to an axis.
-_TILT = 44.0
+#: Columns whose direction is less than this aside from that of the rows have no way of their own.
+_ASIDE = 0.5
 _OPPOSITE = {"down": "up", "up": "down", "right": "left", "left": "right", "": ""}
 
 
 class Directions(NamedTuple):
-    """Where a step of one pixel goes, as it is seen: the nearest way of the screen; "" halfway.
+    """Where a step of one pixel goes, as it is seen: the nearest way of the screen; "" if sheared.
 
     Components of a displacement keep the order and the sign of the pixels: a medical image that is
-    stored mirrored is seen mirrored back, and its columns then run to the left.
+    stored mirrored is seen mirrored back, and its columns then run to the left. Of a layer that is
+    turned by an angle, people read and type the components along the ways of the screen itself.
 
     Attributes
     ----------
     rows, cols : {"down", "up", "right", "left", ""}
+    turn : float
+        By how much the rows are turned from the way they have the name of, towards that of the
+        columns, in radians.
     """
 
     rows: str = "down"
     cols: str = "right"
+    turn: float = 0.0
 
     @classmethod
     def of(cls, frame: Frame, viewer: Any = None) -> Directions:
@@ -39,53 +45,72 @@ class Directions(NamedTuple):
         """
         axes = list(frame.plane)
         linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
+        linear = linear / np.linalg.norm(linear, axis=0)
         # Where the world's rows and columns run on the canvas.
         down, right = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
         ways = str(down), str(right)
-        seen = []
-        for step in linear.T:
-            main = int(np.abs(step).argmax())
-            straight = abs(step[1 - main]) <= np.tan(np.radians(_TILT)) * abs(step[main])
-            way = ways[main] if step[main] > 0 else _OPPOSITE[ways[main]]
-            seen.append(way if straight else "")
-        rows, cols = seen
-        upright = {"down", "up"}
-        if "" in seen or (rows in upright) == (cols in upright):
+        main = int(np.abs(linear[:, 0]).argmax())
+        seen = linear[[main, 1 - main]]
+        if abs(seen[1, 1]) < _ASIDE:
             return cls("", "")
-        return cls(rows, cols)
+        forward = np.sign(np.diag(seen))
+        names = [
+            ways[at] if sign > 0 else _OPPOSITE[ways[at]]
+            for at, sign in zip((main, 1 - main), forward, strict=True)
+        ]
+        seen = seen * forward[:, None]
+        turn = math.atan2(seen[1, 0] - seen[0, 1], seen[0, 0] + seen[1, 1])
+        return cls(*names, round(turn, 9) + 0.0)
+
+    def seen(self, by: tuple[float, float]) -> tuple[float, float]:
+        """A displacement along (rows, columns) by its components along the ways named."""
+        if not self.turn:
+            return by
+        cosine, sine = math.cos(self.turn), math.sin(self.turn)
+        return cosine * by[0] - sine * by[1], sine * by[0] + cosine * by[1]
+
+    def along(self, seen: tuple[float, float]) -> tuple[float, float]:
+        """The inverse of `seen`."""
+        return self._replace(turn=-self.turn).seen(seen)
 
     def about(self, axis: int) -> str:
         """What a number along an axis says: "How far down, along the rows; below 0: up"."""
-        along = ("the rows", "the columns")[axis]
-        if not self[axis]:
+        along, way = ("the rows", "the columns")[axis], self._way(axis)
+        if not way:
             return f"How far along {along}, in the order of the pixels"
-        return f"How far {_to(self[axis])}, along {along}; below 0: {_to(_OPPOSITE[self[axis]])}"
+        along = (
+            "as it is seen, whichever way the layer is turned" if self.turn else f"along {along}"
+        )
+        return f"How far {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
 
     def label(self, axis: int) -> str:
         """Of numbers along the rows (0) or the columns (1): "down", "right"."""
-        return self[axis] or ("along rows", "along columns")[axis]
+        return self._way(axis) or ("along rows", "along columns")[axis]
 
     def only(self, axis: int) -> str:
-        """Speaking of one axis alone: "up and down only (rows)"."""
+        """Speaking of one axis alone, which is the image's: "up and down only (rows)"."""
         name, both = ("rows", "columns")[axis], self.both(axis)
-        return f"{both} only ({name})" if both else f"{name} only"
+        return f"{both} only ({name})" if both else f"along the image's {name} only"
 
     def both(self, axis: int) -> str:
-        """An axis without a sense: "up and down"; "" halfway."""
-        if not self[axis]:
+        """An axis without a sense: "up and down"; "" at an angle."""
+        if not self._way(axis) or self.turn:
             return ""
-        return "up and down" if self[axis] in ("up", "down") else "left and right"
+        return "up and down" if self._way(axis) in ("up", "down") else "left and right"
 
-    def step(self, by: tuple[float, float]) -> str:
-        """A step in words: "5 down, 10 right"."""
-        if not all(self):
-            return f"({by[0]:g}, {by[1]:g})"
+    def step(self, seen: tuple[float, float]) -> str:
+        """A step along the ways named in words: "5 down, 10 right"."""
+        if not self.rows:
+            return f"({seen[0]:g}, {seen[1]:g})"
         parts = [
             f"{abs(length):g} {way if length > 0 else _OPPOSITE[way]}"
-            for length, way in zip(by, self, strict=True)
+            for length, way in zip(seen, (self.rows, self.cols), strict=True)
             if length
         ]
         return ", ".join(parts) or "0"
+
+    def _way(self, axis: int) -> str:
+        return (self.rows, self.cols)[axis]
 
 
 def _to(way: str) -> str:

@@ -136,7 +136,7 @@ class BoundaryTable(LabelTable):
                     Column(
                         "",
                         "",
-                        partial(_amount, column),
+                        partial(self._amount, column),
                         partial(self._typed, column),
                         lambda row: f"in {self._unit}",
                     )
@@ -157,7 +157,7 @@ class BoundaryTable(LabelTable):
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit amounts are, and which way rows and columns run on the screen."""
-        self._unit = unit
+        self._unit, self._ways = unit, ways
         for column, title, about in (
             (_ROWS, ways.label(0), ways.about(0)),
             (_COLS, ways.label(1), ways.about(1)),
@@ -165,6 +165,7 @@ class BoundaryTable(LabelTable):
         ):
             words = title.replace(" ", "\n")  # the dock is narrow
             self.set_column(column, title=f"{words}\n{unit}", about=f"{about}, in {unit}")
+        self._show(self.contents)
 
     def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
         amount = _number(text)
@@ -172,14 +173,16 @@ class BoundaryTable(LabelTable):
             raise ValueError(f"A distance must be a number, in {self._unit}")
         if column == _OUTWARD:
             return replace(rule, amount=amount)
-        rows, cols = rule.vector
-        return replace(rule, vector=(amount, cols) if column == _ROWS else (rows, amount))
+        down, along = self._ways.seen(rule.vector)
+        seen = (amount, along) if column == _ROWS else (down, amount)
+        return replace(rule, vector=self._ways.along(seen))
 
-
-def _amount(column: int, rule: BoundaryRule) -> str:
-    if rule.action != _AMOUNTS[column]:
-        return ""
-    return f"{rule.amount if column == _OUTWARD else rule.vector[column - _ROWS]:g}"
+    def _amount(self, column: int, rule: BoundaryRule) -> str:
+        if rule.action != _AMOUNTS[column]:
+            return ""
+        if column == _OUTWARD:
+            return f"{rule.amount:g}"
+        return f"{round(self._ways.seen(rule.vector)[column - _ROWS], 9) + 0.0:g}"
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:

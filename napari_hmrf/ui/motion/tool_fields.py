@@ -111,10 +111,16 @@ class ToolFields(Container):
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
         if "by_row" in values:
-            values["by"] = (values.pop("by_row"), values.pop("by_col"))
+            del values["by_row"], values["by_col"]
+            values["by"] = self._by
         if not tool.is_brush:
             return Arrow(somewhere, somewhere, **values)
         return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
+
+    @property
+    def _by(self) -> tuple[float, float]:
+        """What is typed as a step, along (rows, columns)."""
+        return self._ways.along((self.by_row.value, self.by_col.value))
 
     @property
     def words(self) -> str:
@@ -123,17 +129,17 @@ class ToolFields(Container):
         if "components" not in self._tool.fields or which == "both":
             return words
         axis = ("row", "col").index(which)
-        return f"{words}, {self._ways.both(axis) or ('rows', 'columns')[axis]} only"
+        return f"{words}, {self._ways.only(axis).partition(' (')[0]}"
 
     @property
     def _action_words(self) -> str:
         title = self._tool.title
         match self._tool.name:
             case "move":
-                down, along = self.by_row.value, self.by_col.value
-                which = self.components.value
-                step = (0.0 if which == "col" else down, 0.0 if which == "row" else along)
-                return f"{title} {self._ways.step(step)}"
+                which, by = self.components.value, self._by
+                step = (0.0 if which == "col" else by[0], 0.0 if which == "row" else by[1])
+                down, along = (round(part, 2) + 0.0 for part in self._ways.seen(step))
+                return f"{title} {self._ways.step((down, along))}"
             case "expand":
                 amount = self.amount.value
                 return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
@@ -154,7 +160,7 @@ class ToolFields(Container):
         """Show how the selected mark was made, without changing it."""
         said = {"components": "both", **vars(how)}
         if isinstance(how, Stroke):
-            said["by_row"], said["by_col"] = how.by
+            said["by_row"], said["by_col"] = self._ways.seen(how.by)
             # The size of the brush is nothing of the stroke's that is changed with it.
             del said["radius"]
         for name in self._tool.fields:
@@ -177,15 +183,19 @@ class ToolFields(Container):
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way the rows and columns run on the screen.
 
-        What is typed keeps its meaning, along the rows and columns: only the words change.
+        What is typed keeps its meaning, along the rows and columns: words and angles change.
         """
+        by, steps = self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
-        for axis, field in enumerate((self.by_row, self.by_col)):
+        for axis, field in enumerate(steps):
             self._labels[field] = ways.label(axis)
             field.tooltip = f"{ways.about(axis)}; in the unit of the image"
         for field, words in self._labels.items():
             field.label = f"{words} ({unit})"
         if turned:
+            for field, length in zip(steps, ways.seen(by), strict=True):
+                with field.changed.blocked():
+                    field.value = length
             before = self.components.value
             with self.components.changed.blocked():
                 self.components.choices = _components(ways)
