@@ -420,11 +420,11 @@ def folding(widget, small_sample, run):
 
 def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run, settle):
     assert "folds" in folding.warning
-    assert "MR folds" not in folding._viewer.layers
+    assert "MR folds where tissue was" not in folding._viewer.layers
     Screen(folding).button("⚠  Folds at").click()
     assert folding.status == folding.warning
     settle(folding)
-    layer = folding._viewer.layers["MR folds"]
+    layer = folding._viewer.layers["MR folds where tissue was"]
     assert layer.data.sum() == folding._live_study.latest.outputs.folds
     pull(folding, 1.0)
     assert not run(folding).folds

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.quantities import Quantity, values_of
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.solution import Solution
 
@@ -56,12 +57,15 @@ class Motion:
         Before it moves: labels, or a quantity of the tissue, NaN where there is none.
     grid : bool
         Whether the deformation grid moves, too.
+    quantity : Quantity, optional
+        Of which `overlay` holds the values at 1; on the way they are those of the tissue there.
     """
 
     solution: Solution
     image: npt.NDArray[Any] | None = None
     overlay: npt.NDArray[Any] | None = None
     grid: bool = False
+    quantity: Quantity | None = None
 
     def at(self, fraction: float) -> Moment:
         """Move everything by a part of the displacement; on the compute thread only.
@@ -79,6 +83,9 @@ class Motion:
         solution = self.solution
         parts: dict[str, npt.NDArray[Any]] = {}
         if self._pictures:
+            if self.quantity is not None and self.overlay is not None:
+                values = self._values_at(fraction, self.overlay)
+                self._warper.replace(len(self._pictures) - 1, _overlaid(values))
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
         moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
@@ -107,13 +114,23 @@ class Motion:
         if self.image is not None:
             pictures["image"] = Picture(self.image, order=1, fill=emptiness(self.image))
         if self.overlay is not None:
-            fill = np.nan if self.overlay.dtype.kind == "f" else 0
-            pictures["overlay"] = Picture(self.overlay, order=0, fill=fill)
+            pictures["overlay"] = _overlaid(self.overlay)
         return pictures
+
+    def _values_at(self, fraction: float, whole: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The quantity, of the tissue before it moved, after a part of the displacement."""
+        if fraction == 1 or self.quantity is None:
+            return whole
+        displacement = self.solution.displacement * np.float32(fraction)
+        return values_of(replace(self.solution, displacement=displacement), self.quantity)
 
     @cached_property
     def _warper(self) -> Warper:
         return Warper(list(self._pictures.values()), spacing=self.solution.spacing)
+
+
+def _overlaid(values: npt.NDArray[Any]) -> Picture:
+    return Picture(values, order=0, fill=np.nan if values.dtype.kind == "f" else 0)
 
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:

@@ -162,6 +162,10 @@ class Warper:
             raise ProblemError("displacement", "is NaN or infinite at some pixel of the tissue.")
         return [look(self._source, self._state, mask) for look in self._looks]
 
+    def replace(self, number: int, picture: Picture) -> None:
+        """Have another picture of the same grid in the place of one there is."""
+        self._looks[number] = _Look(picture, self.shape)
+
     def _without_loops(
         self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
     ) -> list[npt.NDArray[Any]]:

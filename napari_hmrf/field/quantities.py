@@ -66,7 +66,7 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
         The strains are Green-Lagrange's: "stretch" and "squeeze" the principal ones; "jacobian" is
         as of `area_change`.
     """
-    values, signed = _values(solution, quantity), quantity not in ("magnitude", "equivalent")
+    values, signed = values_of(solution, quantity), quantity not in ("magnitude", "equivalent")
     if quantity == "jacobian":
         folded = bool((values <= 0).any())
         return Coloured(values, area_limits(values, folded), signed, folded)
@@ -75,7 +75,8 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     return Coloured(values, (-reach if signed else 0.0, reach), signed)
 
 
-def _values(solution: Solution, quantity: Quantity) -> FloatArray:
+def values_of(solution: Solution, quantity: Quantity) -> FloatArray:
+    """Compute the values of `coloured` alone."""
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     if quantity == "magnitude":
         return np.where(tissue, magnitude(d), np.float32(np.nan))

@@ -28,6 +28,13 @@ def text_of(viewer: Any) -> Any:
     return viewer.text_overlay if overlay is None else overlay
 
 
+def show_name(layer: Any) -> None:
+    """Have a layer's name be read on the canvas, above its bar; napari before 0.9 has no such."""
+    title = getattr(layer, "name_overlay", None)
+    if title is not None:
+        title.position, title.visible = "top_right", True
+
+
 def clear_middle(viewer: Any) -> None:
     """Let what is pointed at be seen through the circle around the cursor."""
     # Private: napari 0.9 puts a small square there, in the colour of the canvas and meant for the

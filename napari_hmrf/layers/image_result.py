@@ -11,6 +11,7 @@ import numpy as np
 from napari.layers import Layer, Vectors
 from psygnal import Signal
 
+from napari_hmrf.layers.compat import show_name
 from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, known_of, role_of
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
@@ -136,9 +137,12 @@ class Result:
         source : napari.layers.Layer, optional
             The image that is moved, where that is not what was deformed.
         show : bool
-            Whether it is shown though somebody has hidden it.
+            Whether it is shown though somebody has hidden it; it is to be seen without paint then.
         """
         self._put(part, made, source)
+        if show and part == "overlay" and not self.is_before:
+            for layer in filter(_is_annotation, self._viewer.layers):
+                layer.visible = False
         self._held[part].current = True
         self.want(part, show or self.wants(part))
 
@@ -268,6 +272,8 @@ class Result:
                 held.name = layer.name
                 if is_scale:
                     layer.colorbar.visible = True
+                if part == "overlay":
+                    show_name(layer)
             else:
                 update_layer(layer, made)
                 for look in _LOOKS if is_scale and part == "overlay" else ():
@@ -281,17 +287,14 @@ class Result:
         held.own = held.part = held.whole = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
-        """Pictures go directly above what was deformed and has moved, lines on top.
-
-        An overlay goes above paint, too, through which its colours would be read as others.
-        """
+        """Pictures go directly above what was deformed and has moved, lines on top."""
         layers = self._viewer.layers
         if made.kind == "vectors":
             return len(layers)
         if part == CONFIDENCE:  # with what else is painted
             return next((at for at, each in enumerate(layers) if _is_drawn(each)), len(layers))
         below = [] if part == "image" else [self.layer("image")]
-        if part == "overlay":
+        if part == "overlay":  # through paint its colours would be read as others
             below += [each for each in layers if _is_paint(each)]
         if source is None:
             below.append(self._anchor())
@@ -320,8 +323,11 @@ def _is_drawn(layer: Any) -> bool:
 
 def _is_paint(layer: Any) -> bool:
     """Whether a layer says what tissue is, what holds it, or how sure that is."""
-    painted = known_of(layer).get("kind") in (CONFIDENCE, "painted")
-    return painted or role_of(layer) in (TISSUE, BOUNDARY)
+    return _is_annotation(layer) or known_of(layer).get("kind") in (CONFIDENCE, "painted")
+
+
+def _is_annotation(layer: Any) -> bool:
+    return role_of(layer) in (TISSUE, BOUNDARY)
 
 
 def _is_moved(layer: Any, where: str) -> bool:

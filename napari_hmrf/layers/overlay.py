@@ -26,6 +26,8 @@ from napari_hmrf.solver.problem import Problem
 Name = Quantity | Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
+#: Of what does not move with the tissue.
+_BEFORE = "{} where tissue was"
 
 
 class Overlay(NamedTuple):
@@ -48,8 +50,8 @@ class Overlay(NamedTuple):
 def overlay_of(answer: Answer, name: Name) -> Overlay | None:
     """Make what is to lie over the image of a result; on the compute thread only.
 
-    Quantities, the grid and the labels move with the tissue. Folds, and what was given, m, y and c
-    of the problem, lie where tissue was before it moved.
+    All moves with the tissue but for folds, and arrows of the motion that was given: those begin
+    where tissue was, as their names say.
 
     Returns
     -------
@@ -71,8 +73,10 @@ def overlay_of(answer: Answer, name: Name) -> Overlay | None:
         made = answer.vectors(name, moved_grid(solution), name, look)
     elif name == "folds":
         made = _fold_layer(answer)
+    elif problem is not None and name == "observed":
+        made = _motion_layer(answer, problem)
     elif problem is not None and name != "labels":
-        made = _given_layer(answer, problem, name)
+        made, picture = _given_layer(answer, problem, name)
     if made is not None and picture is not None:
         moved = np.asarray(Motion(solution, overlay=picture).at(1).overlay)
         made = made._replace(data=answer.frame.put_image(moved))
@@ -108,19 +112,24 @@ def _fold_layer(answer: Answer) -> LayerData | None:
     if not folded.any():
         return None
     look = {"colormap": fold_colours(), "opacity": 1.0}
-    return answer.pixels("folds", folded.astype(np.uint8), "folds", look, "labels")
+    return answer.pixels("folds", folded.astype(np.uint8), _BEFORE.format("folds"), look, "labels")
 
 
-def _given_layer(answer: Answer, problem: Problem, name: Name) -> LayerData:
-    """What was given: how stiff tissue is (m), how it was to move (y), and how sure that is (c)."""
-    if name == "stiffness":
-        m = problem.stiffness
-        most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
-        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **OVER}
-        return answer.pixels(name, m, name, look)
+def _given_layer(answer: Answer, problem: Problem, name: Name) -> tuple[LayerData, Array]:
+    """How stiff tissue was taken to be (m), or how sure it is how it was to move (c)."""
     if name == "confidence":
         c = problem.confidence.max(axis=-1)
-        return answer.pixels(name, c, name, confidence_look())
+        return answer.pixels(name, c, "confidence (0 to 1)", confidence_look()), c
+    m = problem.stiffness
+    most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
+    look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **OVER}
+    tissue = answer.solution.provenance.parameters.get("tissue", {})
+    unit = tissue.get("unit") or tissue.get("curve", {}).get("unit") or "relative"
+    return answer.pixels(name, m, f"stiffness ({unit})", look), m
+
+
+def _motion_layer(answer: Answer, problem: Problem) -> LayerData:
+    """How tissue was to move (y), as arrows."""
     y, known = problem.observed, problem.known  # what was held has a dot
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     starts = spread(np.asarray(known.any(axis=-1)), apart)
@@ -128,4 +137,4 @@ def _given_layer(answer: Answer, problem: Problem, name: Name) -> LayerData:
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300
     look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": width}
-    return answer.vectors(name, arrows, "motion given", look)
+    return answer.vectors("observed", arrows, _BEFORE.format("motion given"), look)

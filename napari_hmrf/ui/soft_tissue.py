@@ -97,9 +97,9 @@ class SoftTissue(Dock):
         Whether arrows are drawn.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue "magnitude", "jacobian",
-        "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid" and
-        "labels", the tissue's; and where tissue was before it moved "folds" and what was given,
-        "stiffness", "observed" and "confidence".
+        "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid",
+        "labels", the tissue's, and what was given, "stiffness" and "confidence"; and where tissue
+        was before it moved "folds" and "observed", the motion that was given.
     live : bool
         Whether the tissue follows every edit; by default unless the image is large.
     status, invitation, warning : str

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.field.deformation import magnitude
+from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.overlay import Overlay
 from napari_hmrf.layers.read import look_of
@@ -79,7 +80,9 @@ class MovingLayers:
             self.motion = Motion(solution, self.image)
         else:
             self.layers.put("overlay", made.layer, self.source, show)
-            self.motion = Motion(solution, self.image, made.picture, made.name == "grid")
+            quantity = made.name if made.name in QUANTITIES else None
+            is_grid = made.name == "grid"
+            self.motion = Motion(solution, self.image, made.picture, is_grid, quantity)
 
     def layer(self, part: Part) -> Any:
         """The layer of a part; None if it is gone, or the arrows are that hold the result."""

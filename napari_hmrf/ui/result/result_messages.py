@@ -38,9 +38,9 @@ _ABOUT: dict[Name, str] = {
     "grid": "grid",
     "labels": "tissue labels",
     "folds": "folds",
-    "stiffness": "given: stiffness m",
-    "observed": "given: motion y",
-    "confidence": "given: confidence c",
+    "stiffness": "given: stiffness",
+    "observed": "given: motion",
+    "confidence": "given: confidence",
 }
 _FROM_A_FILE = "What was given is not in the file of a result. Press Deform to make it anew."
 #: Why there may be nothing to see of what was asked for.
@@ -50,17 +50,17 @@ LACKING: dict[Name, str] = {
     **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
 }
 OVERLAY_TIP = (
-    "What lies over the image, moving with the tissue:\n"
+    "What lies over the image, moving with the tissue, its values those of what is seen:\n"
     "how far: length of the displacement, in the unit of the image;\n"
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
     "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
     "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
     "across the slice assumed;\n"
     "grid: one that was square; tissue labels: those of the tissue layer.\n"
+    "given: how stiff tissue was taken to be, how it was to move, and how sure that is, 0 to 1.\n"
     "Where tissue was before it moved:\n"
     "folds: where it is pushed through itself;\n"
-    "given: how stiff tissue was taken to be; how it was to move where that is known, with a dot\n"
-    "where it is held; and how sure that is, from 0 to 1."
+    "given motion: from there to where it was to go, with a dot where it is held."
 )
 
 
@@ -93,7 +93,7 @@ def at_point(
 
     It is of the whole deformation, however much (`percent`) of it is seen.
     """
-    down, along = (_rounded(part) for part in found.displacement)
+    down, along = (_rounded(part) for part in ways.seen(found.displacement))
     length = _rounded(found.length)
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
