@@ -124,8 +124,8 @@ MUTATIONS = (
     ),
     Mutation(
         "layers/screen_directions.py",
-        "way = ways[main] if step[main] > 0",
-        "way = ways[main] if step[main] < 0",
+        "ways[at] if sign > 0",
+        "ways[at] if sign < 0",
         "test_directions.py",
     ),
     Mutation(

@@ -54,13 +54,13 @@ class Directions(NamedTuple):
         if abs(seen[1, 1]) < _ASIDE:
             return cls("", "")
         forward = np.sign(np.diag(seen))
-        names = [
+        rows, cols = (
             ways[at] if sign > 0 else _OPPOSITE[ways[at]]
             for at, sign in zip((main, 1 - main), forward, strict=True)
-        ]
+        )
         seen = seen * forward[:, None]
         turn = math.atan2(seen[1, 0] - seen[0, 1], seen[0, 0] + seen[1, 1])
-        return cls(*names, round(turn, 9) + 0.0)
+        return cls(rows, cols, round(turn, 9) + 0.0)
 
     def seen(self, by: tuple[float, float]) -> tuple[float, float]:
         """A displacement along (rows, columns) by its components along the ways named."""
