@@ -300,6 +300,11 @@ def made(widget, pixels=None, **place):
     return viewer, image, shown(viewer)
 
 
+def read_on(plot):
+    """What is written at the axis of stiffness."""
+    return plot.canvas.figure.axes[0].texts[0].get_text()
+
+
 def shown(viewer):
     """The layer that shows what a curve makes of an image; None if there is none."""
     return next((layer for layer in viewer.layers if "stiffness" in layer.name), None)
@@ -307,13 +312,17 @@ def shown(viewer):
 
 def test_one_button_has_tissue_go_by_brightness_and_shows_it(widget):
     viewer, image, layer = made(widget, scale=(0.5, 0.5), units="mm")
-    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)"]
+    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)"]
     assert widget.image is image
     assert widget.tissue == "brightness"
     assert not widget._form.tissue.editor.isHidden()
     assert (layer.data[0] == 0).all(), "air"
     assert (layer.data[12, 10:20] > 0).all()
     assert "Drag the points" in widget.status
+    assert widget.curve.unit == "", "what is guessed is no measured stiffness"
+    assert read_on(widget._form.tissue.editor.plot) == "relative stiffness"
+    widget.curve = replace(widget.curve, unit="kPa")
+    assert read_on(widget._form.tissue.editor.plot) == "stiffness (kPa)"
     curve = widget.curve
     widget._form.intensity.native.click()
     assert len(viewer.layers) == 2
@@ -414,8 +423,8 @@ def test_each_image_has_a_curve_of_its_own(widget, wait_for):
     assert shown(viewer).name == "CT stiffness (kPa)"
     widget.image = image
     assert widget.curve == first
-    wait_for(lambda: shown(viewer).name == "MR stiffness (MPa)")
-    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)", "CT"]
+    wait_for(lambda: shown(viewer).name == "MR stiffness (relative)")
+    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "CT"]
     widget.image = other
     assert widget.curve == CURVE
 
@@ -435,7 +444,7 @@ def test_nothing_is_shown_of_a_dock_that_is_closed(docked, wait_for):
 def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     viewer, _, layer = made(widget)
     widget._form.make.native.click()
-    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (MPa)", "Boundary"]
+    assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "Boundary"]
     assert widget.tissue == "brightness", "there is no other tissue to paint"
     widget.boundary.data[12, 6] = 1
     widget.boundary.data[12, 24] = 2
@@ -710,7 +719,7 @@ def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run
     widget.boundary.data[..., 12, 24] = 2
     widget.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 0.5)))
     run(widget)
-    said = f"stiffness {float(widget.curve(grey()[12, 6])):.3g} MPa"
+    said = f"relative stiffness {float(widget.curve(grey()[12, 6])):.3g}"
     at = (*viewer.dims.point[:-2], 12.0, 6.0)
     wait_for(lambda: said in widget._view.cursor.line_at(at))
 

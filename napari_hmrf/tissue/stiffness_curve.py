@@ -197,7 +197,7 @@ class StiffnessCurve:
         stiffnesses: Sequence[float] = STIFFNESSES,
         percentiles: Sequence[float] = PERCENTILES,
         void_below: float | None = None,
-        unit: str = "MPa",
+        unit: str = "",
     ) -> StiffnessCurve:
         """Make a first curve for an image, to be changed: the brighter, the stiffer.
 
@@ -209,7 +209,7 @@ class StiffnessCurve:
         void_below : float, optional
             What is darker is no tissue, and does not count.
         unit : str
-            Of stiffness.
+            Of stiffness; by default it is relative: only ratios are guessed.
 
         Raises
         ------

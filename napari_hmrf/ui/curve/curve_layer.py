@@ -58,9 +58,9 @@ class CurveLayer:
         if still_there(self._viewer, self.layer):
             update_layer(self.layer, made)
         else:
-            unit = f" ({curve.unit})" if curve.unit else ""
+            unit = curve.unit or "relative"
             look = {"colormap": stiffness_colours(), "opacity": 0.5}
-            self.layer = Image(made.data, name=f"{image.name} stiffness{unit}", **looks, **look)
+            self.layer = Image(made.data, name=f"{image.name} stiffness ({unit})", **looks, **look)
             with same_selection(self._viewer):
                 self._viewer.layers.insert(self._viewer.layers.index(image) + 1, self.layer)
         # From less than the softest, so that only what is void lies below.

@@ -41,8 +41,10 @@ class CurveEditor(QtWidgets.QWidget):
         super().__init__()
         self.plot = CurvePlot(curve)
         self.intensity = _Number(-_FAR, "Of the selected point, in the image's own unit")
-        self.stiffness = _Number(0, "Young's modulus of tissue of that intensity; any unit")
-        tip = "The unit of stiffness, such as kPa; shown only"
+        self.stiffness = _Number(
+            0, "Of tissue of that intensity: how stiff beside the rest, or a Young's modulus"
+        )
+        tip = "The unit, such as kPa, where stiffnesses are measured ones; shown only"
         self.unit = QtWidgets.QLineEdit(placeholderText="unit", maximumWidth=52, toolTip=tip)
         tip = "Add a point, halfway to the next"
         self.add = QtWidgets.QPushButton("+", maximumWidth=28, toolTip=tip)

@@ -276,9 +276,9 @@ class CurvePlot(QWidget):
         axes.set(xlim=(left, right), ylim=(bottom, top))
         for axis in (axes.xaxis, axes.yaxis):
             axis.set(major_formatter="{x:g}", minor_formatter="{x:g}")
-        unit = f" ({curve.unit})" if curve.unit else ""
+        title = f"stiffness ({curve.unit})" if curve.unit else "relative stiffness"
         inside = {"fontsize": 7, "color": ink, "transform": axes.transAxes}
-        axes.text(0.015, 0.97, f"stiffness{unit}", va="top", **inside)
+        axes.text(0.015, 0.97, title, va="top", **inside)
         axes.text(0.985, 0.03, "intensity", ha="right", **inside)
         if self._counts.size:
             # Of most images the background has more pixels than all the rest: roots show both.
