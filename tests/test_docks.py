@@ -70,6 +70,34 @@ def test_the_dock_fits_on_a_small_screen(window, at_rest):
     assert (window._qt_window.width(), window._qt_window.height()) == ROOM
 
 
+def test_words_take_no_more_room_than_they_need_and_move_no_button(window, at_rest, wait_for):
+    found = dock()
+    at_rest()
+    footer = found._form.footer
+    found.say("One line.")
+    wait_for(lambda: footer.height() == footer.sizeHint().height())
+    deform, least = footer.deform.native, footer.height()
+    place = deform.mapTo(window._qt_window, deform.rect().topLeft())
+    found.say("So much has to be said that it takes many lines. " * 20)
+    footer.warn("It folds.", "Folds at 300 pixels")
+    wait_for(lambda: footer.height() == footer.sizeHint().height() > least)
+    assert deform.mapTo(window._qt_window, deform.rect().topLeft()) == place
+    assert footer.height() < 250, "however much there is to say"
+    found.say("One line.")
+    footer.warn("")
+    wait_for(lambda: footer.height() == least)
+
+
+def test_what_is_opened_is_scrolled_to(window, at_rest, wait_for):
+    found = dock()
+    at_rest()
+    screen = Screen(found)
+    slice_is = found._form.model.plane.native
+    assert slice_is.visibleRegion().isEmpty()
+    screen.press("Model")
+    wait_for(lambda: slice_is.visibleRegion().boundingRect() == slice_is.rect())
+
+
 def corners_seen(viewer):
     """The least and the greatest row and column of the image that are on the canvas."""
     canvas = viewer.window._qt_viewer.canvas

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from magicgui.widgets import Container, PushButton
 from napari.layers import Labels
 from psygnal import Signal
@@ -10,6 +12,7 @@ from qtpy.QtWidgets import QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
@@ -21,6 +24,8 @@ from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
 _WIDTH = 336
+#: Until a step that was opened has its height, in milliseconds.
+_LAID_OUT = 500
 
 
 class DockForm:
@@ -111,11 +116,16 @@ class DockForm:
             step.addWidget(part.native)
             if open_:
                 step.expand(animate=False)
+            step.setDuration(0)  # what is opened is as high as it will be
+            step.toggled.connect(partial(self._on_toggled, step))
             layout.addWidget(step)
         layout.setSpacing(4)
         layout.addStretch()
         # The dock may be lower than the form is, but no narrower.
-        scroll = Narrow()
+        self._scroll = scroll = Narrow()
+        self._opened: QCollapsible | None = None
+        self._laid_out = single_shot(scroll, _LAID_OUT, partial(self._on_toggled, None))
+        scroll.verticalScrollBar().rangeChanged.connect(self._show_opened)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -127,6 +137,18 @@ class DockForm:
         outer.native.layout().addWidget(self.footer)
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
+
+    def _on_toggled(self, step: QCollapsible | None, opened: bool = False) -> None:
+        self._opened = step if opened else None
+        if opened:
+            self._laid_out.start()
+
+    def _show_opened(self, *_: int) -> None:
+        """Scroll to a step that was opened: to all of it, or at least to its beginning."""
+        step, bar = self._opened, self._scroll.verticalScrollBar()
+        if step is not None:
+            least = step.geometry().bottom() + 1 - bar.pageStep()
+            bar.setValue(min(step.y(), max(bar.value(), least)))
 
     def _on_tissue(self) -> None:
         layer = self.tissue.layer if self.tissue.curve is None else self.image.value

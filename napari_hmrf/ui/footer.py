@@ -19,7 +19,7 @@ from qtpy.QtWidgets import (
 from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.ui.forms import row
 
-#: Lines of the status that are seen; its tooltip has all of it.
+#: Lines of the status that are seen at most; its tooltip has all of it.
 _LINES = 5
 #: Dark words on amber: read on napari's dark theme and on its light one.
 _CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
@@ -40,7 +40,9 @@ _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
 
 
 class Footer(QWidget):
-    """Buttons, bar and words; their height never changes, so nothing moves under the mouse.
+    """Words and buttons; words are above and take no more room than they need.
+
+    What can be pressed lies at the bottom and stays there, so nothing moves under the mouse.
 
     Parameters
     ----------
@@ -80,25 +82,22 @@ class Footer(QWidget):
             row(self.live, self.undo, self.redo, self.help),
             row(self.deform, self.cancel),
         ]
-        for each in self._rows:
-            each.margins = (2, 0, 2, 0)
-            layout.addWidget(each.native)
         self.chip.setStyleSheet(_CHIP)
         self._bar.setFixedHeight(12)
-        for kept in (self._bar, self.chip):
-            policy = kept.sizePolicy()
-            policy.setRetainSizeWhenHidden(True)
-            kept.setSizePolicy(policy)
-            kept.hide()
-            layout.addWidget(kept)
-        for label, lines, more in ((self._status, _LINES, 10), (self._details, 1, 10)):
+        self.chip.hide()
+        self._bar.hide()
+        for label in (self._status, self._details):
             label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-            label.setFixedHeight(lines * label.fontMetrics().lineSpacing() + more)
             label.setContentsMargins(4, 0, 4, 0)
-            layout.addWidget(label)
+        self._details.setFixedHeight(self._height_of(1))
+        for each in self._rows:
+            each.margins = (2, 0, 2, 0)
+        rows = [each.native for each in self._rows]
+        for part in (self._status, self._bar, self.chip, *rows, self._details):
+            layout.addWidget(part)
         self.help.changed.connect(self._show_help)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
@@ -126,10 +125,15 @@ class Footer(QWidget):
 
     def _fit(self) -> None:
         label, words = self._status, self._sentence.split(" ")
+        label.setMinimumHeight(0)  # else Qt takes what it is for what it needs
         label.setText(self._sentence)
-        while self.isVisible() and label.heightForWidth(label.width()) > label.height():
+        while self.isVisible() and label.heightForWidth(label.width()) > self._height_of(_LINES):
             words.pop()
             label.setText(f"{' '.join(words)} ...")
+        label.setFixedHeight(min(label.heightForWidth(label.width()), self._height_of(_LINES)))
+
+    def _height_of(self, lines: int) -> int:
+        return lines * int(self._status.fontMetrics().lineSpacing()) + 10
 
     def explain(self, technical: str) -> None:
         """Show, where the mouse rests on the sentence, what few want to know of it."""
