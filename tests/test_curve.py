@@ -654,6 +654,23 @@ def test_materials_go_through_a_file(widget, small_sample, monkeypatch, tmp_path
     assert widget.materials == before
 
 
+def test_a_saved_table_says_whose_values_they_are(widget, small_sample, tmp_path):
+    small_sample(widget._viewer)
+    preset = PRESETS[1]
+    widget.take_materials(preset)
+    found = load_materials(widget.save_materials(tmp_path / "own.json"))
+    assert (found.name, found.source) == (preset.name, preset.source)
+    widget.materials = (*widget.materials[:-1], replace(widget.materials[-1], stiffness=123.0))
+    widget.materials = (*widget.materials[:-1], replace(widget.materials[-1], stiffness=124.0))
+    changed = load_materials(widget.save_materials(tmp_path / "changed.json"))
+    assert changed.name == preset.name
+    assert changed.source == f"changed since taken from: {preset.source}"
+    widget.undo()
+    widget.undo()
+    again = load_materials(widget.save_materials(tmp_path / "again.json"))
+    assert again.source == preset.source
+
+
 def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample):
     small_sample(widget._viewer)
     table = widget._form.tissue.table

@@ -24,6 +24,8 @@ _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
     TISSUE: ("materials", Material.of_row),
     BOUNDARY: ("rules", BoundaryRule),
 }
+#: Of whose values some were changed by hand.
+_CHANGED = "changed since taken from: "
 #: Checks the types of what a file holds.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 #: What is changed in a row.
@@ -49,7 +51,9 @@ def add_known(layer: Any, **facts: Any) -> None:
     layer.metadata = {**layer.metadata, METADATA: {**known_of(layer), **facts}}
 
 
-def described(role: Role, rows: Iterable[Any] = (), unit: str = "") -> dict[str, Any]:
+def described(
+    role: Role, rows: Iterable[Any] = (), unit: str = "", preset: str = "", whose: str = ""
+) -> dict[str, Any]:
     """Metadata that say what a layer is for, with its table in JSON types.
 
     Parameters
@@ -58,13 +62,14 @@ def described(role: Role, rows: Iterable[Any] = (), unit: str = "") -> dict[str,
     rows : iterable of Material or BoundaryRule
     unit : str
         Of stiffness.
+    preset, whose : str
+        Which materials these are, and whose values.
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
         known[_TABLES[role][0]] = [_as_row(row) for row in rows]
-    if unit:
-        known["unit"] = unit
-    return {METADATA: known}
+    said = {"unit": unit, "preset": preset, "whose": whose}
+    return {METADATA: {**known, **{name: words for name, words in said.items() if words}}}
 
 
 def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
@@ -129,19 +134,29 @@ class Table(NamedTuple):
     rows : tuple of Material or BoundaryRule
     unit : str
         Of stiffness.
+    preset, whose : str
+        Which materials these are, and whose values.
     """
 
     rows: tuple[Any, ...]
     unit: str = ""
+    preset: str = ""
+    whose: str = ""
 
     @classmethod
     def of(cls, layer: Any, role: Role) -> Table:
         """The table a layer carries; an empty one if it carries none."""
-        return cls(rows_of(layer, role), str(known_of(layer).get("unit", "")))
+        said = (str(known_of(layer).get(name, "")) for name in cls._fields[1:])
+        return cls(rows_of(layer, role), *said)
 
     def give_to(self, layer: Any, role: Role) -> None:
         """Have a layer carry the table."""
-        layer.metadata.update(described(role, self.rows, self.unit))
+        layer.metadata.update(described(role, *self))
+
+    def edited(self, rows: Iterable[Any]) -> Table:
+        """The table with rows that somebody has changed, which are no longer all its source's."""
+        changed = self.whose and not self.whose.startswith(_CHANGED)
+        return self._replace(rows=tuple(rows), whose=(_CHANGED if changed else "") + self.whose)
 
 
 def change(before: Table, after: Table, name: str) -> str:

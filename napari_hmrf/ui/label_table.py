@@ -149,7 +149,7 @@ class LabelTable(QAbstractTableModel):
 
     @rows.setter
     def rows(self, values: Iterable[Any]) -> None:
-        self.contents = self._contents._replace(rows=tuple(values))
+        self.contents = self._contents.edited(values)
 
     @property
     def labels(self) -> tuple[int, ...]:

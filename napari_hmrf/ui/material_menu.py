@@ -24,7 +24,7 @@ _FILES = f"Materials (*{ENDING})"
 def materials_of(layer: Any) -> Preset | None:
     """The table of a layer of tissue labels, or of a result, as a preset; None if it has none."""
     table = Table.of(layer, TISSUE)
-    rows, unit = table if table.rows else tissue_recorded(layer)
+    rows, unit = table[:2] if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
         return None
     return Preset(str(layer.name), unit, f"the layer '{layer.name}'", rows)
@@ -104,13 +104,13 @@ class MaterialMenu(QPushButton):
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
         rows, words = take_over(preset, self._table.rows)
-        self._table.contents = Table(rows, preset.unit)
+        self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
         self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
         """Save the table to a file; as `save_materials`."""
         table = self._table.contents
-        file = save_materials(path, Preset("", table.unit, "", table.rows))
+        file = save_materials(path, Preset(table.preset, table.unit, table.whose, table.rows))
         self.said.emit(f"Saved {file.name}.")
         return file
 
