@@ -544,8 +544,11 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
     assert f"at {outputs.folds} pixels, worst at row {outputs.worst[0]}" in widget.warning
-    # And they can be seen, without solving again.
-    Screen(widget).press(f"⚠  Folds at {outputs.folds} pixels")
+    # All is listed on the chip; folds can be seen, without solving again.
+    chip = Screen(widget).button("⚠  2 warnings: show where")
+    assert chip.toolTip() == widget.warning
+    chip.click()
+    assert "5 boundary pixels" in widget.status
     wait_for(lambda: "MR folds where tissue was" in names(viewer_of(widget)))
     assert by_name(widget, "MR folds where tissue was").data.sum() == outputs.folds
 

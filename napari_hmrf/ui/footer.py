@@ -20,7 +20,7 @@ from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.ui.forms import row
 
 #: Lines of the status that are seen at most; its tooltip has all of it.
-_LINES = 5
+_LINES = 9
 #: Dark words on amber: read on napari's dark theme and on its light one.
 _CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
 _HELP = (

@@ -122,7 +122,10 @@ def warnings_of(done: Done) -> tuple[str, str]:
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
-    return " ".join([*parts, *map(sentence_of, done.notes)]), short
+    parts += map(sentence_of, done.notes)
+    if len(parts) > 1:
+        short = f"{len(parts)} warnings" + (": show where" if short.startswith("Folds") else "")
+    return " ".join(parts), short
 
 
 def sentence_of(clause: str) -> str:
