@@ -8,13 +8,13 @@ from magicgui.widgets import Container, PushButton
 from napari.layers import Labels
 from psygnal import Signal
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QFrame, QSizePolicy
+from qtpy.QtWidgets import QComboBox, QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import Narrow, row
+from napari_hmrf.ui.forms import Narrow, row, show_whole_entries
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
@@ -135,6 +135,8 @@ class DockForm:
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)
+        for menu in outer.native.findChildren(QComboBox):
+            show_whole_entries(menu)
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 
