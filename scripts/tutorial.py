@@ -25,7 +25,7 @@ FOLDER = ROOT / "docs" / "tutorial" / "images"
 SIZE = (1280, 690)
 #: Of the animation: what is seen of the window, how large it becomes, how long a frame stays.
 CROP, FRAME, MILLISECONDS = (470, 560), (376, 448), 60
-PLUGIN, TITLE = "HMRF soft tissue", "Soft tissue"
+PLUGIN, TITLE = "napari-hmrf", "Soft tissue"
 CTRL = Qt.KeyboardModifier.ControlModifier
 
 

@@ -70,13 +70,13 @@ def test_what_a_page_tells_to_press_is_there_by_that_name(page, strings):
     names = quoted(page) - NOT_OURS
     assert names
     # napari adds the name of the plugin to that of a dock.
-    assert {name.removesuffix(" (HMRF soft tissue)") for name in names} <= strings
+    assert {name.removesuffix(" (napari-hmrf)") for name in names} <= strings
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_menus_are_named_as_napari_shows_them(page):
     for bold in re.findall(r"\*\*(Plugins > .+?)\*\*", words(page)):
-        assert bold == "Plugins > Soft tissue (HMRF soft tissue)"
+        assert bold == "Plugins > Soft tissue (napari-hmrf)"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -10,7 +10,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 #: As napari's menu names it, so that it finds it open.
-_TITLE = "Soft tissue (HMRF soft tissue)"
+_TITLE = "Soft tissue (napari-hmrf)"
 
 
 def dock(viewer: Any = None) -> SoftTissue:
