@@ -284,7 +284,9 @@ def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
 
 
 def test_beside_rigid_tissue_nothing_may_slip():
-    with pytest.raises(ProblemError, match="Set 'penalty K' under 'Advanced' to 'held exactly'"):
+    with pytest.raises(
+        ProblemError, match="Set 'holding force' under 'Advanced' to 'held exactly'"
+    ):
         read_layers(with_bone(), ElasticPrior(penalty=1.0))
 
 

@@ -45,20 +45,20 @@ class SolverDetails:
         Conditional,
         _words(
             "reading",
-            "Which cliques count when a site chooses its displacement.\n"
-            "centred: those whose middle it is. Nearest to finite elements, and independent of the "
-            "pixel size.\n"
-            "blanket: all that contain it, the textbook reading of the energy. Stiff-soft borders "
-            "lock, the more so the finer the pixels.",
+            "With which lines of three pixels (the paper's cliques) a pixel is compared.\n"
+            "centred: those whose middle it is. Nearest to finite elements, whatever the pixel "
+            "size.\n"
+            "blanket: all that contain it, the textbook reading of the energy. Borders of stiff "
+            "and soft tissue hardly move, the less so the finer the pixels.",
         ),
     ] = "centred"
     # Of a `Literal` with choices magicgui would show the values, not their words.
     method: Annotated[
         str,
         _words(
-            "site update",
-            "Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 pixels.\n"
-            "Closed form: straight to the site's best displacement.",
+            "steps",
+            "Of a pixel in each sweep. Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 "
+            "pixels.\nClosed form: straight to where it fits best.",
             choices=[("candidate steps", "steps"), ("closed form", "closed form")],
         ),
     ] = "steps"
@@ -66,7 +66,7 @@ class SolverDetails:
         int,
         _words(
             "sweeps per level",
-            "Updates of all sites on each level; with a tolerance, the most there may be",
+            "How often all pixels of a level are gone through; with a tolerance, the most",
             min=1,
             max=100_000,
         ),
@@ -94,7 +94,7 @@ class SolverDetails:
     grip: Annotated[
         float,
         _words(
-            "penalty K",
+            "holding force",
             "The greatest force that holds a boundary pixel of confidence 1; 1 is what strains a "
             "pixel of the stiffest tissue by 1. Where tissue pulls harder, it slips",
             max=1e6,

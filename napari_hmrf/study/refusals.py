@@ -37,7 +37,7 @@ def refuse_rigid(study: Study) -> None:
         if prior.penalty == math.inf:
             return
         why = (
-            "beside which nothing that is observed may slip. Set 'penalty K' under 'Advanced' to "
+            "beside which nothing that is held may slip. Set 'holding force' under 'Advanced' to "
             "'held exactly', or give it a number."
         )
     if tissue.labels is not None:

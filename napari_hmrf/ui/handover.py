@@ -17,7 +17,7 @@ from napari_hmrf.ui.events import single_shot
 _log = logging.getLogger("napari_hmrf")
 _Answer = Callable[[Any], None]
 # What those who wait for an errand are told.
-_DOING = "what 'Soft tissue' draws or gets ready, which closing that dock stops"
+_DOING = "a picture that is being drawn; closing 'Soft tissue' stops that"
 
 
 class Newest(QObject):

@@ -154,7 +154,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in known_of(layer),
             "boundary",
-            "A Labels layer in which is painted what holds or moves, or observed displacements as "
+            "A Labels layer in which is painted what holds or moves, or measured displacements as "
             "a Vectors layer. Landmarks, as two Points layers or as lines of a Shapes layer, come "
             "on top: their menus are below once there are such layers",
             lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),

@@ -148,9 +148,9 @@ class Bodies:
                 i, j = np.divmod(body.at[: len(body.at) // 2], d.shape[2])
                 raise ProblemError(
                     "observed",
-                    f"moves sites of the rigid body around ({i.mean() - 2:.0f}, {j.mean() - 2:.0f})"
-                    f" otherwise than as one, by {off:.2g} px. Observe it in a single place, move "
-                    "it evenly, or give it a stiffness.",
+                    f"moves pixels of what is rigid around ({i.mean() - 2:.0f}, {j.mean() - 2:.0f})"
+                    f" otherwise than as one, by {off:.2g} px. Hold or move it in one place only, "
+                    "move all of it evenly, or give it a stiffness.",
                 )
             moved = body.motions @ shares
             flat[body.at] = moved + body.free @ (body.free.T @ (flat[body.at] - moved))
