@@ -127,7 +127,7 @@ def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
     study = read_case(case(folder, boundary=folder / "back.mha", confidence="edges"))
     assert isinstance(study.motion, Motion)
     np.testing.assert_allclose(study.motion.observed[3:-3, 3:-3], d[3:-3, 3:-3], atol=0.02)
-    counts = study.motion.counts
+    counts = study.motion.confidence
     np.testing.assert_array_equal(counts, at_edges(scan[1]))
     assert 0.05 < counts.mean() < 0.15
 

@@ -150,7 +150,7 @@ def test_arrows_and_an_observed_field_are_one_problem():
     observed, counts = np.zeros((*SHAPE, 2), np.float32), np.zeros(SHAPE)
     observed[tuple(starts.T)] = steps * SPACING
     counts[tuple(starts.T)] = sure[tuple(starts.T)]
-    motion = Motion(observed=observed, counts=counts)
+    motion = Motion(observed=observed, confidence=counts)
     study = Study(Grid(SHAPE, SPACING), Tissue(stiffness=np.ones(SHAPE)), motion)
     same_problem(statement_of(read_study(asked)), statement_of(study))
 

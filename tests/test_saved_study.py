@@ -143,7 +143,7 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
     c[::6, ::6] = 0.5
     image = np.full(SHAPE, 100, np.uint8)
     study = Study(
-        Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, counts=c), pictures=Pictures(image)
+        Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, confidence=c), pictures=Pictures(image)
     )
     dock = made(ViewerModel())
     dock.open_study(save_study(tmp_path / "case", study))
@@ -151,8 +151,8 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
     read = dock.study.motion
     there = c > 0
     np.testing.assert_allclose(read.observed[there], y[there], atol=1e-5)
-    np.testing.assert_allclose(read.counts[there], 0.5)
-    assert not read.counts[~there].any()
+    np.testing.assert_allclose(read.confidence[there], 0.5)
+    assert not read.confidence[~there].any()
 
 
 def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):

@@ -85,7 +85,7 @@ def test_a_study_is_the_problem_of_its_arrays():
     observed[5:9, 3:6] = (1, -1)
     counts[5:9, 3:6], counts[:, -1] = 1, 1
     stiffness = np.full(SHAPE, 4.0)
-    study = Study(GRID, Tissue(stiffness=stiffness), Motion(observed=observed, counts=counts))
+    study = Study(GRID, Tissue(stiffness=stiffness), Motion(observed=observed, confidence=counts))
     problem = Problem(observed, counts, stiffness, spacing=GRID.spacing)
     own = statement_of(study).problem
     for name in ("observed", "confidence", "stiffness"):

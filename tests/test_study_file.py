@@ -95,7 +95,7 @@ def by_arrays():
     return Study(
         Grid(SHAPE, (1.0, 1.0)),
         Tissue(stiffness=np.linspace(1, 2, c.size).reshape(SHAPE)),
-        Motion(observed=y, counts=c),
+        Motion(observed=y, confidence=c),
         prior=ElasticPrior(np.linspace(0.1, 0.45, c.size).reshape(SHAPE)),
     )
 

@@ -232,7 +232,7 @@ def _motion(case: Case, grid: Grid, place: Place | None, image: npt.NDArray[Any]
             f"is {grid_in_words(field.shape)}, but the image {grid_in_words(grid.shape)}. Give a "
             "field on the same pixels, or --rules if it is an image of labels.",
         )
-    return Motion(observed=field.displacement, counts=_counts(case, grid, image))
+    return Motion(observed=field.displacement, confidence=_counts(case, grid, image))
 
 
 def _counts(case: Case, grid: Grid, image: npt.NDArray[Any]) -> npt.NDArray[Any]:

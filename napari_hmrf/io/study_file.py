@@ -245,7 +245,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "poisson": poisson if np.ndim(poisson) else None,
         "boundary_labels": motion.labels,
         "observed": motion.observed,
-        "counts": motion.counts,
+        "counts": motion.confidence,  # as files have called it from the first
         "image": image if content.image else None,
         "labels": pictures.labels,
     }
@@ -276,7 +276,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 labels=arrays.get("boundary_labels"),
                 rules=_RULES.validate_python(motion["rules"]),
                 observed=arrays.get("observed"),
-                counts=arrays.get("counts"),
+                confidence=arrays.get("counts"),
                 drawing=Drawing.from_dict(motion["drawing"]),
             ),
             prior=prior_from_dict(header["prior"], arrays.get("poisson")),

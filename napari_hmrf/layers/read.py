@@ -203,7 +203,7 @@ class _Reader:
         drawing = request.drawing or Drawing()
         if isinstance(layer, Vectors):
             observed, counts = self._arrows(layer)
-            return Motion(request.hold_edge, observed=observed, counts=counts, drawing=drawing)
+            return Motion(request.hold_edge, observed=observed, confidence=counts, drawing=drawing)
         if layer is None:
             return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)

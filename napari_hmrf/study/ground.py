@@ -287,8 +287,8 @@ class _Where:
 def _observe(study: Study, base: Canvas) -> list[str]:
     """Have what is painted or observed count on the blank images of a study; what to say of it."""
     motion, notes = study.motion, []
-    if motion.observed is not None and motion.counts is not None:
-        sure = motion.counts if motion.counts.ndim == 3 else motion.counts[..., None]
+    if motion.observed is not None and motion.confidence is not None:
+        sure = motion.confidence if motion.confidence.ndim == 3 else motion.confidence[..., None]
         base.confidence[...] = sure
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:

@@ -109,7 +109,7 @@ class Motion:
     rules : tuple of BoundaryRule
     observed : ndarray, shape (H, W, 2), optional
         A displacement, in (row, col) order and the grid's unit, such as a registration's.
-    counts : ndarray, shape (H, W) or (H, W, 2), optional
+    confidence : ndarray, shape (H, W) or (H, W, 2), optional
         How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
     drawing : Drawing
         What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
@@ -119,11 +119,11 @@ class Motion:
     labels: Array | None = None
     rules: tuple[BoundaryRule, ...] = ()
     observed: Array | None = None
-    counts: Array | None = None
+    confidence: Array | None = None
     drawing: Drawing = field(default_factory=Drawing)
 
     def __post_init__(self) -> None:
-        if (self.observed is None) != (self.counts is None):
+        if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "needs both what is observed and how sure that is.")
 
 
@@ -227,7 +227,7 @@ class Study:
             ("tissue", self.tissue.stiffness),
             ("boundary", self.motion.labels),
             ("boundary", self.motion.observed),
-            ("confidence", self.motion.counts),
+            ("confidence", self.motion.confidence),
         ):
             if part is not None and part.shape[: len(needed)] != needed:
                 raise ProblemError(
