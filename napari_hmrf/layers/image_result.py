@@ -141,8 +141,8 @@ class Result:
         """
         self._put(part, made, source)
         if show and part == "overlay" and not self.is_before:
-            for layer in filter(_is_annotation, self._viewer.layers):
-                layer.visible = False
+            for each in self._viewer.layers:
+                each.visible = each.visible and role_of(each) not in (TISSUE, BOUNDARY)
         self._held[part].current = True
         self.want(part, show or self.wants(part))
 
@@ -323,11 +323,8 @@ def _is_drawn(layer: Any) -> bool:
 
 def _is_paint(layer: Any) -> bool:
     """Whether a layer says what tissue is, what holds it, or how sure that is."""
-    return _is_annotation(layer) or known_of(layer).get("kind") in (CONFIDENCE, "painted")
-
-
-def _is_annotation(layer: Any) -> bool:
-    return role_of(layer) in (TISSUE, BOUNDARY)
+    painted = known_of(layer).get("kind") in (CONFIDENCE, "painted")
+    return painted or role_of(layer) in (TISSUE, BOUNDARY)
 
 
 def _is_moved(layer: Any, where: str) -> bool:

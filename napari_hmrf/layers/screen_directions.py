@@ -75,7 +75,7 @@ class Directions(NamedTuple):
 
     def about(self, axis: int) -> str:
         """What a number along an axis says: "How far down, along the rows; below 0: up"."""
-        along, way = ("the rows", "the columns")[axis], self._way(axis)
+        along, way = ("the rows", "the columns")[axis], self[:2][axis]
         if not way:
             return f"How far along {along}, in the order of the pixels"
         along = (
@@ -85,7 +85,7 @@ class Directions(NamedTuple):
 
     def label(self, axis: int) -> str:
         """Of numbers along the rows (0) or the columns (1): "down", "right"."""
-        return self._way(axis) or ("along rows", "along columns")[axis]
+        return self[:2][axis] or ("along rows", "along columns")[axis]
 
     def only(self, axis: int) -> str:
         """Speaking of one axis alone, which is the image's: "up and down only (rows)"."""
@@ -94,9 +94,10 @@ class Directions(NamedTuple):
 
     def both(self, axis: int) -> str:
         """An axis without a sense: "up and down"; "" at an angle."""
-        if not self._way(axis) or self.turn:
+        way = self[:2][axis]
+        if not way or self.turn:
             return ""
-        return "up and down" if self._way(axis) in ("up", "down") else "left and right"
+        return "up and down" if way in ("up", "down") else "left and right"
 
     def step(self, seen: tuple[float, float]) -> str:
         """A step along the ways named in words: "5 down, 10 right"."""
@@ -104,13 +105,10 @@ class Directions(NamedTuple):
             return f"({seen[0]:g}, {seen[1]:g})"
         parts = [
             f"{abs(length):g} {way if length > 0 else _OPPOSITE[way]}"
-            for length, way in zip(seen, (self.rows, self.cols), strict=True)
+            for length, way in zip(seen, self[:2], strict=True)
             if length
         ]
         return ", ".join(parts) or "0"
-
-    def _way(self, axis: int) -> str:
-        return (self.rows, self.cols)[axis]
 
 
 def _to(way: str) -> str:

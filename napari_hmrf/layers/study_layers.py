@@ -73,7 +73,9 @@ def study_layers(study: Study) -> dict[str, Any]:
         labels = frame.put_image(motion.labels)
         made["boundary"] = Labels(labels, name=name("boundary", "Boundary"), **look, **place)
     elif motion.observed is not None and motion.confidence is not None:
-        counts = motion.confidence if motion.confidence.ndim == 2 else motion.confidence.max(axis=-1)
+        counts = (
+            motion.confidence if motion.confidence.ndim == 2 else motion.confidence.max(axis=-1)
+        )
         starts = np.argwhere(counts > 0)
         steps = motion.observed[tuple(starts.T)] / study.grid.spacing
         arrows = frame.put_vectors(np.stack([starts, steps], axis=1))

@@ -14,7 +14,7 @@ from superqt import QCollapsible
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import Narrow, row, show_whole_entries
+from napari_hmrf.ui.forms import Narrow, WholeEntries, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
@@ -116,7 +116,6 @@ class DockForm:
             step.addWidget(part.native)
             if open_:
                 step.expand(animate=False)
-            step.setDuration(0)  # what is opened is as high as it will be
             step.toggled.connect(partial(self._on_toggled, step))
             layout.addWidget(step)
         layout.setSpacing(4)
@@ -136,7 +135,7 @@ class DockForm:
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)
         for menu in outer.native.findChildren(QComboBox):
-            show_whole_entries(menu)
+            menu.installEventFilter(WholeEntries(menu))
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 

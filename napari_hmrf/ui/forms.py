@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, QSize
-from qtpy.QtWidgets import QComboBox, QScrollArea, QSizePolicy
+from qtpy.QtWidgets import QScrollArea, QSizePolicy
 
 T = TypeVar("T")
 
@@ -96,22 +96,16 @@ class _FitHeight(QObject):
         return False
 
 
-class _WholeEntries(QObject):
-    """Has the list of a menu be as wide as its widest entry, whenever it is opened."""
-
-    _OPENING = (QEvent.Type.MouseButtonPress, QEvent.Type.KeyPress)
+class WholeEntries(QObject):
+    """Filters events of a menu: whenever its list opens, it is as wide as its widest entry."""
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        if event.type() in self._OPENING:
+        """Measure the entries before they are shown."""
+        if event.type() in (QEvent.Type.MouseButtonPress, QEvent.Type.KeyPress):
             entries = watched.view()
             beside = entries.verticalScrollBar().sizeHint().width() + 2 * entries.frameWidth()
             entries.setMinimumWidth(entries.sizeHintForColumn(0) + beside)
         return False
-
-
-def show_whole_entries(box: QComboBox) -> None:
-    """Have all entries of a menu be read whole, however narrow the menu is."""
-    box.installEventFilter(_WholeEntries(box))
 
 
 def align_labels(form: Container) -> None:

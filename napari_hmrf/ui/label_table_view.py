@@ -14,7 +14,7 @@ from qtpy.QtWidgets import (
     QTableView,
 )
 
-from napari_hmrf.ui.forms import show_whole_entries
+from napari_hmrf.ui.forms import WholeEntries
 from napari_hmrf.ui.label_table import NAME, LabelTable
 
 #: Rows that are seen without scrolling.
@@ -111,6 +111,6 @@ class _Boxes(QStyledItemDelegate):
             return super().createEditor(parent, option, index)
         box = QComboBox(parent)
         box.addItems(choices)
-        show_whole_entries(box)
+        box.installEventFilter(WholeEntries(box))
         box.activated.connect(lambda _: self.commitData.emit(box))
         return box
