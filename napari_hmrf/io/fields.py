@@ -25,6 +25,7 @@ from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.inverse_field import as_field, inverse_displacement
+from napari_hmrf.io.nifti_place import place_in_nifti
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 
@@ -182,6 +183,8 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         pass  # one error, of the system's words, for what is not there
     image = _image_in(sitk, source)
     n = image.GetDimension()
+    if n == 2 and image.GetNumberOfComponentsPerPixel() == 3:
+        image, n = _in_volume(sitk, image, source), 3
     if n not in (2, 3) or image.GetNumberOfComponentsPerPixel() != n:
         raise FileFormatError(
             f"{source.name}: not a displacement field: {n} axes and "
@@ -340,12 +343,44 @@ def _image_in(sitk: Any, source: Path) -> Any:
             return sitk.ReadImage(str(source))
         transform = sitk.ReadTransform(str(source))
         if transform.GetName() == "CompositeTransform":
-            transform = sitk.CompositeTransform(transform).GetNthTransform(0)
+            return _composed(sitk, sitk.CompositeTransform(transform))
         return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
     except RuntimeError as error:
         raise FileFormatError(
             f"{source.name}: not a displacement field that can be read."
         ) from error
+
+
+def _composed(sitk: Any, chain: Any) -> Any:
+    """Transforms one after the other, as ANTs keeps a warp and its affine map: as one field."""
+    # The last is applied first, and so is that of the picture to be seen.
+    parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
+    last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
+    if not last:
+        raise RuntimeError("no field is among them")
+    field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
+    if len(parts) == 1:
+        return field
+    grid = (field.GetSize(), field.GetOrigin(), field.GetSpacing(), field.GetDirection())
+    return sitk.TransformToDisplacementField(chain, sitk.sitkVectorFloat64, *grid)
+
+
+def _in_volume(sitk: Any, plane: Any, source: Path) -> Any:
+    """A field of one slice of a volume, of which SimpleITK drops the third axis in NIfTI alone."""
+    place = place_in_nifti(source)
+    if place is None:
+        return plane
+    spacing, origin, turn = place
+    volume = sitk.JoinSeries(plane)
+    volume.SetSpacing(spacing.tolist())
+    volume.SetOrigin(origin.tolist())
+    try:
+        volume.SetDirection(turn.ravel().tolist())
+    except RuntimeError as error:
+        raise FileFormatError(
+            f"{source.name}: not a displacement field that can be read: its axes lie in one plane."
+        ) from error
+    return volume
 
 
 def _refuse_beside(target: Path, suffix: str) -> None:
