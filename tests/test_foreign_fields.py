@@ -9,6 +9,7 @@ import struct
 
 import numpy as np
 import pytest
+from damaged_fields import make_field
 from test_fields import PLACES, Case
 
 from napari_hmrf import FileFormatError, read_field
@@ -149,4 +150,26 @@ def test_vectors_that_no_tool_would_take_for_a_field_are_refused(tmp_path):
     struct.pack_into("<h", content, 68, 0)  # numbers on a fifth axis, not vectors
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field"):
+        read_field(path)
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5", ".tfm"])
+def test_a_file_that_is_cut_short_is_no_field(suffix, tmp_path):
+    """All kinds of damage, 2,000 of each format: `python benchmarks/damaged_fields.py`."""
+    whole, cut = tmp_path / f"a{suffix}", tmp_path / f"cut{suffix}"
+    make_field(whole)
+    content = whole.read_bytes()
+    whole.unlink()
+    for share in (0, 0.01, 0.3, 0.7, 0.98):
+        cut.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(FileFormatError, match=rf"cut\{suffix}: not a displacement field"):
+            read_field(cut)
+
+
+def test_a_size_that_a_file_cannot_hold_costs_no_memory(tmp_path):
+    path = tmp_path / "field.nii"
+    content = bytearray(nifti(Case("slice"), by_matrix=True))
+    struct.pack_into("<h", content, 46, 32_000)  # slices, of what would be 1 GB
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field that can"):
         read_field(path)

@@ -25,7 +25,8 @@ from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.inverse_field import as_field, inverse_displacement
-from napari_hmrf.io.nifti_place import place_in_nifti
+from napari_hmrf.io.itk_files import read_image, read_transform
+from napari_hmrf.io.nifti import place_in_nifti
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 
@@ -340,8 +341,8 @@ def _image_in(sitk: Any, source: Path) -> Any:
     """The vectors of a file, as an image."""
     try:
         if source.suffix.lower() not in (".h5", ".hdf5", ".tfm", ".txt"):
-            return sitk.ReadImage(str(source))
-        transform = sitk.ReadTransform(str(source))
+            return read_image(sitk, source)
+        transform = read_transform(sitk, source)
         if transform.GetName() == "CompositeTransform":
             return _composed(sitk, sitk.CompositeTransform(transform))
         return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
