@@ -255,20 +255,20 @@ def place_of(solution: Solution) -> Place:
     return Place(tuple(spacing.tolist()), tuple(first[::-1].tolist()), _rotation(turn, len(axes)))
 
 
-def frame_of(place: Place) -> dict[str, Any]:
-    """The place as `Solution.frame` has it, of a slice: the inverse of `place_of`."""
+def frame_of(place: Place, number: int = 0, unit: str = "millimeter") -> dict[str, Any]:
+    """The place as `Solution.frame` has it, of one slice of a volume: the inverse of `place_of`."""
     n = len(place.spacing)
     turn = np.eye(n + 1)
     turn[:n, :n], turn[:n, n] = place.direction[::-1, ::-1], place.origin[::-1]
     return {
         "plane": [n - 2, n - 1],
-        "index": [0] * n,
+        "index": [number, *[0] * (n - 1)] if n > 2 else [0] * n,
         "scale": list(place.spacing),
         "translate": [0.0] * n,
         "rotate": np.eye(n).tolist(),
         "shear": [0.0] * (n * (n - 1) // 2),
         "affine": turn.tolist(),
-        "units": ["millimeter"] * n,
+        "units": [unit] * n,
         "axis_labels": ["z", "y", "x"][-n:],
         "matrix": (turn @ np.diag([*place.spacing, 1.0])).tolist(),
     }
