@@ -1,6 +1,6 @@
-"""Damaged, foreign and hostile versions of a saved result: what reading them takes.
+"""Damaged, foreign and hostile versions of a saved result or study: what reading them takes.
 
-    python benchmarks/damaged.py [--files 3000] [--seed 0]
+    python benchmarks/damaged.py [--of result] [--files 3000] [--seed 0]
 
 Prints how many were refused, and which took longest and most memory. Exits with 1 if one was read
 as what was not saved, raised anything but `FileFormatError`, or took more than 2 s or 100 MB.
@@ -22,13 +22,31 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from napari_hmrf import FileFormatError, SeilerPrior, Solution, is_solution_file, phantom, solve
+from napari_hmrf import (
+    Arrow,
+    Drawing,
+    FileFormatError,
+    Grid,
+    Motion,
+    Pictures,
+    SeilerPrior,
+    Solution,
+    Study,
+    Tissue,
+    is_solution_file,
+    is_study_file,
+    load_study,
+    phantom,
+    save_study,
+    solve,
+    solve_study,
+)
 
 MOST_SECONDS = 2.0
 MOST_BYTES = 100e6
@@ -86,7 +104,7 @@ def damaged(content: bytes, count: int, seed: int = 0) -> Iterator[Damaged]:
     """Make versions of a saved result, the same ones for the same seed."""
     dice = random.Random(seed)
     kinds: list[tuple[Callable[[bytes, random.Random], bytes], bool]] = [
-        *((kind, False) for kind in (_flipped, _cut, _torn, _table_edited, _method_claimed)),
+        *((kind, False) for kind in (flipped, cut, _torn, _table_edited, _method_claimed)),
         *((kind, True) for kind in (_npy_edited, _header_edited, _swapped, _packed_otherwise)),
         *((kind, True) for kind in (_twice, _nested)),
     ]
@@ -136,17 +154,47 @@ def told(solution: Solution) -> tuple[Any, ...]:
     return *(array.tobytes() for array in arrays), json.dumps(rest, sort_keys=True)
 
 
+def plain(value: Any) -> Any:
+    """All that a study or its parts hold, to be compared."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if is_dataclass(value):
+        parts = {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return type(value).__name__, parts
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, tuple | list) else repr(value)
+
+
 SOLUTIONS = Kept(is_solution_file, Solution.load, lambda path, it: it.save(path), told)
+STUDIES = Kept(is_study_file, load_study, lambda path, it: save_study(path, *it), plain)
 
 
-def _flipped(content: bytes, dice: random.Random) -> bytes:
+def _save_result(folder: Path) -> Path:
+    problem = phantom("expansion", 24).problem
+    return solve(problem, SeilerPrior(), backend="cpu").save(folder / "a.npz")
+
+
+def _save_study(folder: Path) -> Path:
+    sample = phantom("mass-effect", 32)
+    labels = sample.tissue_labels.astype(np.uint8)
+    study = Study(
+        Grid(labels.shape, (0.5, 0.5), "millimeter"),
+        Tissue(labels=labels, materials=sample.materials),
+        Motion(hold_edge=True, drawing=Drawing((Arrow((16, 12), (0.5, 1), 2.0),))),
+        pictures=Pictures(sample.image, labels, "t1"),
+    )
+    return save_study(folder / "a.study", study, solve_study(study, backend="cpu"))
+
+
+def flipped(content: bytes, dice: random.Random) -> bytes:
     made = bytearray(content)
     for _ in range(dice.choice((1, 1, 2, 8))):
         made[dice.randrange(len(made))] ^= 1 << dice.randrange(8)
     return bytes(made)
 
 
-def _cut(content: bytes, dice: random.Random) -> bytes:
+def cut(content: bytes, dice: random.Random) -> bytes:
     return content[: dice.randrange(len(content))]
 
 
@@ -293,15 +341,15 @@ def _with_header(members: dict[str, bytes], header: str) -> bytes:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Read all versions and print what that took."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--of", choices=("result", "study"), default="result")
     parser.add_argument("--files", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "damaged.npz")
-        saved = solve(phantom("expansion", 24).problem, SeilerPrior(), backend="cpu").save(
-            Path(folder, "a.npz")
-        )
-        original = Solution.load(saved)
+        make, kept = (_save_study, STUDIES) if options.of == "study" else (_save_result, SOLUTIONS)
+        saved = make(Path(folder))
+        path = saved.with_stem("damaged")
+        original = kept.load(saved)
         outcomes: Counter[tuple[str, str]] = Counter()
         slowest: tuple[float, str] = (0.0, "")
         hungriest: tuple[int, str] = (0, "")
@@ -311,7 +359,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             what = f"file {number} ({version.kind}, {len(version.content)} bytes)"
             started = time.perf_counter()
             try:
-                outcome = look(path, version, original)
+                outcome = look(path, version, original, kept)
             except Exception as error:  # noqa: BLE001 - what is looked for
                 outcome, failed = "failed", True
                 print(f"{what}: {type(error).__name__}: {error}"[:300])
@@ -319,7 +367,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Once more: to trace memory takes time.
             tracemalloc.start()
             with suppress(Exception):
-                look(path, version, original)
+                look(path, version, original, kept)
             hungriest = max(hungriest, (tracemalloc.get_traced_memory()[1], what))
             tracemalloc.stop()
             outcomes[version.kind, outcome] += 1

@@ -1,9 +1,12 @@
 """A case is solved from files in the shell, as it would be from arrays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from napari_hmrf import (
+    Arrow,
     BoundaryRule,
     Drawing,
     FileFormatError,
@@ -15,18 +18,20 @@ from napari_hmrf import (
     at_edges,
     load_study,
     save_points,
+    save_study,
     solve,
+    solve_study,
     write_field,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.io.case import Case, read_case
-from napari_hmrf.io.fields import Place
+from napari_hmrf.io.case import Case, read_case, solve_case
+from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.tables import read_materials, read_rules
 from napari_hmrf.tissue.boundary_rules import RIGID, boundary_images, stiffness_image
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
-pytest.importorskip("SimpleITK")
+sitk = pytest.importorskip("SimpleITK")
 
 SHAPE = (30, 36)
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -104,6 +109,35 @@ def test_the_shell_solves_what_python_would(files, capsys):
     assert seen.pixels.shape == SHAPE
     np.testing.assert_allclose(seen.place.origin, (-10, 20, 7)), "the second slice"
     assert main(["replay", str(out / "scan.study")]) == 0
+
+
+def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(files):
+    folder, *_ = files
+    before = read_case(case(folder, hold_edge=True))
+    assert before.grid.place["index"] == [1, 0, 0]
+    pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
+    before = replace(before, motion=replace(before.motion, drawing=pull))
+    # Saved without a field: what is solved afterwards lies in the same place.
+    study = load_study(save_study(folder / "a.study", before)).study
+    assert study.grid.place["index"] == [1, 0, 0]
+    path = save_study(folder / "b.study", study, solve_study(study, backend="cpu"))
+    assert main(["export", str(path), str(folder / "field.mha")]) == 0
+    field = sitk.ReadImage(str(folder / "field.mha"))
+    volume = sitk.ReadImage(str(folder / "scan.nii.gz"))
+    at = volume.TransformIndexToPhysicalPoint((0, 0, 1))
+    np.testing.assert_allclose(field.GetOrigin(), at, atol=1e-5)
+    np.testing.assert_allclose(field.GetDirection(), volume.GetDirection(), atol=1e-6)
+    assert field.GetSpacing() == pytest.approx(volume.GetSpacing())
+
+
+def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
+    stack = np.random.default_rng(0).integers(1, 200, (4, *SHAPE), dtype=np.uint8)
+    save_image(tmp_path / "stack.tif", ImageFile(stack))
+    given = Case(tmp_path / "stack.tif", slice=2, hold_edge=True)
+    assert read_case(given).grid.place["index"] == [2, 0, 0]
+    saved = solve_case(given, tmp_path / "out", backend="cpu")
+    assert place_of(saved.solution).origin == (0, 0, 2)
+    assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"
 
 
 def test_landmarks_lead_tissue_where_the_patient_has_them(files):

@@ -49,6 +49,20 @@ class Case:
         self.origin = tuple(np.linspace(-30, 41, self.axes))
         self.sites = at.astype(float)
 
+    @property
+    def whole(self):
+        """The displacement on all axes of the place; a slice does not move along the third."""
+        if self.n == self.axes:
+            return self.displacement
+        return np.pad(self.displacement, [(0, 0)] * self.n + [(1, 0)])[np.newaxis]
+
+    def vectors(self, kind=np.float64):
+        """The same as an image of SimpleITK, as a tool writes where what is seen came from."""
+        turned = (self.whole[..., ::-1] @ self.direction.T).astype(kind)
+        made = sitk.GetImageFromArray(turned, isVector=True)
+        made.CopyInformation(self.image(np.zeros(self.shape)))
+        return made
+
     def write(self, path, **options):
         place = {"spacing": self.spacing, "origin": self.origin, "direction": self.direction}
         return write_field(path, self.displacement, **place, **options)

@@ -23,6 +23,7 @@ from napari_hmrf import (
     replay,
     save_study,
 )
+from napari_hmrf.io.fields import place_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
@@ -99,6 +100,25 @@ def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, 
     np.testing.assert_allclose(
         replay(path).displacement, load_study(path).solution.displacement, atol=2e-3
     )
+
+
+def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
+    made, run, wait_for, tmp_path
+):
+    first = made(stack())
+    run(first)
+    path = first.save_study(tmp_path / "case")
+    assert load_study(path).study.grid.place["index"][0] == 1, "of the stack that it was cut from"
+    second = made(ViewerModel())
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    run(second)
+    again = second.save_study(tmp_path / "again")
+    corner = first._viewer.layers["t1"].data_to_world((1, 0, 0))
+    for each in (path, again):
+        place = place_of(load_study(each).solution)
+        np.testing.assert_allclose(place.origin[::-1], corner)
+        np.testing.assert_allclose(place.spacing, (3.0, 0.5, 0.8))
 
 
 def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_path):

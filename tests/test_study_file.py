@@ -1,13 +1,18 @@
 """A saved study comes back, its field is made again bit by bit, and anything else is refused."""
 
 import dataclasses
+import os
+import re
 import subprocess
 import sys
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
-from damaged import MOST_BYTES, Kept, damaged, look
+from damaged import MOST_BYTES, damaged, look, plain
+from damaged import STUDIES as KEPT
+from opengl_here import require_opengl
 
 from napari_hmrf import (
     ICM,
@@ -115,19 +120,6 @@ def study(request):
     return request.param()
 
 
-def plain(value):
-    """All that a study holds, to be compared."""
-    if isinstance(value, np.ndarray):
-        return value.dtype.str, value.shape, value.tobytes()
-    if dataclasses.is_dataclass(value):
-        return type(value).__name__, {
-            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
-        }
-    if isinstance(value, dict):
-        return {key: plain(each) for key, each in value.items()}
-    return [plain(each) for each in value] if isinstance(value, tuple | list) else repr(value)
-
-
 def test_what_was_saved_comes_back(study, tmp_path):
     solution = solve_study(study, backend="cpu")
     saved = load_study(save_study(tmp_path / "case", study, solution))
@@ -155,15 +147,38 @@ for path in sys.argv[1:]:
 """
 
 
-def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
+@pytest.mark.parametrize("backend", ["cpu", "opengl"])
+def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path, backend):
+    if backend == "opengl":
+        require_opengl()
     paths = []
     for make in STUDIES:
         study = make()
-        solution = solve_study(study, backend="cpu")
+        solution = solve_study(study, backend=backend)
         paths.append(save_study(tmp_path / make.__name__, study, solution))
     command = [sys.executable, "-c", REPLAY, *paths]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split("\n")
-    assert said == ["True cpu"] * len(STUDIES) + [""]
+    for threads in ({}, {"NUMBA_NUM_THREADS": "1"}):  # as many as here, and any other number
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=True, env={**os.environ, **threads}
+        )
+        same, renderers = done.stdout.split()[::2], done.stdout.split()[1::2]
+        assert same == ["True"] * len(STUDIES)
+        assert {each.partition(":")[0] for each in renderers} == {backend}
+
+
+KILLED = Path(__file__).parents[1] / "benchmarks" / "killed.py"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_study_killed_at_any_step_of_saving_leaves_a_whole_file():
+    """The whole of it, and kills of large files half written: `python benchmarks/killed.py`."""
+    command = [sys.executable, KILLED, "--packing", "10", "--half", "0"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    assert "killed while packing 10 times; the file: first" in told
+    for left in ("first", "second"):  # of each there are, as the name changes in one step
+        assert any(re.match(rf"killed while writing \d+ times; the file: {left}", x) for x in told)
 
 
 def test_an_image_may_be_left_out_and_is_given_by_whom_it_is_known(tmp_path):
@@ -196,7 +211,6 @@ def test_an_image_that_no_file_keeps_is_refused_and_the_old_file_stays(tmp_path)
 
 
 def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
-    kept = Kept(is_study_file, load_study, lambda path, it: save_study(path, *it), plain)
     study, path = by_labels(), tmp_path / "damaged.study"
     content = save_study(path, study, solve_study(study, backend="cpu")).read_bytes()
     original, outcomes = load_study(path), set()
@@ -205,7 +219,7 @@ def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_m
         path.write_bytes(version.content)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
-        outcomes.add((version.kind, look(path, version, original, kept)))
+        outcomes.add((version.kind, look(path, version, original, KEPT)))
         assert tracemalloc.get_traced_memory()[1] - before < MOST_BYTES, version.kind
     tracemalloc.stop()
     for kind in {kind for kind, _ in outcomes}:

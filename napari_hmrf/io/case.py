@@ -86,9 +86,10 @@ def read_case(case: Case) -> Study:
     """
     if is_study_file(case.image):
         return load_study(case.image).study
-    image, place = _slice_of(load_image(case.image), case)
+    whole = load_image(case.image)
+    image, place = _slice_of(whole, case)
     shape = image.pixels.shape[:2]
-    grid = _grid(shape, place)
+    grid = _grid(shape, whole, case)
     materials = () if case.materials is None else _materials(case.materials)
     labels = None if case.labels is None else _pixels(case, case.labels, shape, whole=True)
     motion = replace(_motion(case, grid, place, image.pixels), hold_edge=case.hold_edge)
@@ -111,14 +112,12 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
     """
     study = read_case(case)
     solution = solve_study(study, backend=backend)
-    place = study.grid.place
-    solution = replace(solution, frame=place if isinstance(place, dict) else None)
     folder.mkdir(parents=True, exist_ok=True)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
         moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-        where = None if solution.frame is None else place_of(solution)
+        where = None if study.grid.unit == "pixel" else place_of(solution)
         written = ImageFile(moved, where, colours=moved.ndim > 2)
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
@@ -185,10 +184,16 @@ def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
     return image._replace(pixels=image.pixels[number]), place
 
 
-def _grid(shape: tuple[int, ...], place: Place | None) -> Grid:
-    if place is None:
+def _grid(shape: tuple[int, ...], image: ImageFile, case: Case) -> Grid:
+    """The slice that is meant, which knows its number and the place of the volume."""
+    number = case.slice if image.ndim > 2 and case.slice is not None else 0
+    if image.place is not None:
+        frame = frame_of(image.place, number)
+        return Grid(shape, image.place.spacing[-2:], "millimeter", frame)
+    if image.ndim == 2:
         return Grid(shape, (1.0, 1.0))
-    return Grid(shape, place.spacing[-2:], "millimeter", frame_of(place))
+    pixels = Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
+    return Grid(shape, (1.0, 1.0), place=frame_of(pixels, number, "pixel"))
 
 
 def _materials(path: Path) -> tuple[Material, ...]:

@@ -25,6 +25,8 @@ from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.inverse_field import as_field, inverse_displacement
+from napari_hmrf.io.itk_files import read_image, read_transform
+from napari_hmrf.io.nifti import place_in_nifti
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 
@@ -182,6 +184,8 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         pass  # one error, of the system's words, for what is not there
     image = _image_in(sitk, source)
     n = image.GetDimension()
+    if n == 2 and image.GetNumberOfComponentsPerPixel() == 3:
+        image, n = _in_volume(sitk, image, source), 3
     if n not in (2, 3) or image.GetNumberOfComponentsPerPixel() != n:
         raise FileFormatError(
             f"{source.name}: not a displacement field: {n} axes and "
@@ -251,20 +255,20 @@ def place_of(solution: Solution) -> Place:
     return Place(tuple(spacing.tolist()), tuple(first[::-1].tolist()), _rotation(turn, len(axes)))
 
 
-def frame_of(place: Place) -> dict[str, Any]:
-    """The place as `Solution.frame` has it, of a slice: the inverse of `place_of`."""
+def frame_of(place: Place, number: int = 0, unit: str = "millimeter") -> dict[str, Any]:
+    """The place as `Solution.frame` has it, of one slice of a volume: the inverse of `place_of`."""
     n = len(place.spacing)
     turn = np.eye(n + 1)
     turn[:n, :n], turn[:n, n] = place.direction[::-1, ::-1], place.origin[::-1]
     return {
         "plane": [n - 2, n - 1],
-        "index": [0] * n,
+        "index": [number, *[0] * (n - 1)] if n > 2 else [0] * n,
         "scale": list(place.spacing),
         "translate": [0.0] * n,
         "rotate": np.eye(n).tolist(),
         "shear": [0.0] * (n * (n - 1) // 2),
         "affine": turn.tolist(),
-        "units": ["millimeter"] * n,
+        "units": [unit] * n,
         "axis_labels": ["z", "y", "x"][-n:],
         "matrix": (turn @ np.diag([*place.spacing, 1.0])).tolist(),
     }
@@ -337,15 +341,47 @@ def _image_in(sitk: Any, source: Path) -> Any:
     """The vectors of a file, as an image."""
     try:
         if source.suffix.lower() not in (".h5", ".hdf5", ".tfm", ".txt"):
-            return sitk.ReadImage(str(source))
-        transform = sitk.ReadTransform(str(source))
+            return read_image(sitk, source)
+        transform = read_transform(sitk, source)
         if transform.GetName() == "CompositeTransform":
-            transform = sitk.CompositeTransform(transform).GetNthTransform(0)
+            return _composed(sitk, sitk.CompositeTransform(transform))
         return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
     except RuntimeError as error:
         raise FileFormatError(
             f"{source.name}: not a displacement field that can be read."
         ) from error
+
+
+def _composed(sitk: Any, chain: Any) -> Any:
+    """Transforms one after the other, as ANTs keeps a warp and its affine map: as one field."""
+    # The last is applied first, and so is that of the picture to be seen.
+    parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
+    last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
+    if not last:
+        raise RuntimeError("no field is among them")
+    field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
+    if len(parts) == 1:
+        return field
+    grid = (field.GetSize(), field.GetOrigin(), field.GetSpacing(), field.GetDirection())
+    return sitk.TransformToDisplacementField(chain, sitk.sitkVectorFloat64, *grid)
+
+
+def _in_volume(sitk: Any, plane: Any, source: Path) -> Any:
+    """A field of one slice of a volume, of which SimpleITK drops the third axis in NIfTI alone."""
+    place = place_in_nifti(source)
+    if place is None:
+        return plane
+    spacing, origin, turn = place
+    volume = sitk.JoinSeries(plane)
+    volume.SetSpacing(spacing.tolist())
+    volume.SetOrigin(origin.tolist())
+    try:
+        volume.SetDirection(turn.ravel().tolist())
+    except RuntimeError as error:
+        raise FileFormatError(
+            f"{source.name}: not a displacement field that can be read: its axes lie in one plane."
+        ) from error
+    return volume
 
 
 def _refuse_beside(target: Path, suffix: str) -> None:

@@ -19,6 +19,7 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.io.fields import Place, simpleitk
+from napari_hmrf.io.itk_files import read_image
 
 #: How the names of files end that are read, and written.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
@@ -75,7 +76,7 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
             return _picture(source)
     sitk = simpleitk()
     try:
-        image = _series(sitk, source) if source.is_dir() else sitk.ReadImage(str(source))
+        image = _series(sitk, source) if source.is_dir() else read_image(sitk, source)
     except RuntimeError as error:
         raise FileFormatError(f"{source.name}: not an image that can be read.") from error
     n, count = image.GetDimension(), image.GetNumberOfComponentsPerPixel()

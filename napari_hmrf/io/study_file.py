@@ -204,14 +204,14 @@ def _digest(image: npt.NDArray[Any]) -> str:
 
 def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
     study, tissue, motion = content.study, content.study.tissue, content.study.motion
-    pictures, place = study.pictures, study.grid.place
+    pictures = study.pictures
     curve, preset, image = tissue.curve, tissue.preset, pictures.image
     header: dict[str, Any] = {
         "grid": {
             "shape": list(study.grid.shape),
             "spacing": list(study.grid.spacing),
             "unit": study.grid.unit,
-            "place": place.as_dict() if hasattr(place, "as_dict") else place,
+            "place": study.grid.place_as_dict,
         },
         "tissue": {
             "materials": [row.as_row() for row in tissue.materials],

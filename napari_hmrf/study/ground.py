@@ -224,6 +224,7 @@ def solve_study(
     Returns
     -------
     Solution
+        Placed as the study is.
 
     Raises
     ------
@@ -234,7 +235,7 @@ def solve_study(
     """
     stated = statement_of(study)
     with study.naming():
-        return solve(
+        solution = solve(
             stated.problem,
             stated.prior,
             optimizer=stated.optimizer,
@@ -242,6 +243,7 @@ def solve_study(
             progress=progress,
             cancel=cancel,
         )
+    return replace(solution, frame=study.grid.place_as_dict)
 
 
 class _Where:

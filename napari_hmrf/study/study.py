@@ -49,6 +49,14 @@ class Grid:
     unit: str = "pixel"
     place: Any = None
 
+    @property
+    def place_as_dict(self) -> dict[str, Any] | None:
+        """The place in JSON types, as `Solution.frame` and files have it."""
+        found: dict[str, Any] | None = (
+            self.place.as_dict() if hasattr(self.place, "as_dict") else self.place
+        )
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class Tissue:

@@ -1,0 +1,174 @@
+"""Save a study over an earlier one and be killed, at each step of writing: what is left is whole.
+
+    python benchmarks/killed.py [--packing 300] [--half 100] [--seed 0]
+
+A child saves the second study and kills itself (SIGKILL) before or after the n-th call into the
+system or a library, for each n from where the file is written, and for some while it is packed.
+Others save a large one and are killed by their parent as soon as so much of it is on the disk.
+After each the file is opened: it is the first study or the second. Only where there is a fork.
+Exits with 1 if it was anything else, or if more than a temporary file was left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from damaged import plain
+
+from napari_hmrf import (
+    Arrow,
+    Drawing,
+    Grid,
+    HmrfError,
+    Motion,
+    Pictures,
+    Study,
+    Tissue,
+    load_study,
+    save_study,
+    solve_study,
+)
+
+Save = Callable[[], Any]
+
+
+def study(pull: float, size: int = 24) -> Study:
+    """Make a study of noise, which does not pack, with a pull."""
+    image = np.random.default_rng(size).integers(1, 255, (size, size), dtype=np.uint8)
+    drawing = Drawing((Arrow((size / 2, size / 2), (0.0, pull), 2.0),))
+    grid, tissue = Grid(image.shape, (1.0, 1.0)), Tissue(stiffness=np.ones(image.shape))
+    return Study(grid, tissue, Motion(hold_edge=True, drawing=drawing), pictures=Pictures(image))
+
+
+class _Steps:
+    """The steps of a save, counted; at one of them the process kills itself."""
+
+    def __init__(self, last: int = 0) -> None:
+        self._last = last
+        self.count = 0
+        self.written_from = 0
+
+    def __call__(self, frame: FrameType, event: str, _: Any) -> None:
+        if event == "call" and frame.f_code.co_name == "write_whole":
+            self.written_from = self.count + 1
+        if event in ("c_call", "c_return"):
+            self.count += 1
+            if self.count == self._last:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+
+def steps_of(save: Save) -> tuple[int, int]:
+    """Count the steps of a save, and from which on the file is written."""
+    steps = _Steps()
+    sys.setprofile(steps)
+    try:
+        save()
+    finally:
+        sys.setprofile(None)
+    return steps.written_from, steps.count
+
+
+def killed_at(step: int, save: Save) -> bool:
+    """Save in a child that kills itself at a step; whether it came to that."""
+    child = os.fork()
+    if not child:
+        try:
+            sys.setprofile(_Steps(step))
+            save()
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+def killed_at_size(size: int, folder: Path, save: Save) -> bool:
+    """Save in a child until so much is in its temporary file; whether it came to that."""
+    child = os.fork()
+    if not child:
+        try:
+            save()
+        finally:
+            os._exit(0)
+    while not os.waitpid(child, os.WNOHANG)[0]:
+        if any(half >= size for half in _sizes(folder)):
+            os.kill(child, signal.SIGKILL)
+            return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+    return False
+
+
+def _sizes(folder: Path) -> Iterator[int]:
+    for path in folder.glob("*.tmp"):
+        try:
+            yield path.stat().st_size
+        except FileNotFoundError:  # it has got its name meanwhile
+            continue
+
+
+def left(path: Path, known: dict[str, Any]) -> str:
+    """Open what is left, tidy up, and tell which study it is."""
+    others = [each for each in path.parent.iterdir() if each != path]
+    for each in others:
+        if each.suffix != ".tmp":
+            return f"beside it lies {each.name}"
+        each.unlink()
+    try:
+        found = plain(load_study(path).study)
+    except (HmrfError, OSError) as error:
+        return f"broken: {error}"
+    return next((name for name, one in known.items() if one == found), "another study")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Kill at all steps and print what was left."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--packing", type=int, default=300, help="kills before it is written")
+    parser.add_argument("--half", type=int, default=100, help="kills of a large file, half written")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    dice, outcomes = random.Random(options.seed), Counter[tuple[str, str]]()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "case.study")
+        first, second = study(1.0), study(2.0)
+        solution = solve_study(second, backend="cpu")
+        known = {"first": plain(first), "second": plain(second)}
+
+        def save() -> None:
+            save_study(path, second, solution)
+
+        save_study(path, first)
+        start, count = steps_of(save)
+        before = dice.sample(range(1, start), min(options.packing, start - 1))
+        for step in (*sorted(before), *range(start, count + 1)):
+            save_study(path, first)
+            when = "packing" if step < start else "writing"
+            came = killed_at(step, save)
+            outcomes[when if came else f"{when}, not killed", left(path, known)] += 1
+        if options.half:
+            large = study(1.0, 2000)
+            known["large"] = plain(large)
+            size = save_study(path, large).stat().st_size
+
+            def save_large() -> None:
+                save_study(path, large)
+
+        for _ in range(options.half):
+            save_study(path, first)
+            came = killed_at_size(dice.randrange(size), path.parent, save_large)
+            outcomes["half written" if came else "half written, not killed", left(path, known)] += 1
+    for (when, what), number in sorted(outcomes.items()):
+        print(f"killed while {when:<26}{number:>6} times; the file: {what}")
+    return int(any(what not in known for _, what in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
