@@ -128,7 +128,7 @@ class ViewerWatch:
         image, there = form.image.value, form.image.value is not None
         self._read = [image, form.tissue.layer, boundary.choice.value, boundary.confidence.value]
         form.make.enabled = there and None in self._painted
-        form.intensity.enabled = there
+        form.intensity.enabled = form.result.keep.enabled = there
         self._mark()
         self._live.touch()
         self._guide.look_at_view()
