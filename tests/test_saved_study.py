@@ -184,10 +184,11 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
 def test_what_was_done_so_far_is_saved_before_there_is_a_result(
     made, wait_for, tmp_path, monkeypatch
 ):
-    dock, path = made(ViewerModel()), tmp_path / "begun.study"
+    viewer, path = ViewerModel(), tmp_path / "begun.study"
+    dock = made(viewer)
     screen = Screen(dock)
     assert not screen.button("Save study ...").isEnabled()
-    dock._viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
     dock.live = False
     wait_for(lambda: not dock.busy)
     dock.drawing = DRAWING
