@@ -13,6 +13,7 @@ from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.patient_axes import Sides
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName
@@ -35,6 +36,7 @@ from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
+from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
@@ -116,6 +118,9 @@ class SoftTissue(Dock):
     ask : callable
         Asked, before a window closes, what to do with that: given the question, it answers "save",
         "discard" or "cancel"; by default a person does.
+    sides : Sides
+        The letters at the top, bottom, left and right of the canvas that say which side of the
+        patient lies there, of images that say so themselves: "R", "L", "A", "P", "S", "I" or "".
     saved : Signal(object)
         Emitted when pictures are written: a list of `Path`.
     """
@@ -145,6 +150,7 @@ class SoftTissue(Dock):
     saved = Part[Any]("_view.saved")
     unsaved = Part[bool]("_unsaved.there")
     ask = Part[Any]("_unsaved.ask")
+    sides = Part[Sides]("_sides.shown")
     live = Part[bool]("_form.footer.live.on")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
@@ -171,6 +177,7 @@ class SoftTissue(Dock):
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
+        self._sides = PatientSides(self.native, viewer)
         self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study)
         self._connect()
         self._choices.choose_first()
@@ -449,10 +456,10 @@ class SoftTissue(Dock):
             if tissue is not None:
                 tissue.visible = False  # it would tint what was deformed
 
-    def on_docked(self) -> None:
-        """The dock is in a window."""
-        super().on_docked()
-        self._unsaved.on_docked()
+    def on_window(self, window: Any) -> None:
+        """The dock is in a window of napari's."""
+        self._unsaved.watch(window)
+        self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
         """The dock was closed, or the window is gone."""
@@ -463,7 +470,8 @@ class SoftTissue(Dock):
             self._pointer.leave()
             self._view.rest()
         watch, live, guide = self._watch, self._live_study, self._guide
-        for part in (self._unsaved, watch, guide, live, self._view, self._steps, self._form):
+        parts = (self._unsaved, self._sides, watch, guide, live, self._view, self._steps)
+        for part in (*parts, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

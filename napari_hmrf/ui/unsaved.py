@@ -72,7 +72,6 @@ class Unsaved(QObject):
         self._over = False
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
-        self._docking = single_shot(dock.native, 0, self._on_docked)
         self._heard = Listening((self._steps.edits.changed, self._on_edited))
         self._left = LeftBehind(self._take_up)
         self._left.refused.connect(self._refuse)
@@ -137,16 +136,9 @@ class Unsaved(QObject):
 
     # Before the window closes
 
-    def on_docked(self) -> None:
-        """The dock is in a window, or will be in a moment."""
-        self._docking.start()
-
-    def _on_docked(self) -> None:
-        window = self._dock.native
-        while window is not None and not isinstance(window, QMainWindow):
-            window = window.parent()  # a dock that floats has a window of its own, too
-        if window is not None:
-            window.installEventFilter(self)
+    def watch(self, window: QMainWindow) -> None:
+        """Hear of a window of napari's."""
+        window.installEventFilter(self)
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         """Hear of the window's closing before napari does."""
