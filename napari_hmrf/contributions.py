@@ -110,7 +110,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
 
     layers: list[LayerData] = []
     for each in _listed(path):
-        image = load_image(each)
+        image = load_image(each).upright
         attributes = {
             "name": Path(each).name.partition(".")[0],
             "rgb": image.colours,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from conftest import dock_in
 from napari.components import ViewerModel
+from qtpy.QtWidgets import QFileDialog
 from screen import Screen
 
 from napari_hmrf import (
@@ -198,3 +199,23 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
     assert dock.image is viewer.layers["photo"]
     assert dock.drawing == DRAWING
     assert Screen(dock).button("Save study ...").isEnabled()
+
+
+def test_what_was_done_so_far_is_saved_before_there_is_a_result(
+    made, wait_for, tmp_path, monkeypatch
+):
+    viewer, path = ViewerModel(), tmp_path / "begun.study"
+    dock = made(viewer)
+    screen = Screen(dock)
+    assert not screen.button("Save study ...").isEnabled()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock.live = False
+    wait_for(lambda: not dock.busy)
+    dock.drawing = DRAWING
+    assert dock.solution is None
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    screen.press("Save study ...")
+    assert dock.status.startswith("Saved begun.study, without a field")
+    study, solution = load_study(path)
+    assert solution is None
+    assert study.motion.drawing == DRAWING

@@ -204,6 +204,10 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     return Field(d, spacing, tuple(image.GetOrigin()), turn, residual)
 
 
+#: The axes of a volume's world by where in the patient they lead to, as layers carry them.
+PATIENT_AXES = ("superior", "posterior", "left")
+
+
 class Place(NamedTuple):
     """Where a field lies, as `write_field` takes it: in mm, or in pixels if no unit is known."""
 
@@ -269,7 +273,7 @@ def frame_of(place: Place, number: int = 0, unit: str = "millimeter") -> dict[st
         "shear": [0.0] * (n * (n - 1) // 2),
         "affine": turn.tolist(),
         "units": [unit] * n,
-        "axis_labels": ["z", "y", "x"][-n:],
+        "axis_labels": list(PATIENT_AXES) if n == 3 else ["y", "x"],
         "matrix": (turn @ np.diag([*place.spacing, 1.0])).tolist(),
     }
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import tempfile
+from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,6 +48,31 @@ class ImageFile(NamedTuple):
         """The pixels on all axes of the place: a slice of a volume has one of each beyond."""
         more = 0 if self.place is None else len(self.place.spacing) - self.ndim
         return self.pixels[(np.newaxis,) * more]
+
+    @property
+    def upright(self) -> ImageFile:
+        """A volume with its axes in the order of the world's that they are nearest to.
+
+        Scanners cut heads from any side; napari shows slices across axes that keep to the world's.
+        """
+        place = self.place
+        if place is None or len(place.spacing) != 3:
+            return self
+        turn = place.direction[::-1, ::-1]
+
+        def nearness(order: tuple[int, ...]) -> float:
+            return sum(abs(float(turn[world, axis])) for world, axis in enumerate(order))
+
+        order = max(permutations(range(3)), key=nearness)
+        return ImageFile(
+            self.pixels_in_place.transpose(*order, *range(3, 3 + self.colours)),
+            Place(
+                tuple(place.spacing[axis] for axis in order),
+                place.origin,
+                turn[:, list(order)][::-1, ::-1],
+            ),
+            self.colours,
+        )
 
     @property
     def ndim(self) -> int:

@@ -90,6 +90,19 @@ def compile_once(mesh: Any) -> bool:
     return True
 
 
+def is_quitting(window: Any) -> bool:
+    """Whether a window of napari's is closed to quit, which closes all others as well."""
+    # Private: the others are closed without being asked, so that all have to be asked before.
+    return bool(getattr(window, "_quit_app", False))
+
+
+def stop_quitting(window: Any) -> None:
+    """Have a window that stays after all not quit when it is closed the next time."""
+    # Private: napari asks before it decides to quit, and has no way back from there.
+    if is_quitting(window):
+        window._quit_app = False
+
+
 def _overlay(viewer: Any, name: str) -> Any:
     """One of the canvas' overlays; None before napari 0.9, which has no such."""
     overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)

@@ -166,10 +166,10 @@ class ViewerSteps:
             self.said.emit(nothing, None)
             return
         where = self.where(step.slot)
-        self._go_to(step.slot)
+        self.go_to(step.slot)
         self.said.emit(f"{what}{f', in {where}' if where else ''}: {step.word}.", step.slot)
 
-    def _go_to(self, slot: Any) -> None:
+    def go_to(self, slot: Any) -> None:
         """Show the slice that something was drawn on, unless the viewer shows other axes."""
         if slot.place is None:
             return

@@ -22,11 +22,16 @@ def _kept(_: Any) -> dict[str, Any]:
     return {}
 
 
-def remember(viewer: Any, form: ModelForm) -> None:
-    """Have a form say what was chosen last, here or on this machine, and keep what will be."""
-    store = QSettings(
+def settings() -> QSettings:
+    """What is remembered for good."""
+    return QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )
+
+
+def remember(viewer: Any, form: ModelForm) -> None:
+    """Have a form say what was chosen last, here or on this machine, and keep what will be."""
+    store = settings()
     kept, device = shared(viewer, _kept), form.in_detail["device"]
     with suppress(ValueError):  # another version's, or written by hand
         device.value = store.value(_DEVICE, device.value)

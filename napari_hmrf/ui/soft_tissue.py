@@ -7,13 +7,13 @@ from typing import Any
 
 from napari.layers import Labels
 from napari.utils.notifications import show_warning
-from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.patient_axes import Sides
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName
@@ -26,7 +26,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.ui import messages, study_files
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
@@ -36,9 +36,11 @@ from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
+from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
+from napari_hmrf.ui.unsaved import Unsaved
 from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
@@ -111,6 +113,14 @@ class SoftTissue(Dock):
         Emitted when tissue has come to rest, and all layers of the result are drawn.
     finished : Signal(object)
         Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed.
+    unsaved : bool
+        Whether something was painted or drawn that no file holds.
+    ask : callable
+        Asked, before a window closes, what to do with that: given the question, it answers "save",
+        "discard" or "cancel"; by default a person does.
+    sides : Sides
+        The letters at the top, bottom, left and right of the canvas that say which side of the
+        patient lies there, of images that say so themselves: "R", "L", "A", "P", "S", "I" or "".
     saved : Signal(object)
         Emitted when pictures are written: a list of `Path`.
     """
@@ -138,6 +148,9 @@ class SoftTissue(Dock):
     arrows = Part[bool]("_form.result.arrows.value")
     overlay = Part[str]("_form.result.overlay.value")
     saved = Part[Any]("_view.saved")
+    unsaved = Part[bool]("_unsaved.there")
+    ask = Part[Any]("_unsaved.ask")
+    sides = Part[Sides]("_sides.shown")
     live = Part[bool]("_form.footer.live.on")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
@@ -164,6 +177,8 @@ class SoftTissue(Dock):
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
+        self._sides = PatientSides(self.native, viewer)
+        self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study)
         self._connect()
         self._choices.choose_first()
 
@@ -279,11 +294,11 @@ class SoftTissue(Dock):
 
     def save_study(self, path: str | Path) -> Path:
         """Save all of `study`, and its field if that is up to date; as `napari_hmrf.save_study`."""
-        return study_files.save(self, path, self._live_study.fresh)
+        return self._unsaved.save(path)
 
     def open_study(self, path: str | Path) -> None:
         """Add the layers of a saved study, and set all as it was; errors are of `load_study`."""
-        study_files.open_into(self, self._viewer, path)
+        self._unsaved.open(path)
 
     def deform(self) -> None:
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
@@ -395,7 +410,7 @@ class SoftTissue(Dock):
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
-        form.result.keep.changed.connect(lambda _: self._try(self._ask_where_to_save))
+        form.result.keep.changed.connect(lambda _: self._try(self._unsaved.save_as))
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for section in (form.tissue, form.motion.boundary):
@@ -403,6 +418,7 @@ class SoftTissue(Dock):
         pointer.changed.connect(self._show_tool)
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
+        self._watch.painted.connect(self._unsaved.painted)
         self._watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:
@@ -412,14 +428,6 @@ class SoftTissue(Dock):
             motion.remove.enabled = pointer.hand.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
-
-    def _ask_where_to_save(self) -> None:
-        name = "study" if self.image is None else str(self.image.name)
-        chosen, _ = QFileDialog.getSaveFileName(
-            self.native, "Save the study", f"{name}.study", "Studies (*.study)"
-        )
-        if chosen:
-            self.save_study(chosen)
 
     def _try(self, action: Any) -> None:
         try:
@@ -448,6 +456,11 @@ class SoftTissue(Dock):
             if tissue is not None:
                 tissue.visible = False  # it would tint what was deformed
 
+    def on_window(self, window: Any) -> None:
+        """The dock is in a window of napari's."""
+        self._unsaved.watch(window)
+        self._sides.begin(window)
+
     def on_over(self, closed: bool) -> None:
         """The dock was closed, or the window is gone."""
         if closed:
@@ -457,7 +470,8 @@ class SoftTissue(Dock):
             self._pointer.leave()
             self._view.rest()
         watch, live, guide = self._watch, self._live_study, self._guide
-        for part in (watch, guide, live, self._view, self._steps, self._form):
+        parts = (self._unsaved, self._sides, watch, guide, live, self._view, self._steps)
+        for part in (*parts, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

@@ -8,6 +8,7 @@ from typing import Any
 
 from magicgui.widgets import Container
 from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QMainWindow
 
 from napari_hmrf.layers.compat import camera_of, clear_middle, unwrapped
 from napari_hmrf.ui.events import single_shot
@@ -36,6 +37,7 @@ class Dock(Container):
         self._viewer = unwrapped(napari_viewer)
         self._life = _Life(self)
         self._fitting = single_shot(self.native, _LAID_OUT, self._viewer.reset_view)
+        self._arriving = single_shot(self.native, 0, self._on_arrived)
         clear_middle(self._viewer)
 
     @property
@@ -50,8 +52,19 @@ class Dock(Container):
 
     def on_docked(self) -> None:
         """See all of the image beside the dock, if all was seen before."""
+        self._arriving.start()
         if sees_all(self._viewer):
             self._fitting.start()
+
+    def on_window(self, window: QMainWindow) -> None:
+        """The dock is in a window of napari's."""
+
+    def _on_arrived(self) -> None:
+        window = self.native
+        while window is not None and not isinstance(window, QMainWindow):
+            window = window.parent()  # a dock that floats has a window of its own, too
+        if window is not None:
+            self.on_window(window)
 
     def on_over(self, closed: bool) -> None:
         """The dock was closed, or the window is gone: listen to nothing any more."""

@@ -46,6 +46,8 @@ class ViewerWatch:
 
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
+    #: A layer that is read was painted on by napari's brush.
+    painted = Signal()
 
     def __init__(
         self,
@@ -128,7 +130,7 @@ class ViewerWatch:
         image, there = form.image.value, form.image.value is not None
         self._read = [image, form.tissue.layer, boundary.choice.value, boundary.confidence.value]
         form.make.enabled = there and None in self._painted
-        form.intensity.enabled = there
+        form.intensity.enabled = form.result.keep.enabled = there
         self._mark()
         self._live.touch()
         self._guide.look_at_view()
@@ -167,6 +169,8 @@ class ViewerWatch:
         """The pixels of a layer, or their place, may be others."""
         if self._reads(event.source):
             self._live.touch()
+            if event.type == "paint":
+                self.painted.emit()
 
     def _reads(self, layer: Any) -> bool:
         """Whether a layer is among those that are read."""

@@ -9,6 +9,7 @@ from napari.layers import Image
 
 from napari_hmrf.field.tissue_point import Points, Probe
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
+from napari_hmrf.layers.patient_axes import step_in_patient
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions
@@ -79,12 +80,13 @@ class UnderCursor:
         if found is None or shown is None:
             return ""
         answer, overlay = shown.answer, shown.overlay
+        ways = Directions.of(answer.frame, self._viewer)
         more = [self._stiffness(answer.problem, found)]
         if overlay is not None and overlay.picture is not None:
             strain = float(overlay.picture[found.row, found.col])
             more.insert(0, strain_of(overlay.name, strain))
-        ways = Directions.of(answer.frame, self._viewer)
-        return at_point(answer.unit, found, ways, more, shown.percent)
+        patient = step_in_patient(answer.frame, found.displacement)
+        return at_point(answer.unit, found, ways, more, shown.percent, patient)
 
     def _stiffness(self, problem: Problem | None, found: Probe) -> str:
         tissue, frame = self._tissue, self._place

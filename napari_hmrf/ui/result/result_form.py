@@ -47,8 +47,8 @@ class ResultForm(Container):
         )
         self.keep = PushButton(
             text="Save study ...",
-            tooltip="One file with all that is chosen, painted, drawn and set, and the result; "
-            "File > Open has it all back",
+            tooltip="One file with all that is chosen, painted, drawn and set so far, and the "
+            "result if there is one; File > Open has it all back",
         )
         super().__init__(
             widgets=[
@@ -64,3 +64,8 @@ class ResultForm(Container):
         for part in self:
             if isinstance(part, Container):
                 part.margins = (0, 0, 0, 0)
+
+    def offer(self, there: bool) -> None:
+        """Let be used what takes a result, if there is one; a study is saved without, too."""
+        for part in (self.slider, self.play, self.before, self.overlay, self.arrows, self.save):
+            part.enabled = there

@@ -88,15 +88,18 @@ def at_point(
     ways: Directions,
     more: Sequence[str] = (),
     percent: int = FULL,
+    patient: str = "",
 ) -> str:
     """What is under the cursor, in a line short enough for the status bar.
 
-    It is of the whole deformation, however much (`percent`) of it is seen.
+    It is of the whole deformation, however much (`percent`) of it is seen. Where the sides of the
+    `patient` are known the step is said by them, as "left" could be either's.
     """
     down, along = (_rounded(part) for part in ways.seen(found.displacement))
     length = _rounded(found.length)
     parts = [
-        f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
+        f"moves {length:g} {unit}"
+        + (f" ({patient or ways.step((down, along))})" if length else ""),
         f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])

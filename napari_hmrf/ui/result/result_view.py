@@ -162,7 +162,7 @@ class ResultView:
         if before is not None and other:
             before.layers.leave()
         self.shown = self.player.shown = shown
-        self._form.enabled = shown is not None
+        self._form.offer(shown is not None)
         self._say_how_far()
         if shown is None:
             return
