@@ -1,0 +1,168 @@
+"""A displacement field as a layer: a few of its arrows are drawn, and the layer holds all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.moved_points import looked_up
+from napari_hmrf.layers.label_colours import OBSERVED
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.place import Frame, Matrix
+from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
+from napari_hmrf.layers.slice_view import unit_factor
+from napari_hmrf.solver.problem import grid_in_words
+
+Array = npt.NDArray[Any]
+#: How far beyond the middle of its outermost pixels a field reaches, in pixels.
+_REACH = 0.5 + 1e-3
+
+
+class FieldOnSlice(NamedTuple):
+    """A field on the pixels of a slice.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (H, W, 2), float32
+        In the slice's unit; 0 where it is not known.
+    known : ndarray of bool, shape (H, W)
+        Where the field reaches.
+    out : float
+        How far it leads out of the slice at most, which the displacement does not say.
+    """
+
+    displacement: npt.NDArray[np.float32]
+    known: npt.NDArray[np.bool_]
+    out: float
+
+
+class LayerField(NamedTuple):
+    """The field that a layer holds, where the layer lies.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (..., D)
+        Material; in the pixels of the layer, along all of its axes.
+    first : tuple of int
+        Where its first site is on the layer's axes.
+    matrix : (D + 1) x (D + 1) numbers
+        From the layer's pixels to the world.
+    units : tuple of str
+        Of the world's axes.
+    """
+
+    displacement: Array
+    first: tuple[int, ...]
+    matrix: Matrix
+    units: tuple[str, ...]
+
+    def on(self, frame: Frame, shape: tuple[int, int]) -> FieldOnSlice:
+        """Look the field up at the pixels of a slice, wherever these lie.
+
+        Where the world of either has no unit of length, pixels are taken for pixels.
+
+        Raises
+        ------
+        ProblemError
+            If the field reaches no pixel of the slice, or pixels cannot be taken for pixels.
+        """
+        n, own = len(self.units), self.displacement.shape[:-1]
+        shared = min(n, frame.ndim)
+        if min(frame.plane) < frame.ndim - n or max((1, *own[: n - shared])) > 1:
+            raise ProblemError(
+                "observed",
+                f"is {grid_in_words(own)}, and the image is no slice of that. Give both the same "
+                "axes.",
+            )
+        units = zip(frame.units[-shared:], self.units[-shared:], strict=True)
+        factors = np.array([unit_factor(unit, to) for unit, to in units])
+        if not np.isfinite(factors).all():
+            return self._by_pixels(frame, shape)
+        there, here = np.array(self.matrix), np.array(frame.matrix)
+        pixels = np.zeros((*shape, frame.ndim)) + frame.index
+        pixels[..., list(frame.plane)] = np.moveaxis(np.indices(shape), 0, -1)
+        # What has fewer axes lies on each slice of what has more.
+        world = np.tile((there @ [*self.first, 1.0])[:n], (pixels.size // frame.ndim, 1))
+        seen = pixels.reshape(-1, frame.ndim) @ here[:-1, :-1].T + here[:-1, -1]
+        world[:, -shared:] = seen[:, -shared:] * factors
+        at = (world - there[:-1, -1]) @ np.linalg.inv(there[:-1, :-1]).T - self.first
+        known = ((at > -_REACH) & (at < np.array(own) - 1 + _REACH)).all(axis=1)
+        steps = np.zeros((len(at), frame.ndim))
+        along = looked_up(self.displacement, at[known]) @ there[:-1, :-1].T
+        steps[known, -shared:] = along[:, -shared:] / factors
+        steps = steps @ np.linalg.inv(here[:-1, :-1]).T
+        if not known.any():
+            raise ProblemError("observed", "lies elsewhere than the image. Give both one place.")
+        out = steps[:, list(frame.others)] * np.linalg.norm(here[:-1, list(frame.others)], axis=0)
+        d = (steps[:, list(frame.plane)] * frame.spacing).reshape(*shape, 2)
+        most = float(np.abs(out).max(initial=0.0))
+        return FieldOnSlice(d.astype(np.float32), known.reshape(shape), most)
+
+    def _by_pixels(self, frame: Frame, shape: tuple[int, int]) -> FieldOnSlice:
+        own = self.displacement.shape[:-1]
+        if tuple(own) not in (shape, (1, *shape)):
+            raise ProblemError(
+                "observed",
+                f"is {grid_in_words(own)} in {self.units[-1]}, but the image "
+                f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
+                "length, or take a field on its pixels.",
+            )
+        d = self.displacement[..., -2:].reshape(*shape, 2) * frame.spacing
+        return FieldOnSlice(d.astype(np.float32), np.ones(shape, bool), 0.0)
+
+
+def field_of(layer: Any) -> LayerField | None:
+    """The field that a layer holds: one that was opened, or a result; None if it holds none."""
+    known = {} if layer is None else known_of(layer)
+    answer, pixels = known.get("answer"), known.get("field")
+    if isinstance(answer, Answer) and known.get("kind") == "arrows":
+        d = answer.solution.displacement / answer.solution.spacing
+        return _placed(layer, on_all_axes(d, answer.frame), answer.frame.index)
+    return None if pixels is None else _placed(layer, pixels, (0,) * layer.ndim)
+
+
+def _placed(layer: Any, pixels: Array, first: tuple[int, ...]) -> LayerField:
+    matrix, units = Frame.of(layer).matrix, tuple(str(unit) for unit in layer.units)
+    return LayerField(pixels, first, matrix, units)
+
+
+def on_all_axes(pixels: Array, frame: Frame) -> Array:
+    """A field of a slice, (H, W, 2) in its pixels, on all the axes of the layer it lies in."""
+    placed = np.zeros((*pixels.shape[:2], frame.ndim))
+    placed[..., list(frame.plane)] = pixels
+    return frame.put_image(placed)
+
+
+def field_layer(
+    pixels: Array, place: Mapping[str, Any], name: str, role: str | None = None
+) -> LayerData:
+    """Have a layer hold a field, and draw some of its arrows.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (..., D)
+        Material displacement in pixels, along all axes.
+    place : mapping
+        Where the first pixel and the others lie, as a new layer takes it.
+    name : str
+    role : str, optional
+        What the layer is for.
+    """
+    shape = pixels.shape[:-1]
+    step = max(1, round((shape[-2] * shape[-1] / ARROWS) ** 0.5))
+    steps = (*(1 for _ in shape[:-2]), step, step)
+    lines = [
+        np.arange(min(every // 2, size - 1), size, every)
+        for every, size in zip(steps, shape, strict=True)
+    ]
+    starts = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(shape))
+    arrows = np.stack([starts, pixels[tuple(starts.T)]], axis=1).astype(np.float32)
+    known = {"field": pixels, **({} if role is None else {"role": role})}
+    look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": max(1.0, step / 8)}
+    return LayerData(
+        arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"
+    )
