@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Layer
+from screen import Screen
 
 from napari_hmrf import ProblemError, at_edges, write_field
-from napari_hmrf.contributions import open_scan
-from napari_hmrf.layers.field_layer import field_of
+from napari_hmrf.contributions import open_scan, open_solution
+from napari_hmrf.layers.field_layer import field_layer, field_of
 from napari_hmrf.layers.metadata import described
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
@@ -181,3 +182,77 @@ def test_a_turned_field_on_its_own_pixels_is_what_it_was(tmp_path, dock_beside):
     dock.boundary = viewer.layers["warp"]
     observed = dock.study.motion.observed
     np.testing.assert_allclose(observed, field_of(field).displacement * [0.5, 0.7], atol=1e-5)
+
+
+@pytest.fixture
+def pulled(dock_beside, wait_for, small_sample, run):
+    """A painted example in millimetres with a result."""
+
+    def make(*layers, **place):
+        dock, viewer = dock_beside()
+        small_sample(viewer, units=("mm", "mm"), scale=(0.5, 0.5), **place)
+        for layer in layers:
+            viewer.add_layer(layer)
+        dock.model, dock.live = "elastic", False
+        run(dock)
+        wait_for(lambda: not dock.busy)
+        return dock, viewer
+
+    return make
+
+
+def test_how_far_a_result_is_from_a_reference_is_said_and_shown(pulled, wait_for):
+    dock, viewer = pulled()
+    screen = Screen(dock)
+    d = (dock.solution.displacement + np.array([0.3, -0.4])) / 0.5
+    made = field_layer(d, {"scale": (0.5, 0.5), "units": ("mm", "mm")}, "t")
+    assert "RMSD" not in screen.words
+    layer = viewer.add_layer(Layer.create(*made))
+    dock.reference = layer
+    wait_for(lambda: not dock.busy)
+    assert dock.comparison.rmsd == pytest.approx(0.5, abs=1e-4)
+    assert "RMSD from 't': 0.5 mm." in screen.words
+    screen.choose("difference from the reference (mm)")
+    wait_for(lambda: not dock.busy)
+    shown = viewer.layers["MR difference from t (mm), elastic"]
+    seen = shown.data[np.isfinite(shown.data)]
+    np.testing.assert_allclose(seen, 0.5, atol=1e-4)
+    dock.percent = 50
+    wait_for(lambda: not dock.busy)
+    assert shown in viewer.layers, "it moves with the tissue"
+    dock.reference = None
+    wait_for(lambda: not dock.busy)
+    assert (dock.overlay, shown in viewer.layers) == ("nothing", False)
+    assert "RMSD" not in screen.words
+
+
+def test_a_reference_that_reaches_a_part_is_compared_there(pulled, wait_for):
+    dock, viewer = pulled()
+    d = dock.solution.displacement[:, :12] / 0.5
+    place = {"scale": (0.5, 0.5), "units": ("mm", "mm")}
+    dock.reference = viewer.add_layer(Layer.create(*field_layer(d, place, "half")))
+    wait_for(lambda: not dock.busy)
+    assert dock.comparison.rmsd == pytest.approx(0, abs=1e-6)
+    assert "over 50% of the tissue: " in Screen(dock).words
+    far = {**place, "translate": (500, 500)}
+    dock.reference = viewer.add_layer(Layer.create(*field_layer(d, far, "far")))
+    wait_for(lambda: not dock.busy)
+    assert dock.comparison is None
+    assert "'far' lies elsewhere" in dock.status
+
+
+def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run, wait_for):
+    dock, viewer = pulled()
+    first = dock.solution.displacement.copy()
+    path = str(dock.solution.save(tmp_path / "elastic.npz"))
+    dock.model = "paper"
+    run(dock)
+    wait_for(lambda: not dock.busy)
+    ((data, attributes, kind),) = open_solution(path)(path)
+    opened = viewer.add_layer(Layer.create(data, attributes, kind))
+    dock.result = viewer.layers["MR arrows"]
+    dock.reference = opened
+    wait_for(lambda: not dock.busy)
+    tissue = dock.solution.tissue
+    apart = np.linalg.norm(dock.solution.displacement - first, axis=-1)[tissue]
+    assert dock.comparison.rmsd == pytest.approx(np.sqrt((apart**2).mean()), rel=1e-4) != 0

@@ -11,6 +11,7 @@ from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
@@ -97,9 +98,13 @@ class SoftTissue(Dock):
         Whether arrows are drawn.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue "magnitude", "jacobian",
-        "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid" and
-        "labels", the tissue's; and where tissue was before it moved "folds" and what was given,
-        "stiffness", "observed" and "confidence".
+        "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid",
+        "labels", the tissue's, and "difference" from the reference; and where tissue was before it
+        moved "folds" and what was given, "stiffness", "observed" and "confidence".
+    reference : napari.layers.Vectors or None
+        A field or another result that the result is compared with.
+    comparison : Comparison or None
+        How far the result is from that, once it is computed.
     live : bool
         Whether the tissue follows every edit; by default unless the image is large.
     status, invitation, warning : str
@@ -136,6 +141,8 @@ class SoftTissue(Dock):
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
+    reference = Part[Any]("_form.result.reference.value")
+    comparison = Part[Comparison | None]("_view.comparison")
     overlay = Part[str]("_form.result.overlay.value")
     saved = Part[Any]("_view.saved")
     live = Part[bool]("_form.footer.live.on")
