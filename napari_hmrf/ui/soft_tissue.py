@@ -38,6 +38,7 @@ from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.remembered_settings import remember
+from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.viewer_dock import Dock
@@ -105,6 +106,8 @@ class SoftTissue(Dock):
         A field or another result that the result is compared with.
     comparison : Comparison or None
         How far the result is from that, once it is computed.
+    more : ResultMenu
+        Measures the result, saves its field and a film, and moves other layers along.
     live : bool
         Whether the tissue follows every edit; by default unless the image is large.
     status, invitation, warning : str
@@ -143,6 +146,7 @@ class SoftTissue(Dock):
     arrows = Part[bool]("_form.result.arrows.value")
     reference = Part[Any]("_form.result.reference.value")
     comparison = Part[Comparison | None]("_view.comparison")
+    more = Part[ResultMenu]("_view.more")
     overlay = Part[str]("_form.result.overlay.value")
     saved = Part[Any]("_view.saved")
     live = Part[bool]("_form.footer.live.on")

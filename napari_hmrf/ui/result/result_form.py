@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
+from qtpy.QtWidgets import QPushButton
 
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.result.reference import ReferenceChoice
@@ -55,6 +56,12 @@ class ResultForm(Container):
             tooltip="One file with all that is chosen, painted, drawn and set, and the result; "
             "File > Open has it all back",
         )
+        self.more = QPushButton("More")
+        self.more.setToolTip(
+            "Measurements, other layers moved along, fields for other tools, films"
+        )
+        kept = row(self.save, self.keep)
+        kept.native.layout().addWidget(self.more)
         super().__init__(
             widgets=[
                 Container(widgets=[self.slider], labels=False),
@@ -62,7 +69,7 @@ class ResultForm(Container):
                 row(self.play, self.before),
                 Container(widgets=[self.overlay, self.reference]),
                 self.arrows,
-                row(self.save, self.keep),
+                kept,
             ],
             labels=False,
         )

@@ -39,7 +39,7 @@ _ABOUT: dict[Name, str] = {
     "shear": "strain: shear",
     "grid": "grid",
     "labels": "tissue labels",
-    "difference": "difference from the reference ({unit})",
+    "difference": "from the reference ({unit})",
     "folds": "folds",
     "stiffness": "given: stiffness m",
     "observed": "given: motion y",
@@ -59,7 +59,8 @@ OVERLAY_TIP = (
     "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
     "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
     "across the slice assumed;\n"
-    "grid: one that was square; tissue labels: those of the tissue layer.\n"
+    "grid: one that was square; tissue labels: those of the tissue layer;\n"
+    "from the reference: how far tissue goes from where the reference has it go.\n"
     "Where tissue was before it moved:\n"
     "folds: where it is pushed through itself;\n"
     "given: how stiff tissue was taken to be; how it was to move where that is known, with a dot\n"

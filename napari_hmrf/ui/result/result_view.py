@@ -33,6 +33,7 @@ from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
+from napari_hmrf.ui.result.result_menu import ResultMenu
 
 
 class ResultView:
@@ -66,6 +67,7 @@ class ResultView:
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer)
         self.player = Player(native, self._errands)
+        self.more = ResultMenu(form.more, viewer, lambda: self.shown, self.said.emit)
         self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(lambda _: self._lay_over(chosen=True))
@@ -98,7 +100,7 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not seen yet."""
-        return self._errands.busy()
+        return self._errands.busy() or self.more.busy
 
     @property
     def before(self) -> bool:
@@ -150,6 +152,7 @@ class ResultView:
         self._heard.release()
         self._events.release()
         self._errands.release()
+        self.more.release()
         self.cursor.release()
 
     # Which result is looked at
