@@ -25,7 +25,7 @@ from napari_hmrf.ui.forms import add_entry
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
+from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, saved_field
 
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"
@@ -95,14 +95,13 @@ class ResultMenu:
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools, as `export_field`; how good its inverse is is said."""
         solution = self._shown.answer.solution
-
-        def say(residual: float) -> None:
-            how = "it says where tissue goes, which moves points"
-            if not forward:
-                how = f"it moves images, and is an inverse to {residual:.2g} px at the worst site"
-            self._say(f"Saved {Path(path).name}: {how}.")
-
-        self._errands.send(f"{path}", partial(export_field, path, solution, forward=forward), say)
+        work = partial(export_field, path, solution, forward=forward)
+        name = Path(path).name
+        self._errands.send(
+            f"{path}",
+            work,
+            lambda residual: self._say(saved_field(name, None if forward else residual)),
+        )
 
     def save_film(self, path: str | Path) -> None:
         """Write the image as it moves, there and back; as `save_moving_picture`."""
