@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +13,8 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.moved_points import looked_up
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.place import Frame, Matrix
+from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
-from napari_hmrf.layers.slice_view import unit_factor
 from napari_hmrf.solver.problem import grid_in_words
 
 Array = npt.NDArray[Any]
@@ -47,18 +47,12 @@ class LayerField(NamedTuple):
     ----------
     displacement : ndarray, shape (..., D)
         Material; in the pixels of the layer, along all of its axes.
-    first : tuple of int
-        Where its first site is on the layer's axes.
-    matrix : (D + 1) x (D + 1) numbers
-        From the layer's pixels to the world.
-    units : tuple of str
-        Of the world's axes.
+    frame : Frame
+        Of the layer, at its first site.
     """
 
     displacement: Array
-    first: tuple[int, ...]
-    matrix: Matrix
-    units: tuple[str, ...]
+    frame: Frame
 
     def on(self, frame: Frame, shape: tuple[int, int]) -> FieldOnSlice:
         """Look the field up at the pixels of a slice, wherever these lie.
@@ -70,44 +64,35 @@ class LayerField(NamedTuple):
         ProblemError
             If the field reaches no pixel of the slice, or pixels cannot be taken for pixels.
         """
-        n, own = len(self.units), self.displacement.shape[:-1]
-        shared = min(n, frame.ndim)
-        if min(frame.plane) < frame.ndim - n or max((1, *own[: n - shared])) > 1:
+        own, more = self.displacement.shape[:-1], self.frame.ndim - frame.ndim
+        if min(frame.plane) + more < 0 or max((1, *own[: max(more, 0)])) > 1:
             raise ProblemError(
                 "observed",
                 f"is {grid_in_words(own)}, and the image is no slice of that. Give both the same "
                 "axes.",
             )
-        units = zip(frame.units[-shared:], self.units[-shared:], strict=True)
-        factors = np.array([unit_factor(unit, to) for unit, to in units])
-        if not np.isfinite(factors).all():
+        to, back = self.frame.from_pixels_of(frame), frame.from_pixels_of(self.frame)
+        if to is None or back is None:
             return self._by_pixels(frame, shape)
-        there, here = np.array(self.matrix), np.array(frame.matrix)
-        pixels = np.zeros((*shape, frame.ndim)) + frame.index
-        pixels[..., list(frame.plane)] = np.moveaxis(np.indices(shape), 0, -1)
-        # What has fewer axes lies on each slice of what has more.
-        world = np.tile((there @ [*self.first, 1.0])[:n], (pixels.size // frame.ndim, 1))
-        seen = pixels.reshape(-1, frame.ndim) @ here[:-1, :-1].T + here[:-1, -1]
-        world[:, -shared:] = seen[:, -shared:] * factors
-        at = (world - there[:-1, -1]) @ np.linalg.inv(there[:-1, :-1]).T - self.first
+        sites = np.zeros((*shape, frame.ndim)) + frame.index
+        sites[..., list(frame.plane)] = np.moveaxis(np.indices(shape), 0, -1)
+        at = sites.reshape(-1, frame.ndim) @ to[:, :-1].T + to[:, -1] - self.frame.index
         known = ((at > -_REACH) & (at < np.array(own) - 1 + _REACH)).all(axis=1)
-        steps = np.zeros((len(at), frame.ndim))
-        along = looked_up(self.displacement, at[known]) @ there[:-1, :-1].T
-        steps[known, -shared:] = along[:, -shared:] / factors
-        steps = steps @ np.linalg.inv(here[:-1, :-1]).T
         if not known.any():
             raise ProblemError("observed", "lies elsewhere than the image. Give both one place.")
-        out = steps[:, list(frame.others)] * np.linalg.norm(here[:-1, list(frame.others)], axis=0)
+        steps = np.zeros((len(at), frame.ndim))
+        steps[known] = looked_up(self.displacement, at[known]) @ back[:, :-1].T
+        sizes = np.linalg.norm(np.array(frame.matrix)[:-1, :-1], axis=0)
+        out = np.abs(steps * sizes)[:, list(frame.others)].max(initial=0.0)
         d = (steps[:, list(frame.plane)] * frame.spacing).reshape(*shape, 2)
-        most = float(np.abs(out).max(initial=0.0))
-        return FieldOnSlice(d.astype(np.float32), known.reshape(shape), most)
+        return FieldOnSlice(d.astype(np.float32), known.reshape(shape), float(out))
 
     def _by_pixels(self, frame: Frame, shape: tuple[int, int]) -> FieldOnSlice:
         own = self.displacement.shape[:-1]
         if tuple(own) not in (shape, (1, *shape)):
             raise ProblemError(
                 "observed",
-                f"is {grid_in_words(own)} in {self.units[-1]}, but the image "
+                f"is {grid_in_words(own)} in {self.frame.unit}, but the image "
                 f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
                 "length, or take a field on its pixels.",
             )
@@ -115,19 +100,24 @@ class LayerField(NamedTuple):
         return FieldOnSlice(d.astype(np.float32), np.ones(shape, bool), 0.0)
 
 
-def field_of(layer: Any) -> LayerField | None:
-    """The field that a layer holds: one that was opened, or a result; None if it holds none."""
+def holds_field(layer: Any) -> bool:
+    """Whether a layer holds a field: one that was opened, or a result."""
     known = {} if layer is None else known_of(layer)
-    answer, pixels = known.get("answer"), known.get("field")
-    if isinstance(answer, Answer) and known.get("kind") == "arrows":
-        d = answer.solution.displacement / answer.solution.spacing
-        return _placed(layer, on_all_axes(d, answer.frame), answer.frame.index)
-    return None if pixels is None else _placed(layer, pixels, (0,) * layer.ndim)
+    answer = isinstance(known.get("answer"), Answer) and known.get("kind") == "arrows"
+    return answer or "field" in known
 
 
-def _placed(layer: Any, pixels: Array, first: tuple[int, ...]) -> LayerField:
-    matrix, units = Frame.of(layer).matrix, tuple(str(unit) for unit in layer.units)
-    return LayerField(pixels, first, matrix, units)
+def field_of(layer: Any) -> LayerField | None:
+    """The field that a layer holds; None if it holds none."""
+    if not holds_field(layer):
+        return None
+    known, frame = known_of(layer), Frame.of(layer)
+    if "field" in known:
+        return LayerField(known["field"], frame)
+    answer: Answer = known["answer"]
+    d = answer.solution.displacement / answer.solution.spacing
+    index = answer.frame.index
+    return LayerField(on_all_axes(d, answer.frame), replace(frame, index=index))
 
 
 def on_all_axes(pixels: Array, frame: Frame) -> Array:

@@ -62,26 +62,16 @@ def _grid_of(layer: Any, answer: Answer) -> OtherGrid:
     """The grid of a layer, as it lies on the tissue of a result."""
     own, frame = Frame.of(layer), answer.frame
     more = own.ndim - frame.ndim
-    # Axes of the result on which it counts where something lies; both have them.
+    plane = [axis + more for axis in frame.plane]
+    if min(plane) < 0:
+        raise LayerError(layer, f"has {own.ndim} axes, and not those of the result.")
     across = [axis for axis in frame.others if axis + more >= 0 and _is_space(frame, axis)]
     counted = [*frame.plane, *across]
-    mine = [axis + more for axis in counted]
-    if min(mine) < 0:
-        raise LayerError(layer, f"has {own.ndim} axes, and not those of the result.")
-    factors = np.array(
-        [unit_factor(own.units[a], frame.units[b]) for a, b in zip(mine, counted, strict=True)]
-    )
-    if not np.isfinite(factors).all():
+    found = frame.from_pixels_of(own, counted)
+    if found is None:
         raise LayerError(layer, "is measured in other units than the result. Give it those.")
-    here, there = np.array(own.matrix), np.array(frame.matrix)
-    # From the layer's pixels to the world of the result; what does not count is at its slice.
-    world = np.zeros((frame.ndim, own.ndim + 1))
-    world[:, -1] = (there @ [*frame.index, 1.0])[:-1]
-    world[counted] = here[mine] * factors[:, None]
-    world[:, -1] -= there[:-1, -1]
-    to = (np.linalg.inv(there[:-1, :-1]) @ world)[counted]
+    to = found[counted]
     to[2:, -1] -= np.array(frame.index)[across]
-    plane = mine[:2]
     if np.abs(to[2:, plane]).max(initial=0.0) * max(answer.shape) > 1:
         raise LayerError(layer, "is at an angle to the result. Resample one of them.")
     return OtherGrid(answer.solution, to, plane)

@@ -11,7 +11,7 @@ from napari.layers import Labels, Layer, Vectors
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
-from napari_hmrf.layers.field_layer import field_of
+from napari_hmrf.layers.field_layer import field_of, holds_field
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
 from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
 from napari_hmrf.layers.place import Frame
@@ -85,7 +85,7 @@ class Request:
     @property
     def layers(self) -> tuple[Any, ...]:
         """The layers that have the same pixels, the reference first."""
-        arrows = None if field_of(self.boundary) else self.boundary
+        arrows = None if holds_field(self.boundary) else self.boundary
         chosen = (self.image, self.tissue, arrows, self.confidence)
         return tuple(layer for layer in chosen if isinstance(layer, Layer))
 

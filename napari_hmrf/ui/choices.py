@@ -9,7 +9,7 @@ from napari.layers import Labels, Vectors
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CURVE, DRAWING, Slot, steps_of
-from napari_hmrf.layers.field_layer import field_of
+from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
@@ -160,7 +160,7 @@ class Choices:
 
     def _on_boundary(self, layer: Any) -> None:
         """A field says how the edge moves; without a boundary it is held, unless somebody chose."""
-        if field_of(layer) is not None and self._form.motion.edge.value:
+        if holds_field(layer) and self._form.motion.edge.value:
             self._form.motion.edge.value = False
             self._let_go = True
         if self._let_go and layer is None:

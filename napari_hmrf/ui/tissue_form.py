@@ -10,7 +10,7 @@ from napari.layers import Image, Labels, Vectors
 from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from napari_hmrf.layers.field_layer import field_of
+from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
@@ -187,7 +187,7 @@ def _what_moves(layer: Any) -> str:
     """Labels need no word."""
     if isinstance(layer, Labels):
         return ""
-    return " (arrows)" if field_of(layer) is None else " (field)"
+    return " (field)" if holds_field(layer) else " (arrows)"
 
 
 def _may_be_confidence(layer: Any) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from napari_hmrf.layers.comparison import Comparison
-from napari_hmrf.layers.field_layer import field_of
+from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.ui.layer_choice import LayerChoice
 
 
@@ -28,7 +28,7 @@ class ReferenceChoice(LayerChoice):
         self.shown: Any = None
         super().__init__(
             layers,
-            lambda layer: layer is not self.shown and field_of(layer) is not None,
+            lambda layer: layer is not self.shown and holds_field(layer),
             "reference",
             "A displacement field, by File > Open, or another result: how far this one is from it "
             "is said here, and 'show' has a map of it",

@@ -29,6 +29,9 @@ from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, saved_fie
 
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"
+_BACK = "For SimpleITK, ANTs, elastix and Slicer: where what is seen came from"
+_FORTH = "The same the other way: where tissue goes"
+_FILM = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
     "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
     "of a film, of channels, and of a stack without units all slices do"
@@ -157,27 +160,21 @@ class ResultMenu:
         add_entry(menu, "Measurements ...", about, lambda: self._try(self._show_measurements))
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
-        layers = [
-            each
-            for each in self._viewer.layers
-            if can_move(each) and (shown is None or each is not shown.source)
-        ]
-        for layer in layers:
-            move = partial(self.move_along, layer)
-            add_entry(along, str(layer.name), _WITH_IT, lambda _=False, move=move: self._try(move))
-        if len(layers) > 1:
-            every = partial(self.move_along, *layers)
-            add_entry(along, "All of these", _WITH_IT, lambda: self._try(every))
+        source = None if shown is None else shown.source
+        layers = [each for each in self._viewer.layers if can_move(each) and each is not source]
+        rows = [(str(each.name), [each]) for each in layers]
+        for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
+            move = partial(self.move_along, *chosen)
+            add_entry(along, title, _WITH_IT, lambda _=False, move=move: self._try(move))
         along.setEnabled(bool(layers))
-        about = "For SimpleITK, ANTs, elastix and Slicer: where what is seen came from"
-        back = partial(self._ask, self.save_field, "field.mha", _FIELDS)
-        add_entry(menu, "Save field for images ...", about, lambda: back())
-        about = "The same the other way: where tissue goes"
-        forth = partial(self._ask, partial(self.save_field, forward=True), "field.mha", _FIELDS)
-        add_entry(menu, "Save field for points ...", about, lambda: forth())
-        about = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
-        film = partial(self._ask, self.save_film, "film.gif", _FILMS)
-        add_entry(menu, "Save as film ...", about, lambda: film())
+        forth = partial(self.save_field, forward=True)
+        for title, about, save, name, kinds in (
+            ("field for images", _BACK, self.save_field, "field.mha", _FIELDS),
+            ("field for points", _FORTH, forth, "field.mha", _FIELDS),
+            ("as film", _FILM, self.save_film, "film.gif", _FILMS),
+        ):
+            ask = partial(self._ask, save, name, kinds)
+            add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
 
     def _show_measurements(self) -> None:
         unit = self._shown.answer.unit
