@@ -221,12 +221,10 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     """
     from pathlib import Path
 
-    from napari.utils.notifications import show_info
-
     from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
+    from napari_hmrf.layers.field_layer import saved_field
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
-    from napari_hmrf.ui.result.result_messages import saved_field
 
     known = attributes.get("metadata", {}).get(METADATA)
     solution = known.get("solution") if isinstance(known, dict) else None
@@ -237,7 +235,6 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        residual = export_field(path, solution)
-        show_info(saved_field(Path(path).name, residual))
+        saved_field(Path(path).name, export_field(path, solution), tell=True)
         return [path]
     return [str(solution.save(path))]

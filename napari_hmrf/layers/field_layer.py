@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from napari.utils.notifications import show_info
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.moved_points import looked_up
@@ -156,3 +157,14 @@ def field_layer(
     return LayerData(
         arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"
     )
+
+
+def saved_field(name: str, residual: float | None, tell: bool = False) -> str:
+    """Which way a field that was written leads, and how good an inverse it is; perhaps tell it."""
+    said = f"Saved {name}: it says where tissue goes, which moves points."
+    if residual is not None:
+        worst = f"{residual:.2g} px at the worst site"
+        said = f"Saved {name}: it moves images, and is an inverse to {worst}."
+    if tell:
+        show_info(said)
+    return said

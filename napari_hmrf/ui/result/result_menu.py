@@ -16,6 +16,7 @@ from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.io.fields import export_field
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
+from napari_hmrf.layers.field_layer import saved_field
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
 from napari_hmrf.layers.result_layers import LayerData
@@ -25,7 +26,7 @@ from napari_hmrf.ui.forms import add_entry
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, saved_field
+from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
 
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"

@@ -140,12 +140,3 @@ def stiffness_of(name: str, stiffness: float, unit: str) -> str:
 def saved(paths: Sequence[Path]) -> str:
     """What was written, and where."""
     return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."
-
-
-def saved_field(name: str, residual: float | None) -> str:
-    """Which way a field that was written leads, and how well it is inverted if it leads back."""
-    if residual is None:
-        return f"Saved {name}: it says where tissue goes, which moves points."
-    return (
-        f"Saved {name}: it moves images, and is an inverse to {residual:.2g} px at the worst site."
-    )
