@@ -95,21 +95,27 @@ def _read(path: PathOrPaths) -> list[LayerData]:
 
 
 def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Offer to read a scan where it lies in the patient; None for any other file or folder."""
+    """Offer to read a scan or a field where it lies in the patient; None for anything else."""
+    from napari_hmrf.io.fields import is_field_file
     from napari_hmrf.io.images import is_scan
 
     paths = _listed(path)
-    return _read_scans if paths and all(is_scan(each) for each in paths) else None
+    ours = paths and all(is_scan(each) or is_field_file(each) for each in paths)
+    return _read_scans if ours else None
 
 
 def _read_scans(path: PathOrPaths) -> list[LayerData]:
     from pathlib import Path
 
+    from napari_hmrf.io.fields import is_field_file
     from napari_hmrf.io.images import load_image
     from napari_hmrf.layers.metadata import IMAGE, described
 
     layers: list[LayerData] = []
     for each in _listed(path):
+        if is_field_file(each):
+            layers.append(_field(each))
+            continue
         image = load_image(each).upright
         attributes = {
             "name": Path(each).name.partition(".")[0],
@@ -159,6 +165,22 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
     return layers
 
 
+def _field(path: str) -> LayerData:
+    """A displacement field as a layer that holds it, in pixels."""
+    from pathlib import Path
+
+    from napari_hmrf.io.apply import load_field
+    from napari_hmrf.io.fields import frame_of
+    from napari_hmrf.layers.field_layer import field_layer, on_all_axes
+    from napari_hmrf.layers.place import Frame
+
+    field = load_field(path)
+    pixels = field.displacement / field.spacing
+    if pixels.shape[-1] == 2:
+        pixels = on_all_axes(pixels, Frame.from_dict(frame_of(field.place)))
+    return field_layer(pixels, _place(field.place), Path(path).name.partition(".")[0])
+
+
 def _place(place: Any) -> dict[str, Any]:
     """Where a scan lies, as a layer takes it: world axes z, y, x to superior, posterior, left."""
     from napari_hmrf.io.fields import frame_of
@@ -197,7 +219,10 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     ValueError
         If the arrows are not a result of this package.
     """
+    from pathlib import Path
+
     from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
+    from napari_hmrf.layers.field_layer import saved_field
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
 
@@ -210,6 +235,6 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        export_field(path, solution)
+        saved_field(Path(path).name, export_field(path, solution), tell=True)
         return [path]
     return [str(solution.save(path))]

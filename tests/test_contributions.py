@@ -163,6 +163,23 @@ def test_the_field_of_a_result_is_saved_for_other_tools(arrows, solution, tmp_pa
     assert 0 < np.abs(read_field(path).displacement).max() < 2.5
 
 
+@pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
+def test_file_save_writes_the_field_and_says_how_good_its_inverse_is(
+    make_napari_viewer, arrows, tmp_path, ending
+):
+    from napari.utils.notifications import notification_manager
+
+    viewer = make_napari_viewer()
+    viewer.add_layer(arrows)
+    path = str(tmp_path / f"field{ending}")
+    assert viewer.layers.save(path, plugin="napari-hmrf") == [path]
+    said = notification_manager.records[-1].message
+    assert said.startswith(f"Saved field{ending}: it moves images, and is an inverse to ")
+    viewer.layers.clear()
+    (layer,) = viewer.open(path, plugin="napari-hmrf")
+    assert np.abs(layer.data[:, 1]).max() > 0.5, "what was saved is a field that opens again"
+
+
 def test_a_scan_is_opened_where_it_lies_in_the_patient(tmp_path):
     turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), turn)

@@ -208,6 +208,24 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
 PATIENT_AXES = ("superior", "posterior", "left")
 
 
+def is_field_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a file holds a displacement field, by its head; False where SimpleITK is missing."""
+    source = Path(path)
+    if not source.name.lower().endswith((*FIELD_SUFFIXES, ".mhd")) or not source.is_file():
+        return False
+    try:
+        sitk = simpleitk()
+        if source.suffix.lower() == ".h5":
+            return bool(_image_in(sitk, source))
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(str(source))
+        reader.ReadImageInformation()
+    except (RuntimeError, HmrfError):
+        return False
+    kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
+    return reader.GetDimension() == reader.GetNumberOfComponents() and "float" in kind
+
+
 class Place(NamedTuple):
     """Where a field lies, as `write_field` takes it: in mm, or in pixels if no unit is known."""
 

@@ -74,7 +74,10 @@ def save_moving_picture(
 
 
 def _seen(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
-    moment = compute_thread.submit(lambda: motion.at(fraction), "drawing").result()
+    if compute_thread.is_current():
+        moment = motion.at(fraction)
+    else:
+        moment = compute_thread.submit(lambda: motion.at(fraction), "drawing").result()
     assert moment.image is not None
     return moment.image
 

@@ -11,13 +11,16 @@ from __future__ import annotations
 import csv
 import io
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
 from napari_hmrf.arguments import checked_path
+from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
 
 T = TypeVar("T")
@@ -60,6 +63,33 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
         return {**cells, "vector": vector, "confidence": confidence}
 
     return _read(path, _RULES, row, needed=("label", "action"))
+
+
+def save_measurements(
+    path: str | os.PathLike[str], rows: Sequence[Measurement], unit: str = ""
+) -> Path:
+    """Write measurements to a .csv, a line for each tissue.
+
+    Parameters
+    ----------
+    path : str or path-like
+    rows : sequence of Measurement
+    unit : str
+        Of lengths, for a last column; without it there is none.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    target = Path(checked_path(path))
+    file = io.StringIO()
+    more = {"unit": unit} if unit else {}
+    writer = csv.DictWriter(file, [*Measurement._fields, *more], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({**row._asdict(), **more} for row in rows)
+    write_whole(target, file.getvalue().encode())
+    return target
 
 
 def _read(

@@ -10,7 +10,7 @@ from napari.layers import Shapes
 from scipy.spatial import KDTree
 
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, unit_factor
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import usual_radius
@@ -153,21 +153,12 @@ def _in_pixels(layer: Any, places: FloatArray, what: str, frame: Frame) -> Float
     bad = np.flatnonzero(~np.isfinite(places).all(axis=1))
     if len(bad):
         raise LayerError(layer, f"has NaN or infinity in {what} {bad[0]}. Remove it.")
-    own = np.array([layer.data_to_world(place) for place in places], dtype=float)
-    # Where they lack an axis they lie on the slice.
-    matrix = np.array(frame.matrix)
-    world = np.tile((matrix @ np.array([*frame.index, 1.0]))[:-1], (len(places), 1))
-    shared = min(own.shape[1], frame.ndim)
-    units = zip(layer.units[-shared:], frame.units[-shared:], strict=True)
-    factors = np.array([unit_factor(str(unit), to) for unit, to in units])
-    if not np.isfinite(factors).all():
+    to = frame.from_pixels_of(Frame.of(layer))  # where they lack an axis they lie on the slice
+    if to is None:
         raise LayerError(
             layer, "is measured in other units than the image. Give both a unit of length."
         )
-    world[:, -shared:] = own[:, -shared:] * factors
-    placed: FloatArray = np.linalg.solve(
-        matrix, np.concatenate([world, np.ones((len(world), 1))], axis=1).T
-    ).T[:, :-1]
+    placed: FloatArray = places @ to[:, :-1].T + to[:, -1]
     return placed
 
 

@@ -7,10 +7,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from napari_hmrf.field.animation import Motion, moved_grid
+from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.deformation import pixels_between
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.strain import folds
 from napari_hmrf.layers.arrow_layer import spread
+from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.label_colours import (
     OBSERVED,
     OVER,
@@ -23,7 +25,10 @@ from napari_hmrf.layers.result_layers import Answer, Array, LayerData
 from napari_hmrf.solver.problem import Problem
 
 #: What there is to lie over the image.
-Name = Quantity | Literal["grid", "labels", "folds", "stiffness", "observed", "confidence"]
+Name = (
+    Quantity
+    | Literal["grid", "labels", "difference", "folds", "stiffness", "observed", "confidence"]
+)
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
 #: Of what does not move with the tissue.
@@ -47,16 +52,17 @@ class Overlay(NamedTuple):
     picture: Array | None = None
 
 
-def overlay_of(answer: Answer, name: Name) -> Overlay | None:
+def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:
     """Make what is to lie over the image of a result; on the compute thread only.
 
-    All moves with the tissue but for folds, and arrows of the motion that was given: those begin
-    where tissue was, as their names say.
+    All moves with the tissue, the difference to what it was `compared` with, too. Folds, and arrows
+    of the motion that was given, begin where tissue was, as their names say.
 
     Returns
     -------
     Overlay or None
-        None if the result has nothing of that name: no folds, no labels, or no problem.
+        None if the result has nothing of that name: no folds, no labels, no reference, or no
+        problem.
     """
     solution, pictures, problem = answer.solution, answer.pictures, answer.problem
     made: LayerData | None = None
@@ -68,6 +74,9 @@ def overlay_of(answer: Answer, name: Name) -> Overlay | None:
     elif name == "labels" and pictures.labels is not None:
         look, source, picture = pictures.labels_look, pictures.labels_name, pictures.labels
         made = answer.pixels(name, picture, "deformed", look, "labels", source)
+    elif name == "difference":
+        if compared is not None:
+            made, picture = _difference_layer(answer, compared), compared.difference
     elif name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
         made = answer.vectors(name, moved_grid(solution), name, look)
@@ -103,6 +112,14 @@ def quantity_layer(answer: Answer, quantity: Quantity, shown: Coloured | None = 
     colours = quantity_colours(shown.signed, shown.folded)
     look = {"colormap": colours, "contrast_limits": shown.limits, **OVER}
     return answer.pixels(quantity, shown.values, f"{title} ({unit or answer.unit})", look)
+
+
+def _difference_layer(answer: Answer, compared: Comparison) -> LayerData:
+    """How far tissue goes from where the reference has it go."""
+    reach = reach_of(compared.difference)
+    look = {"colormap": quantity_colours(False), "contrast_limits": (0.0, reach), **OVER}
+    what = f"difference from {compared.reference} ({answer.unit})"
+    return answer.pixels("difference", compared.difference, what, look)
 
 
 def _fold_layer(answer: Answer) -> LayerData | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -262,6 +262,39 @@ class Frame:
         apart[:, -shared:] = theirs * factors - mine
         pixels = apart @ np.linalg.inv(np.array(self.matrix)[:-1, :-1]).T
         return bool(np.abs(pixels).max() <= _TOLERANCE)
+
+    def from_pixels_of(
+        self, other: Frame, axes: Iterable[int] | None = None
+    ) -> npt.NDArray[np.float64] | None:
+        """Where the pixels of another layer lie on this one's axes.
+
+        Parameters
+        ----------
+        other : Frame
+            Which may have more axes, or fewer.
+        axes : iterable of int, optional
+            Those of this layer on which it counts where something lies; on the others it is on the
+            slice. By default all that both have.
+
+        Returns
+        -------
+        ndarray, shape (D, n + 1), or None
+            From (n + 1) homogeneous pixels; None if units do not go together.
+        """
+        more = other.ndim - self.ndim
+        counted = [axis for axis in axes or range(self.ndim) if axis + more >= 0]
+        theirs = [axis + more for axis in counted]
+        units = [(other.units[a], self.units[b]) for a, b in zip(theirs, counted, strict=True)]
+        factors = np.array([unit_factor(*pair) for pair in units])
+        if not np.isfinite(factors).all():
+            return None
+        matrix = np.array(self.matrix)
+        world = np.zeros((self.ndim, other.ndim + 1))
+        world[:, -1] = (matrix @ [*self.index, 1.0])[:-1]
+        world[counted] = np.array(other.matrix)[theirs] * factors[:, None]
+        world[:, -1] -= matrix[:-1, -1]
+        found: npt.NDArray[np.float64] = np.linalg.inv(matrix[:-1, :-1]) @ world
+        return found
 
     def _corners(self, shape: tuple[int, int]) -> npt.NDArray[np.float64]:
         corners = np.tile(np.array([*self.index, 1.0]), (4, 1))

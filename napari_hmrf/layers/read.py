@@ -7,25 +7,31 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Labels, Vectors
+from napari.layers import Labels, Layer, Vectors
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
+from napari_hmrf.layers.field_layer import field_of, holds_field
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
 from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
 from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, unit_symbol
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import LayerError, Named, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
+#: What is observed is sure where the image has edges.
+EDGES = "edges"
 #: Pixels sheared by less than this many degrees pass for rectangles.
 _RIGHT_ANGLE = 0.1
+#: A field that leads out of its slice by less than this part of a pixel leads along it.
+_OUT = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,15 +44,17 @@ class Request:
         Labels, each with a stiffness in `materials`; or the stiffness itself. Without it tissue is
         what is in the image.
     boundary : napari.layers.Labels or napari.layers.Vectors, optional
-        Labels, each with a rule in `rules`; or the observed displacements as arrows.
+        Labels, each with a rule in `rules`; or the observed displacements: arrows on the pixels, or
+        a layer that holds a field, wherever that lies.
     image : napari.layers.Image, optional
         The picture to deform; its place is the reference, else that of `tissue`.
     materials : tuple of Material, optional
         By default those that the tissue layer carries.
     rules : tuple of BoundaryRule, optional
         Lengths in the unit of the image; by default those that the boundary layer carries.
-    confidence : napari.layers.Image, optional
-        With arrows: how sure each is, 0 to 1; by default 1.
+    confidence : napari.layers.Image, napari.layers.Labels or "edges", optional
+        Of what is observed: how sure it is, 0 to 1; labels are a mask. "edges": it is sure where
+        the image has its steepest edges. By default it is sure everywhere.
     view : View, optional
         Which slice; by default the first, of the last two axes.
     hold_edge : bool
@@ -76,9 +84,10 @@ class Request:
 
     @property
     def layers(self) -> tuple[Any, ...]:
-        """The layers that are there, the reference first."""
-        chosen = (self.image, self.tissue, self.boundary, self.confidence)
-        return tuple(layer for layer in chosen if layer is not None)
+        """The layers that have the same pixels, the reference first."""
+        arrows = None if holds_field(self.boundary) else self.boundary
+        chosen = (self.image, self.tissue, arrows, self.confidence)
+        return tuple(layer for layer in chosen if isinstance(layer, Layer))
 
 
 def read_study(
@@ -133,7 +142,7 @@ class _Reader:
             "boundary": request.boundary,
             "confidence": request.confidence,
         }
-        names = {part: Named.of(layer) for part, layer in parts.items() if layer is not None}
+        names = {part: Named.of(layer) for part, layer in parts.items() if isinstance(layer, Layer)}
         drawing = request.drawing
         if drawing is not None and (drawing.marks or "boundary" not in names):
             names["drawing"] = Named(ARROWS, "Vectors layer")
@@ -202,7 +211,7 @@ class _Reader:
         request, layer = self._request, self._request.boundary
         drawing = request.drawing or Drawing()
         if isinstance(layer, Vectors):
-            observed, counts = self._arrows(layer)
+            observed, counts = self._observed(layer)
             return Motion(request.hold_edge, observed=observed, confidence=counts, drawing=drawing)
         if layer is None:
             return Motion(request.hold_edge, drawing=drawing)
@@ -213,27 +222,53 @@ class _Reader:
         rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
-    def _arrows(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """What arrows observe, and how sure each is."""
-        own, confidence = self._frames[id(layer)], self._request.confidence
-        check_size(layer, own, self._reference, self._frame, self._shape)
-        sure = None if confidence is None else self._slice(confidence)
-        if sure is not None and sure.ndim != 2:
-            raise LayerError(confidence, "is a colour image. Choose a grey image of values 0 to 1.")
-        spacing, shape, data = self._frame.spacing, self._shape, self._copies.of(layer)
+    def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """What arrows or a field observe, and how sure that is."""
+        frame, shape, data = self._frame, self._shape, self._copies.of(layer)
+        sure, field = self._sure(), field_of(layer)
+        own = frame if field else self._frames[id(layer)]
+        if field is None:
+            check_size(layer, own, self._reference, frame, shape)
 
-        def observe() -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
+        def observe() -> tuple[npt.NDArray[Any], npt.NDArray[Any], float]:
             with naming(observed=layer):
-                y, c, out = arrow_observations(np.array(data, float), own, spacing, shape)
+                if field is not None:
+                    y, known, out = field.on(frame, shape)
+                    c = np.repeat(known[..., None].astype(np.float32), 2, axis=-1)
+                else:
+                    y, c, out = arrow_observations(np.array(data, float), own, frame.spacing, shape)
             if sure is not None:
                 c = np.where(c > 0, sure.astype(np.float32)[..., None], np.float32(0))
             return y, c, out
 
-        y, c, out = self._copies.made(layer, (data, sure, own, spacing, shape), observe)
-        if out:
+        of = (data, sure, own, frame.spacing, shape, *(field or ()))
+        y, c, out = self._copies.made(layer, of, observe)
+        if field is None and out:
             what = "1 arrow points" if out == 1 else f"{out} arrows point"
             self._of_arrows = (f"{what} straight out of the slice and did not count",)
+        elif out > _OUT * max(frame.spacing):
+            far = f"{out:.3g} {unit_symbol(frame.unit)}"
+            self._of_arrows = (
+                f"'{layer.name}' leads up to {far} out of the slice, which did not count",
+            )
         return y, c
+
+    def _sure(self) -> npt.NDArray[Any] | None:
+        """How sure what is observed is."""
+        chosen, image = self._request.confidence, self._request.image
+        if chosen is None:
+            return None
+        if isinstance(chosen, Layer):
+            pixels = self._slice(chosen)
+            if isinstance(chosen, Labels):
+                return self._copies.made(chosen, (pixels,), lambda: pixels > 0)
+            if pixels.ndim != 2:
+                raise LayerError(chosen, "is a colour image. Choose a grey image of values 0 to 1.")
+            return pixels
+        if image is None:
+            raise LayerError(self._reference, "has no edges: choose an image.")
+        pixels = self._slice(image)
+        return self._copies.made(image, (pixels,), lambda: at_edges(pixels))
 
     def _notes(self) -> tuple[str, ...]:
         request, frame, notes = self._request, self._frame, []

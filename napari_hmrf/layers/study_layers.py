@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from napari.layers import Image, Labels, Vectors
+from napari.layers import Image, Labels, Layer, Vectors
 
+from napari_hmrf.layers.field_layer import field_layer, on_all_axes
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, described
 from napari_hmrf.layers.place import Frame
 from napari_hmrf.study.study import Grid, Study
+
+#: More arrows than this are a field, of which some are drawn.
+_MANY = 2000
 
 
 def frame_of_grid(grid: Grid) -> Frame:
@@ -78,10 +82,13 @@ def study_layers(study: Study) -> dict[str, Any]:
         )
         starts = np.argwhere(counts > 0)
         steps = motion.observed[tuple(starts.T)] / study.grid.spacing
-        arrows = frame.put_vectors(np.stack([starts, steps], axis=1))
-        known = {METADATA: {"role": BOUNDARY}}
-        title = name("boundary", "Observed")
-        made["boundary"] = Vectors(arrows, name=title, metadata=known, **frame.placement())
+        known, title = {METADATA: {"role": BOUNDARY}}, name("boundary", "Observed")
+        if len(starts) > _MANY:
+            pixels = on_all_axes(motion.observed / study.grid.spacing, frame)
+            made["boundary"] = Layer.create(*field_layer(pixels, place, title, BOUNDARY))
+        else:
+            arrows = frame.put_vectors(np.stack([starts, steps], axis=1))
+            made["boundary"] = Vectors(arrows, name=title, metadata=known, **frame.placement())
         values, title = frame.put_image(counts), name("confidence", "How sure")
         look = {"contrast_limits": (0, 1), "opacity": 0.3, "visible": False}
         made["confidence"] = Image(values, name=title, **look, **place)

@@ -9,6 +9,7 @@ from napari.layers import Labels, Vectors
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CURVE, DRAWING, Slot, steps_of
+from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
@@ -158,7 +159,10 @@ class Choices:
         return [slot.layer for slot in slots if edits.get(slot).marks]
 
     def _on_boundary(self, layer: Any) -> None:
-        """Without a boundary the edge is held again, unless somebody has said otherwise."""
+        """A field says how the edge moves; without a boundary it is held, unless somebody chose."""
+        if holds_field(layer) and self._form.motion.edge.value:
+            self._form.motion.edge.value = False
+            self._let_go = True
         if self._let_go and layer is None:
             self._form.motion.edge.value = True
 

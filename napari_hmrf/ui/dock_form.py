@@ -67,7 +67,7 @@ class DockForm:
         )
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
-        self.result = ResultForm()
+        self.result = ResultForm(layers)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
@@ -83,8 +83,8 @@ class DockForm:
     def choices(self) -> tuple[LayerChoice, ...]:
         """The menus of layers."""
         boundary = self.motion.boundary
-        pair = (boundary.landmarks.where, boundary.landmarks.should)
-        return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *pair)
+        others = (boundary.landmarks.where, boundary.landmarks.should, self.result.reference)
+        return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *others)
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way rows and columns run on the screen."""

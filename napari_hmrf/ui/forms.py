@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, QSize
-from qtpy.QtWidgets import QScrollArea, QSizePolicy
+from qtpy.QtWidgets import QMenu, QScrollArea, QSizePolicy
 
 T = TypeVar("T")
 
@@ -57,6 +57,14 @@ def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> 
     """A field for one of some values, each called by its words."""
     choices = [(said, value) for value, said in words.items()]
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
+
+
+def add_entry(menu: QMenu, title: str, about: str, answer: Callable[..., Any]) -> Any:
+    """An entry of a menu, with what it does; a layer's name may be its title."""
+    action = menu.addAction(title.replace("&", "&&"))
+    action.setToolTip(about)
+    action.triggered.connect(answer)
+    return action
 
 
 def row(*widgets: Any) -> Container:

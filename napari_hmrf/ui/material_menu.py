@@ -16,6 +16,7 @@ from napari_hmrf.layers.metadata import TISSUE, Table, tissue_recorded
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import default_rigid, stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
+from napari_hmrf.ui.forms import add_entry
 from napari_hmrf.ui.tissue_tables import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"
@@ -74,7 +75,7 @@ class MaterialMenu(QPushButton):
             "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
             "model has that, the paper's has not"
         )
-        _act(menu, "Bone or implant (rigid)", about, lambda: self._table.add(default_rigid))
+        add_entry(menu, "Bone or implant (rigid)", about, lambda: self._table.add(default_rigid))
         _head(menu, "Share and keep")
         taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
@@ -83,8 +84,8 @@ class MaterialMenu(QPushButton):
                 self._offer(taken, found)
         taken.setEnabled(bool(taken.actions()))
         about = "A file that was saved here, or written by hand"
-        _act(menu, "Load from file ...", about, self._load)
-        _act(menu, "Save to file ...", "For other images, and for other people", self._save)
+        add_entry(menu, "Load from file ...", about, self._load)
+        add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
 
     def take(self, materials: Preset | Any) -> None:
         """Put materials into the table: a preset, those of a layer, or those of a file.
@@ -123,7 +124,7 @@ class MaterialMenu(QPushButton):
         source = f"\nSource: {preset.source}" if preset.source else ""
         about = f"<p style='white-space:pre-wrap'>{escape(rows + source, quote=False)}</p>"
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
-        _act(menu, title, about, lambda _=False: self.take(preset))
+        add_entry(menu, title, about, lambda _=False: self.take(preset))
 
     def _load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)
@@ -140,13 +141,6 @@ class MaterialMenu(QPushButton):
                 act(path)
         except (HmrfError, OSError) as error:
             self.said.emit(str(error))
-
-
-def _act(menu: QMenu, title: str, about: str, answer: Callable[..., Any]) -> Any:
-    action = menu.addAction(title.replace("&", "&&"))
-    action.setToolTip(about)
-    action.triggered.connect(answer)
-    return action
 
 
 def _head(menu: QMenu, title: str) -> None:

@@ -10,6 +10,7 @@ from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
@@ -38,6 +39,7 @@ from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.remembered_settings import remember
+from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.unsaved import Unsaved
@@ -100,8 +102,15 @@ class SoftTissue(Dock):
     overlay : str
         What lies over the image: "nothing"; moving with the tissue "magnitude", "jacobian",
         "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid",
-        "labels", the tissue's, and what was given, "stiffness" and "confidence"; and where tissue
-        was before it moved "folds" and "observed", the motion that was given.
+        "labels", the tissue's, "difference" from the reference, and what was given, "stiffness" and
+        "confidence"; and where tissue was before it moved "folds" and "observed", the motion that
+        was given.
+    reference : napari.layers.Vectors or None
+        A field or another result that the result is compared with.
+    comparison : Comparison or None
+        How far the result is from that, once it is computed.
+    more : ResultMenu
+        Measures the result, saves its field and a film, and moves other layers along.
     live : bool
         Whether the tissue follows every edit; by default unless the image is large.
     status, invitation, warning : str
@@ -146,6 +155,9 @@ class SoftTissue(Dock):
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
     arrows = Part[bool]("_form.result.arrows.value")
+    reference = Part[Any]("_form.result.reference.value")
+    comparison = Part[Comparison | None]("_view.comparison")
+    more = Part[ResultMenu]("_view.more")
     overlay = Part[str]("_form.result.overlay.value")
     saved = Part[Any]("_view.saved")
     unsaved = Part[bool]("_unsaved.there")

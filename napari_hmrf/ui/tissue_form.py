@@ -10,7 +10,9 @@ from napari.layers import Image, Labels, Vectors
 from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
+from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
@@ -154,16 +156,20 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in known_of(layer),
             "boundary",
-            "A Labels layer in which is painted what holds or moves, or measured displacements as "
-            "a Vectors layer. Landmarks, as two Points layers or as lines of a Shapes layer, come "
-            "on top: their menus are below once there are such layers",
-            lambda layer: layer.name + ("" if isinstance(layer, Labels) else " (arrows)"),
+            "A Labels layer in which is painted what holds or moves, or observed displacements: a "
+            "Vectors layer, or a field of a registration by File > Open. Landmarks, as two Points "
+            "layers or as lines of a Shapes layer, come on top: their menus are below once there "
+            "are such layers",
+            lambda layer: layer.name + _what_moves(layer),
         )
         self.confidence = LayerChoice(
             layers,
             _may_be_confidence,
             "confidence",
-            "How sure each arrow is, from 0 to 1; without an image, 1",
+            "How sure what is observed is: an image from 0 to 1, labels as a mask, or only where "
+            "the image has edges; without, 1",
+            lambda layer: layer.name + (" (mask)" if isinstance(layer, Labels) else ""),
+            lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
         self._put_below("boundary")
@@ -177,7 +183,14 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         super()._on_choice(layer)
 
 
+def _what_moves(layer: Any) -> str:
+    """Labels need no word."""
+    if isinstance(layer, Labels):
+        return ""
+    return " (field)" if holds_field(layer) else " (arrows)"
+
+
 def _may_be_confidence(layer: Any) -> bool:
-    """Whether a layer is grey, and not the picture of what brushes have made of confidence."""
-    grey = isinstance(layer, Image) and not layer.rgb
+    """Whether a layer is grey or a mask, and no picture of what brushes have made of confidence."""
+    grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
     return grey and known_of(layer).get("kind") != "painted confidence"

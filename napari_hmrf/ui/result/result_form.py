@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
+from qtpy.QtWidgets import QPushButton
 
 from napari_hmrf.ui.forms import Prose, narrow, row
+from napari_hmrf.ui.result.reference import ReferenceChoice
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
 #: What is held to see the image as it was.
@@ -13,9 +18,9 @@ PLAY, PAUSE = "Play", "Pause"
 
 
 class ResultForm(Container):
-    """How much of the deformation is seen, and what of it is drawn."""
+    """How much of the deformation is seen, what of it is drawn, and with what it is compared."""
 
-    def __init__(self) -> None:
+    def __init__(self, layers: Callable[[], list[Any]]) -> None:
         self.slider = Slider(
             value=100,
             max=100,
@@ -33,6 +38,7 @@ class ResultForm(Container):
             choices=overlay_choices("px"), value=NOTHING, label="show", tooltip=OVERLAY_TIP
         )
         narrow(self.overlay)
+        self.reference = ReferenceChoice(layers)
         self.arrows = CheckBox(
             value=True,
             text="arrows",
@@ -50,14 +56,20 @@ class ResultForm(Container):
             tooltip="One file with all that is chosen, painted, drawn and set so far, and the "
             "result if there is one; File > Open has it all back",
         )
+        self.more = QPushButton("More")
+        self.more.setToolTip(
+            "Measurements, other layers moved along, fields for other tools, films"
+        )
+        kept = row(self.save, self.keep)
+        kept.native.layout().addWidget(self.more)
         super().__init__(
             widgets=[
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
-                Container(widgets=[self.overlay]),
+                Container(widgets=[self.overlay, self.reference]),
                 self.arrows,
-                row(self.save, self.keep),
+                kept,
             ],
             labels=False,
         )

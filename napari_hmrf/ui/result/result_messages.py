@@ -7,10 +7,12 @@ from pathlib import Path
 
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.overlay import Name
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
+from napari_hmrf.ui.result.reference import in_words
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (
@@ -37,6 +39,7 @@ _ABOUT: dict[Name, str] = {
     "shear": "strain: shear",
     "grid": "grid",
     "labels": "tissue labels",
+    "difference": "from the reference ({unit})",
     "folds": "folds",
     "stiffness": "given: stiffness",
     "observed": "given: motion",
@@ -56,7 +59,8 @@ OVERLAY_TIP = (
     "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
     "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
     "across the slice assumed;\n"
-    "grid: one that was square; tissue labels: those of the tissue layer.\n"
+    "grid: one that was square; tissue labels: those of the tissue layer;\n"
+    "from the reference: how far tissue goes from where the reference has it go;\n"
     "given: how stiff tissue was taken to be, how it was to move, and how sure that is, 0 to 1.\n"
     "Where tissue was before it moved:\n"
     "folds: where it is pushed through itself;\n"
@@ -64,22 +68,31 @@ OVERLAY_TIP = (
 )
 
 
-def overlay_choices(unit: str, ways: Directions = _UPRIGHT) -> list[tuple[str, str]]:
-    """What can lie over the image, in words, and the name of it."""
+def overlay_choices(
+    unit: str, ways: Directions = _UPRIGHT, compared: bool = False
+) -> list[tuple[str, str]]:
+    """What can lie over the image, in words, and the name of it; `compared`: with a reference."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
     )
     words = {"unit": unit, "rows": rows, "columns": columns}
-    return [(NOTHING, NOTHING), *((said.format(**words), name) for name, said in _ABOUT.items())]
+    offered = {name: said for name, said in _ABOUT.items() if compared or name != "difference"}
+    return [(NOTHING, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
 
 
 def how_far(
-    result: Answer, longest: float, percent: int, apart: tuple[str, str] | None = None
+    result: Answer,
+    longest: float,
+    percent: int,
+    apart: tuple[str, str] | None = None,
+    compared: Comparison | None = None,
 ) -> str:
-    """How much of the deformation is seen, or that it is of another slice than the one seen."""
+    """How much of the deformation is seen; or that it is of another slice; how far from others."""
     moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
-    return moved if apart is None else f"{moved}. Of {apart[0]}; you look at {apart[1]}."
+    if apart is not None:
+        return f"{moved}. Of {apart[0]}; you look at {apart[1]}."
+    return moved if compared is None else f"{moved}. {in_words(compared, result.unit)}"
 
 
 def at_point(

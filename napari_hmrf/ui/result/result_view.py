@@ -13,6 +13,8 @@ from qtpy.QtWidgets import QFileDialog
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.io.figures import save_result_pictures
+from napari_hmrf.layers.comparison import Comparison, compare
+from napari_hmrf.layers.field_layer import field_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
@@ -23,6 +25,7 @@ from napari_hmrf.layers.result_lookup import (
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.layer_names import Named
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
@@ -30,6 +33,7 @@ from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.player import Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
+from napari_hmrf.ui.result.result_menu import ResultMenu
 
 
 class ResultView:
@@ -59,11 +63,15 @@ class ResultView:
         self._native, self._viewer, self._form, self._results = native, viewer, form, results
         self._errands = Errands(self._refuse)
         self.shown: MovingLayers | None = None
+        #: How far the result is from its reference, if there is one.
+        self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer)
         self.player = Player(native, self._errands)
+        self.more = ResultMenu(form.more, viewer, lambda: self.shown, self.said.emit)
         self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(lambda _: self._lay_over(chosen=True))
+        form.reference.changed.connect(self._on_reference)
         form.arrows.changed.connect(self._on_ticked)
         form.play.changed.connect(self._on_play)
         form.save.changed.connect(self._on_save)
@@ -92,7 +100,7 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not seen yet."""
-        return self._errands.busy()
+        return self._errands.busy() or self.more.busy
 
     @property
     def before(self) -> bool:
@@ -144,6 +152,7 @@ class ResultView:
         self._heard.release()
         self._events.release()
         self._errands.release()
+        self.more.release()
         self.cursor.release()
 
     # Which result is looked at
@@ -162,6 +171,9 @@ class ResultView:
         if before is not None and other:
             before.layers.leave()
         self.shown = self.player.shown = shown
+        self._form.reference.shown = self.arrows
+        self._form.reference.reset_choices()
+        self._compare()
         self._form.offer(shown is not None)
         self._say_how_far()
         if shown is None:
@@ -186,8 +198,36 @@ class ResultView:
             if name == words.NOTHING and there is not None and there.visible:
                 name = known_of(there)["kind"]  # of a dock that was closed
             ways = Directions.of(shown.answer.frame, self._viewer)
-            choice.choices = words.overlay_choices(shown.answer.unit, ways)
+            compared = self._form.reference.value is not None
+            if name == "difference" and not compared:
+                name = words.NOTHING
+            choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
             choice.value = name
+
+    # What it is compared with
+
+    def _compare(self) -> None:
+        """Say how far the result is from its reference, if there is one."""
+        shown, reference, self.comparison = self.shown, self._form.reference.value, None
+        self._errands.forget("comparison")
+        field = field_of(reference)
+        if shown is not None and field is not None:
+            work = partial(compare, shown.answer, field, Named.of(reference))
+            self._errands.send("comparison", work, self._on_compared)
+
+    def _on_compared(self, found: Comparison) -> None:
+        self.comparison = found
+        self._say_how_far()
+        if self._form.overlay.value == "difference":
+            self._lay_over(chosen=True)
+
+    def _on_reference(self, *_: Any) -> None:
+        self._compare()
+        self._say_how_far()
+        if self.shown is not None:
+            self._offer(self.shown)
+            if self._form.overlay.value == words.NOTHING:
+                self._lay_over(chosen=False)  # as the map of another reference lay there
 
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
@@ -250,9 +290,10 @@ class ResultView:
         if name == words.NOTHING:
             self._errands.forget("overlay")
             self._on_overlay(shown, name, False, None)
-        else:
+        elif name != "difference" or self.comparison is not None:  # else once it is compared
             answer = partial(self._on_overlay, shown, name, chosen)
-            self._errands.send("overlay", partial(overlay_of, shown.answer, name), answer)
+            work = partial(overlay_of, shown.answer, name, self.comparison)
+            self._errands.send("overlay", work, answer)
 
     def _on_overlay(
         self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
@@ -305,7 +346,7 @@ class ResultView:
             arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
             apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
             percent = self._form.slider.value
-            far = words.how_far(shown.answer, shown.longest, percent, apart)
+            far = words.how_far(shown.answer, shown.longest, percent, apart, self.comparison)
         self._form.how_far.say(far)
 
     # What is pressed

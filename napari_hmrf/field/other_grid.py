@@ -1,0 +1,116 @@
+"""A motion as it is met by another grid: by a film, a volume, or pixels of another size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.field.moved_points import looked_up
+from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.warp import inverse_map
+from napari_hmrf.solver.solution import Solution
+
+Array = npt.NDArray[Any]
+#: How far, in pixels, two grids may lie apart and be the same.
+_SAME = 1e-3
+#: How far from a slice, in slices, is on it.
+_ON = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class OtherGrid:
+    """A grid that lies on the tissue of a solution, and moves with it.
+
+    What lies beside the solution's pixels, or on another slice than its own, stays.
+
+    Attributes
+    ----------
+    solution : Solution
+    to : ndarray, shape (2 + k, n + 1)
+        From the grid's pixels, homogeneous, to the solution's (row, col), and then to how many
+        slices it is from the solution's along each of k axes.
+    plane : (int, int)
+        The grid's axes that are its rows and columns, those of the solution's slice.
+    """
+
+    solution: Solution
+    to: Array
+    plane: Sequence[int]
+
+    def moved_points(self, points: Array) -> Array:
+        """Move points, (N, n) in the grid's pixels, to where their tissue has gone."""
+        at, there = self._at(points)
+        steps = looked_up(self.solution.displacement / self.solution.spacing, at[there])
+        moved = points.astype(float)
+        moved[np.ix_(np.flatnonzero(there), np.array(self.plane))] += steps @ self._back.T
+        return moved
+
+    def moved_pixels(self, pixels: Array, *, order: int) -> Array:
+        """Move an image on the grid, which may have colours; by `order` as `warp`."""
+        moved, n = np.array(pixels), self.to.shape[1] - 1
+        slices = np.moveaxis(moved, self.plane, (n - 2, n - 1))
+        others = [axis for axis in range(n) if axis not in self.plane]
+        before, found = None, None
+        for numbers in np.ndindex(*slices.shape[: n - 2]):
+            index = np.zeros(n)
+            index[others] = numbers
+            at = np.round(self.to @ [*index, 1.0], 6)
+            if before is None or not np.array_equal(at, before):  # along time it is the same
+                before, found = at, self._origins_on(index, slices.shape[n - 2 : n])
+            if found is not None:
+                picture = slices[numbers]
+                fill = 0 if order == 0 else emptiness(picture)
+                slices[numbers] = resample(picture, *found, order=order, fill=fill)
+        return moved
+
+    def _at(self, points: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Where points are on the solution's pixels, and which of them are there at all."""
+        at = points @ self.to[:, :-1].T + self.to[:, -1]
+        size = np.array(self.solution.tissue.shape)
+        inside = (at[:, :2] > -_ON - _SAME) & (at[:, :2] < size - 1 + _ON + _SAME)
+        return at[:, :2], inside.all(axis=1) & (np.abs(at[:, 2:]) <= _ON).all(axis=1)
+
+    def _origins_on(self, index: Array, shape: tuple[int, ...]) -> tuple[Array, Array] | None:
+        """Where the pixels of a slice came from, and which are seen; None if all stay."""
+        sites = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 2)
+        points = np.zeros((len(sites), len(index))) + index
+        points[:, self.plane] = sites
+        at, there = self._at(points)
+        if not there.any():
+            return None
+        origins, covered = self._origins
+        if shape == covered.shape and np.abs(at - sites).max() < _SAME:
+            return origins, covered
+        came, seen = sites.astype(float), np.ones(len(sites), dtype=bool)
+        came[there] += looked_up(self._inverse, at[there]) @ self._back.T
+        nearest = np.clip(np.rint(at[there]).astype(int), 0, np.array(covered.shape) - 1)
+        seen[there] = covered[tuple(nearest.T)]
+        seen &= ((came > -_ON) & (came < np.array(shape) - 1 + _ON)).all(axis=1)
+        return came.reshape(*shape, 2), seen.reshape(shape)
+
+    @cached_property
+    def _back(self) -> Array:
+        """Steps of the solution's pixels, in the grid's."""
+        inverse: Array = np.linalg.inv(self.to[:2][:, list(self.plane)])
+        return inverse
+
+    @cached_property
+    def _origins(self) -> tuple[Array, Array]:
+        d, spacing, tissue = self._field
+        return inverse_map(d, spacing=spacing, tissue=tissue)
+
+    @cached_property
+    def _inverse(self) -> Array:
+        d, spacing, tissue = self._field
+        back: Array = inverse_displacement(d, spacing=spacing, tissue=tissue).displacement
+        return back / spacing
+
+    @property
+    def _field(self) -> tuple[Array, tuple[float, ...], Array]:
+        return self.solution.displacement, self.solution.spacing, self.solution.tissue

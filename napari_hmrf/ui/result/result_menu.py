@@ -1,0 +1,201 @@
+"""The menu of what else can be made of a result: numbers, files, and other layers moved with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.io.fields import export_field
+from napari_hmrf.io.moving_pictures import save_moving_picture
+from napari_hmrf.io.tables import save_measurements
+from napari_hmrf.layers.field_layer import saved_field
+from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
+from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
+from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_lookup import picture_of, tissue_of
+from napari_hmrf.layers.viewer_layers import same_selection
+from napari_hmrf.ui.forms import add_entry
+from napari_hmrf.ui.handover import Errands
+from napari_hmrf.ui.result.measurement_table import MeasurementTable
+from napari_hmrf.ui.result.moving_layers import MovingLayers
+from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
+
+_FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
+_FILMS = "Films (*.gif *.mp4)"
+_BACK = "For SimpleITK, ANTs, elastix and Slicer: where what is seen came from"
+_FORTH = "The same the other way: where tissue goes"
+_FILM = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
+_WITH_IT = (
+    "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
+    "of a film, of channels, and of a stack without units all slices do"
+)
+
+
+class ResultMenu:
+    """What else can be made of the result that is looked at.
+
+    What takes long is done while the window lives; what comes of it is said.
+
+    Parameters
+    ----------
+    button : QPushButton
+        Which has the menu.
+    viewer : napari.Viewer or ViewerModel
+    shown : callable
+        The result that is looked at, or None.
+    say : callable
+        Given what there is to say.
+    """
+
+    def __init__(
+        self,
+        button: QPushButton,
+        viewer: Any,
+        shown: Callable[[], MovingLayers | None],
+        say: Callable[[str], None],
+    ) -> None:
+        self._button, self._viewer, self._look, self._say = button, viewer, shown, say
+        self._errands = Errands(lambda error: say(str(error) or type(error).__name__))
+        menu = QMenu(button)
+        menu.setToolTipsVisible(True)
+        menu.aboutToShow.connect(self._fill)
+        button.setMenu(menu)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not done yet."""
+        return self._errands.busy()
+
+    def measure(self) -> tuple[Measurement, ...]:
+        """Measure what happened to each tissue; where none is told from others, to all of it.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result.
+        """
+        shown = self._shown
+        answer, viewer = shown.answer, self._viewer
+        labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
+        layer = tissue_of(viewer.layers, answer)
+        if labels is None and isinstance(layer, Labels):  # of a result from a file
+            labels, rows = picture_of(layer, answer), rows_of(layer, TISSUE)
+        if labels is None:
+            return measure(answer.solution, np.ones(answer.shape, int), names={1: "tissue"})
+        return measure(answer.solution, labels, names={row.label: row.name for row in rows})
+
+    def save_measurements(self, path: str | Path) -> Path:
+        """Write what `measure` finds; as `napari_hmrf.io.tables.save_measurements`."""
+        return save_measurements(path, self.measure(), self._shown.answer.unit)
+
+    def save_field(self, path: str | Path, *, forward: bool = False) -> None:
+        """Write the field for other tools, as `export_field`; how good its inverse is is said."""
+        solution = self._shown.answer.solution
+        work = partial(export_field, path, solution, forward=forward)
+        name = Path(path).name
+        self._errands.send(
+            f"{path}",
+            work,
+            lambda residual: self._say(saved_field(name, None if forward else residual)),
+        )
+
+    def save_film(self, path: str | Path) -> None:
+        """Write the image as it moves, there and back; as `save_moving_picture`."""
+        shown = self._shown
+        if shown.image is None:
+            raise HmrfError(NO_IMAGE)
+        work = partial(save_moving_picture, path, shown.answer.solution, shown.image)
+        self._say("Saving the film ...")
+        self._errands.send(f"{path}", work, lambda file: self._say(f"Saved {file.name}."))
+
+    def move_along(self, *layers: Any) -> None:
+        """Add other layers as they have moved with the tissue, each above its own.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result, or a layer cannot lie on its tissue.
+        """
+        movers = [mover(layer, self._shown.answer) for layer in layers]
+
+        def add(made: list[LayerData]) -> None:
+            for layer, each in zip(layers, made, strict=True):
+                self._add(layer, each)
+            names = ", ".join(f"'{each.attributes['name']}'" for each in made)
+            self._say(f"Moved along: {names}.")
+
+        self._errands.send("moved", lambda: [move() for move in movers], add)
+
+    def release(self) -> None:
+        """Answer nothing any more."""
+        self._errands.release()
+
+    @property
+    def _shown(self) -> MovingLayers:
+        if (shown := self._look()) is None:
+            raise HmrfError(NO_RESULT)
+        return shown
+
+    def _add(self, layer: Any, made: LayerData) -> None:
+        """Show a layer that was moved in place of the one of an earlier result."""
+        layers, name = self._viewer.layers, made.attributes["name"]
+        with same_selection(self._viewer):
+            if name in layers and known_of(layers[name]).get("kind") == MOVED:
+                layers.remove(name)
+            at = layers.index(layer) + 1 if layer in layers else len(layers)
+            layers.insert(at, layer.create(*made))
+
+    def _fill(self) -> None:
+        """Fill the menu with what there is now."""
+        menu, shown = self._button.menu(), self._look()
+        menu.clear()
+        about = "How far each tissue moved, how its area changed, and its strain"
+        add_entry(menu, "Measurements ...", about, lambda: self._try(self._show_measurements))
+        along = menu.addMenu("Move along")
+        along.setToolTipsVisible(True)
+        source = None if shown is None else shown.source
+        layers = [each for each in self._viewer.layers if can_move(each) and each is not source]
+        rows = [(str(each.name), [each]) for each in layers]
+        for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
+            move = partial(self.move_along, *chosen)
+            add_entry(along, title, _WITH_IT, lambda _=False, move=move: self._try(move))
+        along.setEnabled(bool(layers))
+        forth = partial(self.save_field, forward=True)
+        for title, about, save, name, kinds in (
+            ("field for images", _BACK, self.save_field, "field.mha", _FIELDS),
+            ("field for points", _FORTH, forth, "field.mha", _FIELDS),
+            ("as film", _FILM, self.save_film, "film.gif", _FILMS),
+        ):
+            ask = partial(self._ask, save, name, kinds)
+            add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
+
+    def _show_measurements(self) -> None:
+        unit = self._shown.answer.unit
+        table = MeasurementTable(self._button.window(), self.measure(), unit)
+        table.save.clicked.connect(
+            lambda: self._ask(
+                lambda path: save_measurements(path, table.rows, unit),
+                "measurements.csv",
+                "Tables (*.csv)",
+            )
+        )
+        table.show()
+
+    def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
+        path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
+        if path:
+            self._try(partial(save, path))
+
+    def _try(self, action: Callable[[], Any]) -> None:
+        try:
+            action()
+        except (HmrfError, OSError) as error:
+            self._say(str(error))
