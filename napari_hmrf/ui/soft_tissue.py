@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,8 @@ class SoftTissue(Dock):
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
         self._taken: tuple[Landmark, ...] = ()
+        # Whether a tool was taken up by itself, and nobody has used it yet.
+        self._unused = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
@@ -401,6 +404,7 @@ class SoftTissue(Dock):
         for section in (form.tissue, form.motion.boundary):
             section.table.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
+        pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
         self._watch.first_came.connect(self._on_first)
@@ -432,7 +436,8 @@ class SoftTissue(Dock):
 
     def _on_tool(self, name: str) -> None:
         """The button of a tool takes it, and puts it down again."""
-        if self.active and self.tool == name:
+        unused, self._unused = self._unused, False
+        if self.active and self.tool == name and not unused:
             self.stop()
         else:
             self.tool = name
@@ -464,4 +469,4 @@ class SoftTissue(Dock):
 
     def _on_first(self) -> None:
         if self.docked:
-            self.start()
+            self._unused = self.start()
