@@ -161,8 +161,8 @@ class SoftTissue(Dock):
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
-        self._steps = DockSteps(self.native, form, steps, self._pointer)
         remember(viewer, form.model)
+        self._steps = DockSteps(self.native, form, steps, self._pointer)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
@@ -350,6 +350,7 @@ class SoftTissue(Dock):
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
+        self.start()
         for note in notes:
             self.say(messages.sentence_of(note))
 
@@ -384,6 +385,7 @@ class SoftTissue(Dock):
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
+        form.image.changed.connect(self._view.stand_on)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.clicked.connect(
@@ -429,7 +431,7 @@ class SoftTissue(Dock):
         try:
             action()
         except HmrfError as error:
-            self.say(messages.in_short(error))
+            self._guide.refuse(messages.in_short(error))
             show_warning(messages.in_short(error))
 
     # What is pressed, and what is said
