@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import dock_in, quick
+from napari.components import ViewerModel
 from patience import LONG_MS
 from qtpy.QtCore import QPoint, Qt
 from qtpy.QtTest import QTest
 from screen import Screen
+
+from napari_hmrf.ui.soft_tissue import SoftTissue
 
 LEFT = Qt.MouseButton.LeftButton
 
@@ -187,11 +190,12 @@ def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, sett
     assert widget.overlay == "nothing"
 
 
-def test_a_refusal_is_read_until_something_else_is_done(
-    widget, small_sample, settle, busy_thread, qtbot
-):
-    small_sample(widget._viewer)
-    widget.live = True
+def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, busy_thread, qtbot):
+    viewer = ViewerModel()
+    widget = SoftTissue(viewer)
+    qtbot.addWidget(widget.native)
+    small_sample(viewer)
+    quick(widget).live = True
     widget.materials = (*widget.materials[:1], replace(widget.materials[1], stiffness=30.0))
     qtbot.waitUntil(lambda: widget.status.startswith("Following"), timeout=LONG_MS)
     Screen(widget).cell("gel", "Stiffness").write("nonsense")
