@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import dock_in, quick
+from conftest import dock_in, forget_choice, quick
 from patience import LONG_MS
 from person import CTRL, Person
 from qtpy.QtCore import Qt
@@ -52,6 +52,7 @@ def living(widget, small_sample, run):
     """The dock with a result that follows, and the layers it follows."""
     layers = small_sample(viewer_of(widget))
     widget.model = "elastic"
+    forget_choice(widget)
     run(widget)
     widget.live = True
     return widget, layers

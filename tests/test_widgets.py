@@ -171,7 +171,7 @@ def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, 
     assert names(viewer)[-1] == "MR arrows"
     widget._form.tissue.table.add()
     assert (deformed.visible, tissue.visible, tissue.mode) == (False, True, "paint")
-    assert "hidden meanwhile" in widget.status
+    assert "hidden while you paint" in widget.status
     run(widget)
     assert (deformed.visible, tissue.visible) == (True, False)
 

@@ -257,9 +257,8 @@ def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_t
     look.before = True
     set_to(look, overlay="jacobian")
     assert layer.name == "MR Jacobian (area ratio)"
-    assert not layer.visible, "nor is another that comes meanwhile"
-    look.before = False
-    assert layer.visible
+    assert layer.visible, "what is chosen is to be seen"
+    assert not look.before
 
 
 def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(look, set_to):

@@ -25,6 +25,8 @@ KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
 DRAWING = "drawing"
 #: And that with the curve by which an image's intensity says how stiff tissue is.
 CURVE = "curve"
+#: And that with what says so: a layer, or its brightness.
+CHOICE = "choice"
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,21 @@
-"""Tables and curves among the steps that are undone, by buttons and keys."""
+"""Tables, curves and choices among the steps that are undone, by buttons and keys."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import CURVE, DRAWING, Owner, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.footer import StepKeys
 from napari_hmrf.ui.messages import WELCOME
+from napari_hmrf.ui.tissue_form import BRIGHTNESS
+
+#: Of the viewer, and no layer.
+_THE_MODEL = Slot("model", "")
 
 
 class DockSteps:
@@ -36,8 +40,12 @@ class DockSteps:
         self._model = steps.edits
         tissue = form.tissue
         self._tables = (tissue.table, form.motion.boundary.table)
+        # Whether something is put back, which is no step.
+        self._going = False
         for table in self._tables:
             table.changed.connect(self.note)
+        for choice in (form.image, tissue.choice, form.model, form.model.in_detail):
+            choice.changed.connect(self.note, max_args=0)
         tissue.editor.plot.edited.connect(self._take_curve)
         tissue.editor.plot.settled.connect(lambda _: self._model.end())
         form.footer.undo.changed.connect(lambda _: steps.choose("undo"))
@@ -61,14 +69,21 @@ class DockSteps:
 
     def note(self, by_itself: bool = False) -> None:
         """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
-        for table in self._tables:
-            slot, now = Slot(table.role, table.layer), table.contents
+        for slot, now in () if self._going else self._edited:
             if slot.layer is None or now == (before := self._model.open(slot, now)):
                 continue
-            if by_itself:
-                self._model.amend(slot, now)
+            word = "" if by_itself else _step(slot, before, now)
+            if word:
+                self._model.do(slot, now, word)
             else:
-                self._model.do(slot, now, change(before, now, slot.layer.name))
+                self._model.amend(slot, now)
+
+    @property
+    def _edited(self) -> list[tuple[Slot, Any]]:
+        form = self._form
+        tables = [(Slot(table.role, table.layer), table.contents) for table in self._tables]
+        choice = Slot(CHOICE, form.image.value), form.tissue.choice.value
+        return [*tables, choice, (_THE_MODEL, form.model.values)]
 
     @property
     def curve(self) -> StiffnessCurve | None:
@@ -88,23 +103,44 @@ class DockSteps:
         slot, model = self._curve_slot, self._model
         if slot.layer is None:
             raise HmrfError(WELCOME)
-        if model.open(slot, curve) != curve:
+        known = model.open(slot, curve)
+        if self.curve is None:
+            self._form.tissue.go_by(known)
+        if known != curve:
             if model.in_progress != slot:
                 model.begin(slot, f"changed the curve of '{slot.layer.name}'")
             model.update(curve)
-        else:
-            self._form.tissue.go_by(curve)
 
     @property
     def _curve_slot(self) -> Slot:
         return Slot(CURVE, self._form.image.value)
 
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
-        """Put back a table that is shown, or a curve; and choose the image that is drawn on."""
-        if slot.what == DRAWING and slot.layer in self._form.image.offered:
-            self._form.image.value = slot.layer
-        if slot == self._curve_slot:
-            self._form.tissue.go_by(value)
+        """Put back what is shown of it here, and choose the image it is of."""
+        form, tissue = self._form, self._form.tissue
+        if slot.what == DRAWING and slot.layer is form.image.value:
+            return
+        going, self._going = self._going, True
+        if slot.what in (DRAWING, CHOICE) and slot.layer in form.image.offered:
+            form.image.value = slot.layer
+        if slot == _THE_MODEL:
+            form.model.values = value
+        elif slot.what == CHOICE:
+            tissue.choice.value = value if value in tissue.choice.choices else None
+        elif slot == self._curve_slot:
+            tissue.go_by(value)
         for table in self._tables:
             if slot == Slot(table.role, table.layer):
                 table.contents = value
+        self._going = going
+        self.note(by_itself=True)
+
+
+def _step(slot: Slot, before: Any, now: Any) -> str:
+    """What was done, in words; "" if it is no step."""
+    if slot == _THE_MODEL:
+        same = all(before[name] == now[name] for name in ("model", "plane"))
+        return "" if same else "chose another model"
+    if slot.what == CHOICE:
+        return "chose what says how stiff tissue is" if BRIGHTNESS in (before, now) else ""
+    return change(before, now, slot.layer.name)

@@ -26,6 +26,8 @@ class _Said(Enum):
     COVERED = auto()
     #: Until something new is begun.
     STEP = auto()
+    #: Likewise, and before all that goes on meanwhile.
+    REFUSED = auto()
     #: As long as somebody paints.
     PAINTING = auto()
     #: Until an image is chosen.
@@ -36,7 +38,8 @@ class Guide:
     """Knows which sentence may take the place of which.
 
     Where there is nothing to say, what can be done next is read. What was taken back stays to be
-    read until something new is begun; what goes on is said while it does.
+    read until something new is begun, and so does what was refused; what goes on is said while it
+    does.
 
     Parameters
     ----------
@@ -55,13 +58,16 @@ class Guide:
         self._why = _Said.NEWS
         for section in (form.tissue, form.motion.boundary):
             section.table.found.connect(self._on_found)
-            section.table.refused.connect(self.say)
+            section.table.refused.connect(self.refuse)
         form.tissue.menu.said.connect(self.say)
         form.tissue.menu.taken.connect(self._on_found)
-        form.tissue.editor.refused.connect(self.say)
+        form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
-        for begun in (form.edited, pointer.drawn, pointer.begun):
+        pointer.refused.connect(self.refuse)
+        pressed = (form.footer.deform.changed, form.motion.picked, form.image.changed)
+        for begun in (form.edited, pointer.drawn, pointer.begun, *pressed):
             begun.connect(self._on_begun)
+        live.refused.connect(self.refuse)
         live.said.connect(self._on_study)
         live.doing.connect(self._on_doing)
         live.moved_on.connect(self._show)
@@ -74,7 +80,8 @@ class Guide:
     @property
     def shown(self) -> str:
         """What is read."""
-        return self._doing or self._said or self.invitation
+        doing = "" if self._why is _Said.REFUSED else self._doing
+        return doing or self._said or self.invitation
 
     @property
     def invitation(self) -> str:
@@ -96,9 +103,13 @@ class Guide:
         self._show()
 
     def invite(self) -> None:
-        """Say what can be done next, unless it is still to be read what was taken back."""
-        if self._why is not _Said.STEP:
+        """Say what can be done next, unless what was taken back or refused is to be read still."""
+        if self._why not in (_Said.STEP, _Said.REFUSED):
             self.say("")
+
+    def refuse(self, sentence: str) -> None:
+        """Say why what somebody did is not done, until they do something else."""
+        self.say(sentence, _Said.REFUSED)
 
     def say_painting(self, layer: Any, before: bool) -> None:
         """Say what is painted, as long as it is; `before`: on the image as it was."""
@@ -149,7 +160,7 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Something new is begun: what was taken back before has been read."""
-        if self._why is _Said.STEP:
+        if self._why in (_Said.STEP, _Said.REFUSED):
             self._why = _Said.NEWS
 
     def _on_step(self, sentence: str, slot: object) -> None:
@@ -174,7 +185,7 @@ class Guide:
         if not sentence:
             if self._why is not _Said.GONE:
                 self.invite()
-        else:
+        elif self._why is not _Said.REFUSED:
             self.say(f"{self._said} {sentence}" if self._why is _Said.STEP else sentence)
 
     def _on_found(self, found: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+import weakref
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +31,7 @@ from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import repeating, single_shot
 from napari_hmrf.ui.follower import Done, Follower, Seen
 from napari_hmrf.ui.motion.pointer import Pointer
+from napari_hmrf.ui.result.result_messages import NOTHING
 
 _log = logging.getLogger("napari_hmrf")
 #: How often it is asked how far a solve is, in milliseconds.
@@ -58,8 +60,6 @@ class LiveStudy:
         As it was read last; None if it cannot be read.
     source : napari.layers.Layer or None
         What is deformed.
-    latest : Done or None
-        The latest result that has come to rest.
     settling : bool
         Whether a study is solved from nothing.
     curve_layer : CurveLayer
@@ -76,6 +76,8 @@ class LiveStudy:
     finished = Signal(object)
     #: What there is to say; "" if what was said is over.
     said = Signal(str)
+    #: Why what was asked for cannot be done.
+    refused = Signal(str)
     #: What goes on, to be said until it is over; then "".
     doing = Signal(str)
     #: Another slice or image is worked on.
@@ -88,7 +90,7 @@ class LiveStudy:
         self._over = False
         self.study: Study | None = None
         self.source: Any = None
-        self.latest: Done | None = None
+        self._done: weakref.WeakKeyDictionary[Any, Done] = weakref.WeakKeyDictionary()
         self.settling = False
         self.note = ""
         self._copies = shared(viewer, LayerCopies)
@@ -106,6 +108,11 @@ class LiveStudy:
         form.footer.chip.clicked.connect(self._on_chip)
 
     # What there is
+
+    @property
+    def latest(self) -> Done | None:
+        """The latest result of what is deformed that has come to rest."""
+        return None if self.source is None else self._done.get(self.source)
 
     @property
     def busy(self) -> bool:
@@ -211,7 +218,8 @@ class LiveStudy:
         self._asked = None
         if settling or going_on:
             stays = "" if self.latest is None else f" {messages.STAYS}"
-            self._stop(why or messages.CANCELLED + stays)
+            self._stop()
+            self.said.emit(why or messages.CANCELLED + stays)
         if settling:
             self.finished.emit(None)
 
@@ -246,10 +254,11 @@ class LiveStudy:
         self._follower.forget()
         self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
-        self.study = self.source = self.latest = self._asked = None
+        self._done.pop(self.source, None)
+        self.study = self.source = self._asked = None
         self._failed = self._report = ""
         self._pointer.stand_on(None)
-        self._form.footer.warn("")
+        self._describe()
 
     def release(self) -> None:
         """Follow nothing any more."""
@@ -264,10 +273,11 @@ class LiveStudy:
         self._pointer.tissue = self._form.tissue.layer
         place, self.study = study.grid, study
         if before is None or source is not self.source or before.grid != place:
-            self.source = source
+            if source is not self.source:
+                self.source, self._report = source, ""
             self._asked = None
             self._pointer.stand_on(study, source)
-            self._form.footer.warn("")
+            self._describe()
             rows, cols = study.grid.shape
             self._form.footer.live.judge((rows, cols))
             self._follower.rehearse(study)
@@ -332,14 +342,12 @@ class LiveStudy:
             return
         if self._looking.isActive():  # what was edited since is known first
             self.look()
-        self.latest, self._failed = done, ""
+        self._done[self.source], self._failed = done, ""
         self._report, self.note = f"{messages.report(done)} {self.note}".rstrip(), ""
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
-        footer = self._form.footer
-        footer.warn(*messages.warnings_of(done))
-        footer.tell(messages.brief(done), messages.details(done))
+        self._describe()
         settled = self.settling
         if settled:
             self._stop()
@@ -387,6 +395,16 @@ class LiveStudy:
         if anew or self._told != before:
             self.said.emit(self._told)
 
+    def _describe(self) -> None:
+        """Say of the latest result what is to be known, if it is of what is worked on."""
+        footer, done, study = self._form.footer, self.latest, self.study
+        if done is None or study is None or done.moved.study.grid != study.grid:
+            footer.warn("")
+            footer.tell("")
+        else:
+            footer.warn(*messages.warnings_of(done))
+            footer.tell(messages.brief(done), messages.details(done))
+
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
@@ -396,29 +414,30 @@ class LiveStudy:
 
     def _come_to_rest(self) -> None:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
-        before, self.latest, self._failed = self.latest, None, ""
+        before, self._failed = self._done.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
-        self._form.footer.warn("")
-        self._form.footer.tell("")
+        self._describe()
         self._tell()
 
     def _refuse(self, error: Exception) -> None:
-        self._stop(messages.in_short(error))
+        self._stop()
+        self.refused.emit(messages.in_short(error))
         # A warning goes by itself; an error would still be there beside the next good result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
         self.finished.emit(None)
 
     def _on_chip(self) -> None:
-        """Say what there is to know, and mark where tissue folds."""
+        """Say what there is to know, and mark where tissue folds, or no longer."""
         self.said.emit(self._form.footer.warning)
-        if self.latest is not None and self.latest.outputs.folds:
-            self._form.result.overlay.value = "folds"
+        overlay = self._form.result.overlay
+        if overlay.value == "folds":
+            overlay.value = NOTHING
+        elif self.latest is not None and self.latest.outputs.folds:
+            overlay.value = "folds"
 
-    def _stop(self, status: str = "") -> None:
-        """Show that nothing goes on any more, and say why if that is not seen."""
+    def _stop(self) -> None:
+        """Show that nothing goes on any more."""
         self.settling = False
         self._form.footer.stop()
         self.doing.emit("")
-        if status:
-            self.said.emit(status)

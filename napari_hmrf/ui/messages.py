@@ -27,7 +27,7 @@ PAINT = (
     "paint with its label."
 )
 CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
-MEANWHILE = "What was deformed is hidden meanwhile."
+MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 CANCELLED = "Cancelled; nothing was changed."

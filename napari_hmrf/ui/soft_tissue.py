@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,8 @@ class SoftTissue(Dock):
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
         self._taken: tuple[Landmark, ...] = ()
+        # Whether a tool was taken up by itself, and nobody has used it yet.
+        self._unused = False
         self._form = form = DockForm(
             self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
         )
@@ -183,8 +186,8 @@ class SoftTissue(Dock):
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
-        self._steps = DockSteps(self.native, form, steps, self._pointer)
         remember(viewer, form.model)
+        self._steps = DockSteps(self.native, form, steps, self._pointer)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
@@ -374,6 +377,7 @@ class SoftTissue(Dock):
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
+        self.start()
         for note in notes:
             self.say(messages.sentence_of(note))
 
@@ -408,6 +412,7 @@ class SoftTissue(Dock):
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
+        form.image.changed.connect(self._view.stand_on)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.clicked.connect(
@@ -428,6 +433,7 @@ class SoftTissue(Dock):
         for section in (form.tissue, form.motion.boundary):
             section.table.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
+        pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
         self._watch.painted.connect(self._unsaved.painted)
@@ -445,14 +451,15 @@ class SoftTissue(Dock):
         try:
             action()
         except HmrfError as error:
-            self.say(messages.in_short(error))
+            self._guide.refuse(messages.in_short(error))
             show_warning(messages.in_short(error))
 
     # What is pressed, and what is said
 
     def _on_tool(self, name: str) -> None:
         """The button of a tool takes it, and puts it down again."""
-        if self.active and self.tool == name:
+        unused, self._unused = self._unused, False
+        if self.active and self.tool == name and not unused:
             self.stop()
         else:
             self.tool = name
@@ -490,4 +497,4 @@ class SoftTissue(Dock):
 
     def _on_first(self) -> None:
         if self.docked:
-            self.start()
+            self._unused = self.start()

@@ -63,6 +63,7 @@ class ViewerWatch:
         self._results = shared(viewer, ResultLayers)
         self._pointer, self._live, self._guide = pointer, live, guide
         self._read: list[Any] = []
+        self._active = viewer.layers.selection.active
         self._fitting = single_shot(native, 50, viewer.reset_view)
         self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
@@ -228,9 +229,11 @@ class ViewerWatch:
         if is_selection_kept(self._viewer):
             self._selected.start()  # what is selected then counts
             return
+        before, self._active = self._active, self._viewer.layers.selection.active
         self._mark()
         self.look_at_mouse()
-        self._on_mode()
+        if self._active is not before:  # else a layer of ours has come beside it
+            self._on_mode()
 
     def _mark(self) -> None:
         """Mark the row that is painted with."""

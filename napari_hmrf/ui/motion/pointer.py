@@ -66,6 +66,8 @@ class Pointer:
     changed = Signal()
     #: What there is to say, in words; "": what can be done next.
     said = Signal(str)
+    #: Why what was done with a tool comes to nothing.
+    refused = Signal(str)
     #: Something new is begun: what was said of what came before is over.
     begun = Signal()
 
@@ -288,13 +290,13 @@ class Pointer:
             self.hand.release()
         except HmrfError:
             self._in_error = False
-            self.said.emit(motion_messages.NO_OUTSIDE)
+            self.refused.emit(motion_messages.NO_OUTSIDE)
             self.draw()
             return
         if held:
             mark = self.hand.mark
             if isinstance(mark, Stroke) and self.display.is_beside(mark):
-                self.said.emit(motion_messages.BESIDE)
+                self.refused.emit(motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if self.tool.name == "landmark" or pushed:  # nothing more is waited for
@@ -360,7 +362,7 @@ class Pointer:
         try:
             self.hand.change(how)
         except HmrfError as error:
-            self.said.emit(in_short(error))
+            self.refused.emit(in_short(error))
 
     def _show_error(self, seen: Seen) -> None:
         error, hand = seen.moved.error, self.hand

@@ -39,7 +39,8 @@ class UnderCursor:
         self._tissue: Any = None
         self._place: Frame | None = None
         self._materials: dict[int, Material] = {}
-        self._line = ""
+        # What napari has said last, and what was said behind it.
+        self._said, self._line = viewer.status, ""
         viewer.events.status.connect(self._on_status)
 
     def release(self) -> None:
@@ -52,12 +53,18 @@ class UnderCursor:
         Stiffness is that of labels and their table, or of an image; of neither there is none.
         """
         self._shown, self._points, self._tissue, self._place = shown, points, None, None
-        if shown is None:
-            return
-        self._tissue = tissue = tissue_of(self._viewer.layers, shown.answer)
-        if tissue is not None:
-            self._place = frame_in(tissue, shown.answer)
-            self._materials = {row.label: row for row in rows_of(tissue, TISSUE)}
+        if shown is not None:
+            self._tissue = tissue = tissue_of(self._viewer.layers, shown.answer)
+            if tissue is not None:
+                self._place = frame_in(tissue, shown.answer)
+                self._materials = {row.label: row for row in rows_of(tissue, TISSUE)}
+        self.look()
+
+    def look(self) -> None:
+        """What is seen is another, so that something else may be below a mouse that rests."""
+        cursor = self._viewer.cursor
+        cursor.events.position(value=cursor.position)  # napari reads its layers again
+        self._say()
 
     def at(self, position: Any) -> Probe | None:
         """What happens to the tissue that is seen at a point of the world; None beside it.
@@ -107,15 +114,23 @@ class UnderCursor:
         return stiffness_of(material.name, material.stiffness, unit)
 
     def _on_status(self, event: Any) -> None:
-        status = event.value
-        said = status.get("coordinates", "") if isinstance(status, dict) else str(status)
-        if self._line and said.endswith(self._line):
+        if self._line and _words(event.value).endswith(self._line):
             return  # our own addition, coming back
-        # napari tells of its layers, too, before anybody has pointed at anything.
-        pointed = self._viewer.mouse_over_canvas
+        self._said = event.value
+        self._say()
+
+    def _say(self) -> None:
+        """Say what is under the cursor behind what napari has said last."""
+        status, said = self._said, _words(self._said)
+        # napari tells of its layers, too, before anybody has pointed at anything; and says nothing
+        # when the mouse leaves, before it knows that it has left.
+        pointed = bool(said) and self._viewer.mouse_over_canvas
         self._line = line = self.line_at(self._viewer.cursor.position) if pointed else ""
-        if line:
-            joined = f"{said}  |  {line}" if said else line
-            self._viewer.status = (
-                {**status, "coordinates": joined} if isinstance(status, dict) else joined
-            )
+        joined = f"{said}  |  {line}" if line else said
+        self._viewer.status = (
+            {**status, "coordinates": joined} if isinstance(status, dict) else joined
+        )
+
+
+def _words(status: Any) -> str:
+    return str(status.get("coordinates", "") if isinstance(status, dict) else status)

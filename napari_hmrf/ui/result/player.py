@@ -9,6 +9,7 @@ from typing import Any
 
 from psygnal import Signal
 
+from napari_hmrf.field.animation import Moment
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.moving_layers import MovingLayers
@@ -37,10 +38,13 @@ class Player:
     moved : Signal(int)
         Per cent that playing has come to.
     playing_changed : Signal(bool)
+    drawn : Signal()
+        A moment is.
     """
 
     moved = Signal(int)
     playing_changed = Signal(bool)
+    drawn = Signal()
 
     def __init__(self, parent: Any, errands: Errands) -> None:
         self._errands = errands
@@ -73,10 +77,14 @@ class Player:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
             self._errands.forget("moment")
-            shown.draw(percent, moment)
+            self._draw(shown, percent, moment)
         else:
             work = partial(shown.motion.at, percent / FULL)
-            self._errands.send("moment", work, partial(shown.draw, percent))
+            self._errands.send("moment", work, partial(self._draw, shown, percent))
+
+    def _draw(self, shown: MovingLayers, percent: int, moment: Moment) -> None:
+        shown.draw(percent, moment)
+        self.drawn.emit()
 
     def _on_tick(self) -> None:
         # The slider waits for the picture: both always say the same.

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
-from qtpy.QtWidgets import QPushButton
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
 
 from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.result.reference import ReferenceChoice
@@ -15,6 +16,16 @@ from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_
 #: What is held to see the image as it was.
 BEFORE_KEY = "Shift-B"
 PLAY, PAUSE = "Play", "Pause"
+
+
+class _JumpThere(QProxyStyle):
+    """Has a slider go to where it is clicked, not a page towards it."""
+
+    def styleHint(self, hint: Any, option: Any = None, widget: Any = None, data: Any = None) -> int:
+        if hint == QStyle.StyleHint.SH_Slider_AbsoluteSetButtons:
+            left = Qt.MouseButton.LeftButton
+            return int(getattr(left, "value", left))
+        return int(super().styleHint(hint, option, widget, data))
 
 
 class ResultForm(Container):
@@ -28,6 +39,8 @@ class ResultForm(Container):
             tooltip="How much of the displacement the tissue has moved by: 0 % is the image as it "
             "was, 100 % the result",
         )
+        self._style = _JumpThere()  # Qt keeps no reference to it
+        self.slider.native.findChild(QSlider).setStyle(self._style)
         self.play = PushButton(text=PLAY, tooltip="Go back and forth between 0 and 100 %")
         self.before = PushButton(
             text="Hold: before",

@@ -22,6 +22,7 @@ from napari_hmrf.layers.result_lookup import (
     can_be_source,
     result_of,
     slices_apart,
+    source_of,
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
@@ -70,7 +71,7 @@ class ResultView:
         self.more = ResultMenu(form.more, viewer, lambda: self.shown, self.said.emit)
         self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
-        form.overlay.changed.connect(lambda _: self._lay_over(chosen=True))
+        form.overlay.changed.connect(self._on_chosen)
         form.reference.changed.connect(self._on_reference)
         form.arrows.changed.connect(self._on_ticked)
         form.play.changed.connect(self._on_play)
@@ -78,6 +79,7 @@ class ResultView:
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
         form.before.native.released.connect(partial(setattr, self, "before", False))
         self.player.moved.connect(self._on_moved)
+        self.player.drawn.connect(self.cursor.look)
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
@@ -124,6 +126,15 @@ class ResultView:
         self._look_at(arrows)
 
     # What can be done
+
+    def stand_on(self, image: Any) -> None:
+        """Look at the result of an image, if what is looked at is another's; at none without."""
+        shown, layers = self.shown, self._viewer.layers
+        if image is None or (shown is not None and shown.source in (None, image)):
+            return
+        held = ((layer, result_of(layer)) for layer in reversed(layers))
+        own = (each for each, of in held if of is not None and source_of(layers, of) is image)
+        self._look_at(next(own, None))
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
@@ -255,6 +266,10 @@ class ResultView:
             with self._form.arrows.changed.blocked():
                 self._form.arrows.value = self.shown.layers.wants("arrows")
 
+    def _on_chosen(self, *_: Any) -> None:
+        self.before = False
+        self._lay_over(chosen=True)
+
     def _on_ticked(self, drawn: bool) -> None:
         if self.shown is not None:
             self.shown.layers.want("arrows", drawn)
@@ -304,11 +319,13 @@ class ResultView:
             self.said.emit(words.LACKING[name])
         if self._form.slider.value != words.FULL:
             self.player.show(self._form.slider.value)
+        self.cursor.look()
 
     # How much is seen
 
     def _can_move(self) -> bool:
-        """Have a layer that can be moved; whether there is one, or else why not is said."""
+        """Have a layer that can be moved be seen; whether there is one, else why not is said."""
+        self.before = False
         if self.shown is None:
             self.said.emit(words.NO_RESULT)
         elif not self.shown.ready():

@@ -1,0 +1,209 @@
+"""What somebody does who sees the dock for the first time, by the mouse, is what they meant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import dock_in, quick
+from napari.components import ViewerModel
+from patience import LONG_MS
+from qtpy.QtCore import QPoint, Qt
+from qtpy.QtTest import QTest
+from screen import Screen
+
+from napari_hmrf.ui.soft_tissue import SoftTissue
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+@pytest.fixture
+def click(at_rest):
+    """Click a button of a dock, in its middle."""
+
+    def clicked(widget, words):
+        QTest.mouseClick(Screen(widget).button(words), LEFT)
+        at_rest.pass_through()
+
+    return clicked
+
+
+@pytest.fixture
+def deformed(make_napari_viewer, small_sample, run, settle):
+    """A window with the dock and a result: gel, held left, pushed 3 px right at the right."""
+    viewer = make_napari_viewer(show=True)
+    small_sample(viewer)
+    widget = quick(dock_in(viewer))
+    run(widget)
+    settle(widget)
+    return viewer, widget
+
+
+def groove(widget, part):
+    """Where the slider's groove is clicked to have so much of the deformation."""
+    slider = Screen(widget).slider
+    return slider, QPoint(round(part * (slider.width() - 1)), slider.height() // 2)
+
+
+def slide(widget, part):
+    slider, place = groove(widget, part)
+    QTest.mouseClick(slider, LEFT, Qt.KeyboardModifier.NoModifier, place)
+
+
+def test_pull_stays_in_the_hand_of_who_presses_it_after_it_was_taken_up_by_itself(
+    open_window, settle, click
+):
+    widget = open_window()[1]
+    settle(widget)
+    assert widget.active
+    click(widget, "Pull")
+    assert widget.active, "the message said to press it"
+    click(widget, "Pull")
+    assert not widget.active, "and once more puts it down"
+
+
+def test_pull_that_was_used_is_put_down_by_the_first_press(open_window, settle, click):
+    person, widget = open_window()
+    settle(widget)
+    person.drag((30, 30), (30, 36))
+    click(widget, "Pull")
+    assert not widget.active
+
+
+def test_whoever_asks_for_a_result_behind_paint_sees_it(deformed, settle, click):
+    viewer, widget = deformed
+    screen, moved = Screen(widget), viewer.layers["MR deformed"]
+    asked = {
+        "slider": lambda: slide(widget, 0.5),
+        "play": lambda: click(widget, "Play"),
+        "overlay": lambda: screen.choose("grid"),
+    }
+    for what, ask in asked.items():
+        screen.click_row("gel")
+        screen.cell("gel", "Stiffness").write("nonsense")
+        assert not moved.visible, "paint is put on the image as it was"
+        ask()
+        widget.pause()
+        settle(widget)
+        assert moved.visible, what
+
+
+def test_a_click_in_the_groove_of_the_slider_moves_it_there(deformed, settle):
+    _, widget = deformed
+    for part in (0.25, 0.75):
+        slide(widget, part)
+        settle(widget)
+        assert widget.percent == pytest.approx(100 * part, abs=4)
+
+
+def test_what_is_read_of_the_cursor_follows_what_is_seen(widget, small_sample, settle, run):
+    viewer = widget._viewer
+    small_sample(viewer)
+    widget.settings = replace(widget.settings, sweeps=60)
+    run(widget)
+    settle(widget)
+    viewer.mouse_over_canvas = True
+    viewer.cursor.position = (10, 12)
+    assert "Jacobian" in str(viewer.status)
+    slide(widget, 0.5)
+    settle(widget)
+    assert "at 100 %: moves" in str(viewer.status)
+    widget.rules = (widget.rules[0], replace(widget.rules[1], vector=(0.0, 0.0)))
+    run(widget)
+    settle(widget)
+    assert "moves 0 px" in str(viewer.status)
+    widget.undo()
+    run(widget)
+    settle(widget)
+    assert " right)" in str(viewer.status)
+    viewer.status = ""  # as napari does when the mouse leaves the canvas, before it knows it has
+    viewer.mouse_over_canvas = False
+    assert not viewer.status, "of the place the mouse has left there is nothing to say"
+    slide(widget, 0.5)
+    settle(widget)
+    assert not viewer.status
+
+
+def test_of_another_image_no_result_is_told_until_it_is_chosen_again(deformed, settle):
+    viewer, widget = deformed
+    screen = Screen(widget)
+    assert "tissue moved up to 3" in screen.words
+    other = viewer.add_image(np.full((30, 30), 9.0), name="other")
+    widget.image = other
+    settle(widget)
+    assert "moved up to" not in screen.words
+    assert widget.result is None
+    assert widget.solution is None
+    widget.image = viewer.layers["MR"]
+    settle(widget)
+    assert "100 %: tissue moved up to 3" in screen.words
+    assert widget.result is viewer.layers["MR arrows"]
+    assert widget.solution is not None
+
+
+def test_a_model_and_tissue_by_brightness_are_undone_step_by_step(widget, small_sample):
+    viewer = widget._viewer
+    _, tissue, _ = small_sample(viewer)
+    widget.settings = replace(widget.settings, sweeps=7)
+    whole = widget.settings
+    widget.model = "elastic"
+    widget.tissue_from_intensity()
+    widget.plane = "strain"
+    widget.model = "paper"
+    assert widget.settings != whole
+    widget.undo()
+    assert (widget.model, widget.plane, widget.curve is None) == ("elastic", "strain", False)
+    widget.undo()
+    assert (widget.plane, widget.curve is None) == ("stress", False)
+    widget.undo()
+    assert (widget.tissue, widget.curve) == (tissue, None)
+    for _ in range(3):
+        widget.redo()
+    assert (widget.model, widget.plane, widget.tissue) == ("paper", "strain", "brightness")
+    widget.undo()
+    assert widget.model == "elastic"
+
+
+def test_landmarks_that_are_taken_are_seen_at_once(open_window, settle, click):
+    person, widget = open_window()
+    widget.stop()
+    person.viewer.layers.remove("Motion")
+    settle(widget)
+    person.viewer.add_points([[20, 20]], name="is")
+    person.viewer.add_points([[20, 24]], name="ought")
+    widget._form.motion.boundary.landmarks.where.value = person.viewer.layers["is"]
+    click(widget, "Take as landmarks")
+    settle(widget)
+    assert len(person.viewer.layers["Motion"].data)
+
+
+def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, settle, click):
+    viewer, widget = deformed
+    widget.rules = (widget.rules[0], replace(widget.rules[1], vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    run(widget)
+    click(widget, "\u26a0")
+    settle(widget)
+    assert viewer.layers["MR folds"].visible
+    click(widget, "\u26a0")
+    settle(widget)
+    assert "MR folds" not in viewer.layers
+    assert widget.overlay == "nothing"
+
+
+def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, busy_thread, qtbot):
+    viewer = ViewerModel()
+    widget = SoftTissue(viewer)
+    qtbot.addWidget(widget.native)
+    small_sample(viewer)
+    quick(widget).live = True
+    widget.materials = (*widget.materials[:1], replace(widget.materials[1], stiffness=30.0))
+    qtbot.waitUntil(lambda: widget.status.startswith("Following"), timeout=LONG_MS)
+    Screen(widget).cell("gel", "Stiffness").write("nonsense")
+    said = widget.status
+    assert said == "Stiffness must be a number, 0 or more, or 'rigid'; kept 30."
+    busy_thread.set()
+    settle(widget)
+    assert widget.status == said, "whatever comes of what was done before"
+    Screen(widget).cell("gel", "Stiffness").write("40")
+    settle(widget)
+    assert widget.status.startswith("Tissue moved")
