@@ -112,9 +112,9 @@ def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
     assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
         "MR",
         "MR deformed",
-        "MR displacement (px)",
         "Tissue",
         "Boundary",
+        "MR displacement (px)",
         "MR arrows",
     ]
     with pytest.raises(
@@ -450,7 +450,7 @@ def test_settings_become_prior_and_optimizer(widget):
     assert chosen.prior == SeilerPrior(penalty=500, conditional="blanket")
     assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
     assert widget.settings.device == "cpu"
-    assert "Stiff-soft borders lock" in chosen.in_detail["reading"].tooltip
+    assert "Borders of stiff and soft tissue hardly move" in chosen.in_detail["reading"].tooltip
     for words in ("candidate steps", "never early", "OpenGL, fragment"):
         Screen(widget).choose(words)
     assert chosen.optimizer == ICM(12)
