@@ -153,7 +153,7 @@ def field_layer(
     starts = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(shape))
     arrows = np.stack([starts, pixels[tuple(starts.T)]], axis=1).astype(np.float32)
     known = {"field": pixels, **({} if role is None else {"role": role})}
-    look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": max(1.0, step / 8)}
+    look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": step / 8}
     return LayerData(
         arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"
     )
