@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.ui.comparison_form import ComparisonForm
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
@@ -41,6 +42,8 @@ class DockForm:
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
+    comparison : ComparisonForm
+        Within `result`.
     model : ModelForm
     footer : Footer
     """
@@ -63,6 +66,8 @@ class DockForm:
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
         self.result = ResultForm()
+        self.comparison = ComparisonForm(layers, self.image)
+        self.result.append(self.comparison)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
