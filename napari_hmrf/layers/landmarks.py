@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -64,6 +64,43 @@ def read_landmarks(
         Naming the layer: if the layers do not hold as many points, or none, or a shape is no line,
         or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
+    pairs = landmark_pairs(where, should, frame, shape, view)
+    what = "line" if isinstance(where, Shapes) else "point"
+    target = where if should is None else should
+    beyond = [
+        f"{what} {number} of '{target.name}' {'ends' if what == 'line' else 'lies'} outside "
+        "the image"
+        for number in pairs.numbers[_outside(pairs.to, shape)]
+    ]
+    radii = _radii(pairs.at, radius, frame, shape)
+    with naming(observed=where, confidence=where):
+        marks = tuple(
+            Landmark((a[0], a[1]), (b[0], b[1]), size, confidence)
+            for a, b, size in zip(pairs.at.tolist(), pairs.to.tolist(), radii, strict=True)
+        )
+    return marks, tuple(beyond[:1])
+
+
+class LandmarkPairs(NamedTuple):
+    """Landmarks of a slice.
+
+    Attributes
+    ----------
+    numbers : ndarray of int
+        Which of their layer they are.
+    at, to : ndarray, shape (N, 2)
+        Where things are and should be, in pixels of the slice.
+    """
+
+    numbers: npt.NDArray[np.intp]
+    at: FloatArray
+    to: FloatArray
+
+
+def landmark_pairs(
+    where: Any, should: Any, frame: Frame, shape: tuple[int, int], view: View | None = None
+) -> LandmarkPairs:
+    """Find the pairs on a slice; arguments and errors are those of `read_landmarks`."""
     what: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
     begins, ends = _ends_of_lines(where) if what == "line" else _paired(where, should)
     should = where if what == "line" else should
@@ -93,18 +130,7 @@ def read_landmarks(
             "the image. Move it, or remove it.",
         )
     _refuse_contradiction(where, at, to, numbers)
-    beyond = [
-        f"{what} {number} of '{should.name}' {'ends' if what == 'line' else 'lies'} outside "
-        "the image"
-        for number in numbers[_outside(to, shape)]
-    ]
-    radii = _radii(at, radius, frame, shape)
-    with naming(observed=where, confidence=where):
-        marks = tuple(
-            Landmark((a[0], a[1]), (b[0], b[1]), size, confidence)
-            for a, b, size in zip(at.tolist(), to.tolist(), radii, strict=True)
-        )
-    return marks, tuple(beyond[:1])
+    return LandmarkPairs(numbers, at, to)
 
 
 def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:

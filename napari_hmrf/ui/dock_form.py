@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QComboBox, QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.ui.comparison_form import ComparisonForm
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, WholeEntries, row
@@ -46,6 +47,8 @@ class DockForm:
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
+    comparison : ComparisonForm
+        Within `result`.
     model : ModelForm
     footer : Footer
     """
@@ -68,6 +71,8 @@ class DockForm:
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
         self.result = ResultForm(layers)
+        self.comparison = ComparisonForm(layers, self.image)
+        self.result.append(self.comparison)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")

@@ -30,6 +30,7 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
+from napari_hmrf.ui.comparison import Comparison
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part
@@ -128,6 +129,10 @@ class SoftTissue(Dock):
     ask : callable
         Asked, before a window closes, what to do with that: given the question, it answers "save",
         "discard" or "cancel"; by default a person does.
+    compare_with : napari.layers.Image or None
+        A second image that is seen over the one that moves.
+    residual : str
+        How far landmarks are from where they should be, in words.
     sides : Sides
         The letters at the top, bottom, left and right of the canvas that say which side of the
         patient lies there, of images that say so themselves: "R", "L", "A", "P", "S", "I" or "".
@@ -163,6 +168,8 @@ class SoftTissue(Dock):
     saved = Part[Any]("_view.saved")
     unsaved = Part[bool]("_unsaved.there")
     ask = Part[Any]("_unsaved.ask")
+    compare_with = Part[Any]("_form.comparison.other.value")
+    residual = Part[str]("_form.comparison.line.value")
     sides = Part[Sides]("_sides.shown")
     live = Part[bool]("_form.footer.live.on")
     status = Part[str]("_guide.shown")
@@ -192,6 +199,7 @@ class SoftTissue(Dock):
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
+        self._comparison = Comparison(viewer, form, self._view, self._live_study)
         self._sides = PatientSides(self.native, viewer)
         self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study)
         self._connect()
@@ -489,7 +497,16 @@ class SoftTissue(Dock):
             self._pointer.leave()
             self._view.rest()
         watch, live, guide = self._watch, self._live_study, self._guide
-        parts = (self._unsaved, self._sides, watch, guide, live, self._view, self._steps)
+        parts = (
+            self._comparison,
+            self._unsaved,
+            self._sides,
+            watch,
+            guide,
+            live,
+            self._view,
+            self._steps,
+        )
         for part in (*parts, self._form):
             part.release()
         self._pointer.end()
