@@ -12,7 +12,6 @@ from qtpy.QtWidgets import QComboBox, QFrame, QSizePolicy
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.ui.comparison_form import ComparisonForm
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, WholeEntries, row
@@ -21,6 +20,7 @@ from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
+from napari_hmrf.ui.second_image_form import SecondImageForm
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
@@ -47,7 +47,7 @@ class DockForm:
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
-    comparison : ComparisonForm
+    second : SecondImageForm
         Within `result`.
     model : ModelForm
     footer : Footer
@@ -71,8 +71,8 @@ class DockForm:
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
         self.result = ResultForm(layers)
-        self.comparison = ComparisonForm(layers, self.image)
-        self.result.append(self.comparison)
+        self.second = SecondImageForm(layers, self.image)
+        self.result.append(self.second)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")

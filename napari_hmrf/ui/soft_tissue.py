@@ -30,7 +30,6 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
-from napari_hmrf.ui.comparison import Comparison
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part
@@ -43,6 +42,7 @@ from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.result_view import ResultView
+from napari_hmrf.ui.second_image import SecondImage
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.unsaved import Unsaved
 from napari_hmrf.ui.viewer_dock import Dock
@@ -70,7 +70,7 @@ class SoftTissue(Dock):
         tissue is what the image shows.
     boundary : napari.layers.Labels, Vectors or None
         Labels of what holds and moves, or observed displacements.
-    confidence : napari.layers.Image or None
+    confidence : napari.layers.Image, Labels, "edges" or None
         Of Vectors as boundary; without, 1 everywhere.
     materials, rules : tuple of Material, tuple of BoundaryRule
         How stiff each tissue label is, and what each boundary label does.
@@ -79,8 +79,6 @@ class SoftTissue(Dock):
     hold_edge, without_border : bool
         Whether the outer edge of the tissue stays where it is, and whether what is dark around the
         image and unpainted is no tissue.
-    fields : ToolFields
-        How the tools draw.
     model, plane : str
         What tissue is taken to be: "elastic", "paper" or "paper, converged"; and of what is
         elastic "stress" or "strain". The paper's brings its own numbers into `settings`.
@@ -88,8 +86,8 @@ class SoftTissue(Dock):
         Of elastic tissue that is an image of stiffness; labels have it in `materials`.
     settings : SolverDetails
         How to solve, in detail: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`.
-    history : History
-        The drawing of the slice that is shown, and its steps.
+    fields, history : ToolFields, History
+        How the tools draw; and the drawing of the slice that is shown, with its steps.
     active, playing : bool
         Whether the mouse draws, and whether the deformation goes back and forth by itself.
     result : napari.layers.Vectors or None
@@ -97,20 +95,14 @@ class SoftTissue(Dock):
         selected since; to be set, too.
     percent : int
         How much of the deformation is seen, from 0 to 100.
-    before : bool
-        Whether the image is seen as it was, and nothing of the result.
-    arrows : bool
-        Whether arrows are drawn.
+    before, arrows : bool
+        Whether the image is seen as it was, without its result; and whether arrows are drawn.
     overlay : str
-        What lies over the image: "nothing"; moving with the tissue "magnitude", "jacobian",
-        "equivalent", "stretch", "squeeze", "rows", "columns", "shear" (`Quantity`), "grid",
-        "labels", the tissue's, "difference" from the reference, and what was given, "stiffness" and
-        "confidence"; and where tissue was before it moved "folds" and "observed", the motion that
-        was given.
-    reference : napari.layers.Vectors or None
-        A field or another result that the result is compared with.
-    comparison : Comparison or None
-        How far the result is from that, once it is computed.
+        What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
+        "difference" (from the reference), "stiffness" or "confidence"; where it was, "folds" or
+        "observed".
+    reference, comparison : napari.layers.Vectors or None, Comparison or None
+        A field or another result, and how far this one is from it, once that is computed.
     more : ResultMenu
         Measures the result, saves its field and a film, and moves other layers along.
     live : bool
@@ -118,26 +110,18 @@ class SoftTissue(Dock):
     status, invitation, warning : str
         The sentence at the bottom, what can be done next, and what is to be known of the tissue
         that is seen.
-    seen : Signal(Deformation)
-        Emitted with every new state of the tissue.
-    followed : Signal(Outputs)
-        Emitted when tissue has come to rest, and all layers of the result are drawn.
-    finished : Signal(object)
-        Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed.
-    unsaved : bool
-        Whether something was painted or drawn that no file holds.
-    ask : callable
-        Asked, before a window closes, what to do with that: given the question, it answers "save",
-        "discard" or "cancel"; by default a person does.
-    compare_with : napari.layers.Image or None
-        A second image that is seen over the one that moves.
-    residual : str
-        How far landmarks are from where they should be, in words.
+    seen, followed : Signal(Deformation), Signal(Outputs)
+        Emitted with every new state of the tissue, and when it is at rest and all layers are drawn.
+    finished, saved : Signal(object)
+        Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed; and when
+        pictures are written: a list of `Path`.
+    unsaved, ask : bool, callable
+        Whether something was done that no file holds; and who answers "save", "discard" or
+        "cancel" before a window closes on that: by default a person.
+    compare_with, residual : napari.layers.Image or None, str
+        A second image over the one that moves, and how far landmarks are from where they belong.
     sides : Sides
-        The letters at the top, bottom, left and right of the canvas that say which side of the
-        patient lies there, of images that say so themselves: "R", "L", "A", "P", "S", "I" or "".
-    saved : Signal(object)
-        Emitted when pictures are written: a list of `Path`.
+        Which side of the patient lies at each edge of the canvas, where an image knows: "R", say.
     """
 
     image = Part[Any]("_form.image.value")
@@ -168,8 +152,8 @@ class SoftTissue(Dock):
     saved = Part[Any]("_view.saved")
     unsaved = Part[bool]("_unsaved.there")
     ask = Part[Any]("_unsaved.ask")
-    compare_with = Part[Any]("_form.comparison.other.value")
-    residual = Part[str]("_form.comparison.line.value")
+    compare_with = Part[Any]("_form.second.other.value")
+    residual = Part[str]("_form.second.line.value")
     sides = Part[Sides]("_sides.shown")
     live = Part[bool]("_form.footer.live.on")
     status = Part[str]("_guide.shown")
@@ -199,7 +183,7 @@ class SoftTissue(Dock):
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
-        self._comparison = Comparison(viewer, form, self._view, self._live_study)
+        self._second = SecondImage(viewer, form, self._view, self._live_study)
         self._sides = PatientSides(self.native, viewer)
         self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study)
         self._connect()
@@ -498,7 +482,7 @@ class SoftTissue(Dock):
             self._view.rest()
         watch, live, guide = self._watch, self._live_study, self._guide
         parts = (
-            self._comparison,
+            self._second,
             self._unsaved,
             self._sides,
             watch,

@@ -11,18 +11,18 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.layers.landmarks import landmark_pairs
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.drawing import Landmark
-from napari_hmrf.ui.comparison_form import ComparisonForm
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.landmark_choice import LandmarkChoice
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.result.result_view import ResultView
+from napari_hmrf.ui.second_image_form import SecondImageForm
 
 #: Where both images are alike they make grey.
 _MOVED = {"colormap": "magenta"}
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
 
 
-class Comparison:
+class SecondImage:
     """Has two images be seen at once, and measures landmarks whenever tissue has come to rest.
 
     Parameters
@@ -37,7 +37,7 @@ class Comparison:
 
     def __init__(self, viewer: Any, form: Any, view: ResultView, live: LiveStudy) -> None:
         self._viewer, self._view, self._live = viewer, view, live
-        self._form: ComparisonForm = form.comparison
+        self._form: SecondImageForm = form.second
         self._pair: LandmarkChoice = form.motion.boundary.landmarks
         self._before: list[tuple[Any, dict[str, Any]]] = []
         self._other: Any = None

@@ -11,7 +11,7 @@ from napari_hmrf.ui.forms import Prose
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 
 
-class ComparisonForm(Container):
+class SecondImageForm(Container):
     """Which image lies over the one that moves; there only where there are two.
 
     Parameters
