@@ -93,10 +93,9 @@ class SoftTissue(Dock):
     result : napari.layers.Vectors or None
         The arrows that hold the result that is looked at: the newest, or one whose arrows were
         selected since; to be set, too.
-    percent : int
-        How much of the deformation is seen, from 0 to 100.
-    before, arrows : bool
-        Whether the image is seen as it was, without its result; and whether arrows are drawn.
+    percent, before, arrows : int, bool, bool
+        How much of the deformation is seen, from 0 to 100; whether the image is, as it was, without
+        its result; and whether arrows are drawn.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
         "difference" (from the reference), "stiffness" or "confidence"; where it was, "folds" or
