@@ -163,7 +163,10 @@ class Unsaved(QObject):
 
     def may_close(self) -> bool:
         """Ask what to do with what no file holds; whether nothing of it is wanted any more."""
-        names = [f"'{slot.layer.name}' {_slice(slot)}".strip() for slot in self._work.slices]
+        names = [
+            f"'{slot.layer.name}'" + (f" ({_slice(slot)})" if _slice(slot) else "")
+            for slot in self._work.slices
+        ]
         answer = self.ask(
             f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
         )
