@@ -27,6 +27,8 @@ DRAWING = "drawing"
 CURVE = "curve"
 #: And that with what says so: a layer, or its brightness.
 CHOICE = "choice"
+#: And that of a viewer with what tissue is taken to be.
+MODEL = "model"
 
 
 @dataclass(frozen=True)

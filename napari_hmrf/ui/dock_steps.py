@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, Owner, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
@@ -15,7 +15,7 @@ from napari_hmrf.ui.messages import WELCOME
 from napari_hmrf.ui.tissue_form import BRIGHTNESS
 
 #: Of the viewer, and no layer.
-_THE_MODEL = Slot("model", "")
+_THE_MODEL = Slot(MODEL, "")
 
 
 class DockSteps:

@@ -29,7 +29,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import SUFFIX, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
-from napari_hmrf.layers.edit_history import DRAWING, Slot, steps_of
+from napari_hmrf.layers.edit_history import CHOICE, DRAWING, MODEL, Slot, steps_of
 from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study import Study
@@ -117,6 +117,8 @@ class Unsaved(QObject):
             self._resting.start()
 
     def _on_edited(self, slot: Slot, _: Any, before: Any) -> None:
+        if slot.what in (CHOICE, MODEL):
+            return  # made again in a moment
         edits = self._steps.edits
         here = slot if slot.what == DRAWING else self._pointer.history.slot
         by_hand = edits.next_undo or edits.next_redo or edits.in_progress
