@@ -5,7 +5,8 @@
 Each version is read in a process of its own, so that the memory of SimpleITK counts and a crash is
 seen. Half of the flips are in the file's beginning, where it says what it holds. Exits with 1 if a
 field that was cut was read as another, an error was none of this package's, or one took more than
-2 s or 100 MB. Flips in numbers that no checksum covers cannot be told, and count as read.
+2 s of the processor or 100 MB. Flips in numbers that no checksum covers cannot be told, and count
+as read.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def look(path: Path, read: Callable[[Path], object], original: object = None) ->
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     import resource  # of POSIX alone
 
-    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     code = _FAILED
     try:
         code = _SAME if read(path) == original else _READ
@@ -71,7 +72,7 @@ def look(path: Path, read: Callable[[Path], object], original: object = None) ->
         code = _REFUSED
     finally:
         grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
-        code = _SLOW if time.perf_counter() - started > MOST_SECONDS else code
+        code = _SLOW if time.process_time() - started > MOST_SECONDS else code
         os._exit(_LARGE if grown > MOST_BYTES else code)
 
 

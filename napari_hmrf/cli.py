@@ -148,6 +148,14 @@ def _add_file_commands(commands: Any) -> None:
     solve.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
     solve.add_argument("--labels", type=Path, help="an image of tissue labels")
     solve.add_argument(
+        "--maps",
+        type=Path,
+        nargs="+",
+        default=(),
+        metavar="MAP",
+        help="instead: how likely tissue 1, 2 ... is, an image for each",
+    )
+    solve.add_argument(
         "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson"
     )
     solve.add_argument(
@@ -279,6 +287,7 @@ def _solve(options: argparse.Namespace) -> int:
         image=options.image,
         labels=options.labels,
         materials=options.materials,
+        maps=options.maps,
         boundary=options.boundary,
         rules=options.rules,
         confidence=sure if sure in (None, "edges") else Path(sure),

@@ -11,9 +11,10 @@ from napari_hmrf.field.inverse_field import inverse_displacement
 ants = pytest.importorskip("ants")
 
 
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5"])
 @pytest.mark.parametrize("name", PLACES)
-def test_ants_moves_an_image_as_the_tissue_moves(name, tmp_path):
-    case, path = Case(name), tmp_path / "field.nii.gz"
+def test_ants_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
+    case, path = Case(name), tmp_path / f"field{suffix}"
     case.write(path)
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
     for axis in range(case.n):

@@ -1,7 +1,9 @@
 """A case is solved from files in the shell, as it would be from arrays."""
 
+import os
 from dataclasses import replace
 
+import mri
 import numpy as np
 import pytest
 
@@ -138,6 +140,40 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
     assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"
+
+
+def test_maps_of_how_likely_tissues_are_say_where_they_are(files):
+    folder, *_ = files
+    maps = np.zeros((2, 3, *SHAPE), np.uint8)
+    maps[0, :, :20], maps[1, :, 15:] = 200, 255
+    maps[0, :, :, :5] = 90  # less likely than not
+    paths = [folder / "gm.nii.gz", folder / "wm.nii.gz"]
+    for path, values in zip(paths, maps, strict=True):
+        save_image(path, ImageFile(values, PLACE))
+    labels = read_case(case(folder, maps=paths, hold_edge=True)).tissue.labels
+    assert set(np.unique(labels[:15, 5:])) == {1}
+    assert set(np.unique(labels[15:])) == {2}
+    assert set(np.unique(labels[:15, :5])) == {0}
+
+
+def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_path, capsys):
+    """A stand-in for the MRI of `python benchmarks/mri.py`, with its rows from back to front."""
+    rows, cols = np.indices((90, 80))
+    share = np.hypot((rows - 45) / 36, (cols - 40) / 30)
+    planes = [share < 1, (share < 0.75) & (abs(cols - 40) > 3)]
+    grey, white = planes[0] & ~planes[1], planes[1]
+    place = Place((2.0, 1.0, 1.0), (39.0, 44.0, -10.0), np.diag([-1.0, -1.0, 1.0]))
+    t1 = 90.0 * grey + 150 * white + 20 * np.sin(rows / 3) * planes[0]
+    for name, values in (("t1", t1), ("gm", 255 * grey), ("wm", 255 * white)):
+        volume = np.stack([values] * 3).clip(0, 255).astype(np.uint8)
+        save_image(tmp_path / f"{name}.nii.gz", ImageFile(volume, place))
+    out = tmp_path / "out"
+    assert mri.main([str(tmp_path), "--slice", "1", "--size", "8", "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "other slices change by at most 0\n" in said
+    assert "bit by bit the same field" in said
+    assert "moved by up to 3.00 mm" in said
+    assert {"t1.study", "field.mha", "measured.csv", "tumour.png"} <= set(os.listdir(out))
 
 
 def test_landmarks_lead_tissue_where_the_patient_has_them(files):

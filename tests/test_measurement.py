@@ -117,7 +117,8 @@ def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
 
 
 def test_a_film_is_one_for_all_that_play_films(solved, tmp_path):
-    pytest.importorskip("imageio_ffmpeg")
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     study, solution = load_study(solved)
     path = save_moving_picture(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
     assert b"ftyp" in path.read_bytes()[:12]
+    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, "there and back"

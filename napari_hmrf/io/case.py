@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -48,6 +49,9 @@ class Case:
         An image, or a study's file, which needs nothing else.
     labels, materials : Path, optional
         An image of tissue labels and a table of materials, .csv or .json.
+    maps : sequence of Path
+        Instead of `labels`: how likely each tissue is, an image for each. Where one of them is more
+        likely than not, its place in this list, from 1 on, is the label.
     boundary : Path, optional
         How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
         or a displacement field, such as a registration's.
@@ -66,6 +70,7 @@ class Case:
     image: Path
     labels: Path | None = None
     materials: Path | None = None
+    maps: Sequence[Path] = ()
     boundary: Path | None = None
     rules: Path | None = None
     confidence: Path | Literal["edges"] | None = None
@@ -92,6 +97,8 @@ def read_case(case: Case) -> Study:
     grid = _grid(shape, whole, case)
     materials = () if case.materials is None else _materials(case.materials)
     labels = None if case.labels is None else _pixels(case, case.labels, shape, whole=True)
+    if case.maps:
+        labels = _most_likely([_pixels(case, each, shape) for each in case.maps])
     motion = replace(_motion(case, grid, place, image.pixels), hold_edge=case.hold_edge)
     return Study(
         grid,
@@ -219,6 +226,14 @@ def _pixels(
     if whole and pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
     return pixels
+
+
+def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
+    """The labels of tissues that are more likely than not; 0 where none is."""
+    likely = np.stack(maps).astype(float)
+    sure = max(1.0, float(likely.max()))  # 1, 100 or 255, as tools have it
+    found = np.where(likely.max(axis=0) > sure / 2, 1 + likely.argmax(axis=0), 0)
+    return found.astype(np.uint8)
 
 
 def _motion(case: Case, grid: Grid, place: Place | None, image: npt.NDArray[Any]) -> Motion:
