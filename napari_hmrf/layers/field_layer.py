@@ -11,11 +11,12 @@ import numpy.typing as npt
 from napari.utils.notifications import show_info
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.moved_points import looked_up
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.solver.problem import grid_in_words
 
 Array = npt.NDArray[Any]
@@ -112,7 +113,7 @@ def field_of(layer: Any) -> LayerField | None:
     """The field that a layer holds; None if it holds none."""
     if not holds_field(layer):
         return None
-    known, frame = known_of(layer), Frame.of(layer)
+    known, frame = known_of(layer), frame_of(layer)
     if "field" in known:
         return LayerField(known["field"], frame)
     answer: Answer = known["answer"]

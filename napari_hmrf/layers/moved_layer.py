@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Image, Labels, Points, Shapes
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.other_grid import OtherGrid
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Answer, LayerData
-from napari_hmrf.layers.slice_view import unit_factor
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.layer_names import LayerError, full_resolution
 
 Array = npt.NDArray[Any]
@@ -60,7 +61,7 @@ def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
 
 def _grid_of(layer: Any, answer: Answer) -> OtherGrid:
     """The grid of a layer, as it lies on the tissue of a result."""
-    own, frame = Frame.of(layer), answer.frame
+    own, frame = frame_of(layer), answer.frame
     more = own.ndim - frame.ndim
     plane = [axis + more for axis in frame.plane]
     if min(plane) < 0:

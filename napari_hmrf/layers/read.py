@@ -10,12 +10,13 @@ import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_of, holds_field
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
 from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, unit_symbol
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import LayerError, Named, naming
@@ -123,12 +124,12 @@ class _Reader:
         self._request = request
         self._copies = copies
         self._reference = reference = request.layers[0]
-        self._frame = Frame.of(reference, request.view)
+        self._frame = frame_of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
         self._of_arrows: tuple[str, ...] = ()
         self._multiscale = any(layer.multiscale for layer in request.layers)
         self._frames = {
-            id(layer): self._frame if layer is reference else Frame.of(layer, request.view)
+            id(layer): self._frame if layer is reference else frame_of(layer, request.view)
             for layer in request.layers
         }
 
