@@ -228,19 +228,11 @@ class Frame:
 
         Layers of fewer dimensions lie on every slice: only the axes that both have are compared.
         """
-        shared = min(self.ndim, other.ndim)
-        mine, theirs = self._corners(shape)[:, -shared:], other._corners(shape)[:, -shared:]
-        factors = [
-            unit_factor(unit, to)
-            for unit, to in zip(other.units[-shared:], self.units[-shared:], strict=True)
-        ]
-        if not np.isfinite(factors).all():
+        to = self.from_pixels_of(other)
+        if to is None:
             return False
-        # In pixels, axis by axis: a length in the world says nothing of the pixels of all axes.
-        apart = np.zeros((len(mine), self.ndim))
-        apart[:, -shared:] = theirs * factors - mine
-        pixels = apart @ np.linalg.inv(np.array(self.matrix)[:-1, :-1]).T
-        return bool(np.abs(pixels).max() <= _TOLERANCE)
+        apart = other._corners(shape) @ to.T - self._corners(shape)[:, :-1]
+        return bool(np.abs(apart).max() <= _TOLERANCE)
 
     def from_pixels_of(
         self, other: Frame, axes: Iterable[int] | None = None
@@ -276,11 +268,11 @@ class Frame:
         return found
 
     def _corners(self, shape: tuple[int, int]) -> npt.NDArray[np.float64]:
+        """Those of a slice of that shape, in homogeneous pixels."""
         corners = np.tile(np.array([*self.index, 1.0]), (4, 1))
         corners[:, self.plane[0]] = [0, 0, shape[0], shape[0]]
         corners[:, self.plane[1]] = [0, shape[1], 0, shape[1]]
-        world: npt.NDArray[np.float64] = (corners @ np.array(self.matrix).T)[:, :-1]
-        return world
+        return corners
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types, for `Solution.frame`."""
