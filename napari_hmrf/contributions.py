@@ -171,12 +171,12 @@ def _field(path: str) -> LayerData:
     from pathlib import Path
 
     from napari_hmrf.io.apply import load_field
-    from napari_hmrf.layers.field_layer import field_layer, on_all_axes
+    from napari_hmrf.layers.field_layer import field_layer
 
     field = load_field(path)
     pixels, frame = field.displacement / field.spacing, field.place.frame()
     if pixels.shape[-1] == 2:
-        pixels = on_all_axes(pixels, frame)
+        pixels = frame.put_field(pixels)
     return field_layer(pixels, frame.placement(), Path(path).name.partition(".")[0])
 
 
@@ -207,10 +207,8 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     ValueError
         If the arrows are not a result of this package.
     """
-    from pathlib import Path
-
     from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
-    from napari_hmrf.layers.field_layer import saved_field
+    from napari_hmrf.layers.field_layer import tell_saved
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
 
@@ -223,6 +221,6 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        saved_field(Path(path).name, export_field(path, solution), tell=True)
+        tell_saved(path, export_field(path, solution))
         return [path]
     return [str(solution.save(path))]

@@ -117,7 +117,7 @@ MUTATIONS = (
         "test_landmark_boundary.py",
     ),
     Mutation(
-        "layers/read.py",
+        "field/observation.py",
         "at = np.rint(arrows[:, 0]).astype(int)",
         "at = np.ceil(arrows[:, 0]).astype(int)",
         "test_layers_inputs.py",

@@ -188,6 +188,12 @@ class Frame:
             picture = picture.swapaxes(0, 1)
         return np.ascontiguousarray(np.expand_dims(picture, self.others))
 
+    def put_field(self, steps: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Give a field (H, W, 2), in pixels of the slice, the layer's axes, and steps along all."""
+        placed = np.zeros((*steps.shape[:2], self.ndim))
+        placed[..., list(self.plane)] = steps
+        return self.put_image(placed)
+
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes.
 

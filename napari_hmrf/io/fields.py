@@ -330,6 +330,15 @@ def export_field(
     )
 
 
+def saved_field(path: str | os.PathLike[str], residual: float | None) -> str:
+    """Say which way a field that was written leads, and how good an inverse it is, if it is one."""
+    name = Path(path).name
+    if residual is None:
+        return f"Saved {name}: it says where tissue goes, which moves points."
+    worst = f"{residual:.2g} px at the worst site"
+    return f"Saved {name}: it moves images, and is an inverse to {worst}."
+
+
 def simpleitk() -> Any:
     """SimpleITK, or the error that says how to get it."""
     try:

@@ -8,11 +8,11 @@ import numpy as np
 
 from napari_hmrf.field.animation import Motion, moved_grid
 from napari_hmrf.field.colormaps import reach_of
+from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import pixels_between
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.strain import folds
 from napari_hmrf.layers.arrow_layer import spread
-from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.label_colours import (
     OBSERVED,
     OVER,

@@ -8,7 +8,7 @@ import numpy as np
 from napari.layers import Image, Labels, Layer, Vectors
 
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.field_layer import field_layer, on_all_axes
+from napari_hmrf.layers.field_layer import field_layer
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, described
 from napari_hmrf.study.study import Study
@@ -64,7 +64,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         steps = motion.observed[tuple(starts.T)] / study.grid.spacing
         known, title = {METADATA: {"role": BOUNDARY}}, name("boundary", "Observed")
         if len(starts) > _MANY:
-            pixels = on_all_axes(motion.observed / study.grid.spacing, frame)
+            pixels = frame.put_field(motion.observed / study.grid.spacing)
             made["boundary"] = Layer.create(*field_layer(pixels, place, title, BOUNDARY))
         else:
             arrows = frame.put_vectors(np.stack([starts, steps], axis=1))
