@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,14 +85,16 @@ class PixelField(NamedTuple):
 
     def _by_pixels(self, frame: Frame, shape: tuple[int, int]) -> Observation:
         own = self.displacement.shape[:-1]
-        if tuple(own) not in (shape, (1, *shape)):
+        rows, cols = (axis - frame.ndim for axis in frame.plane)
+        if (own[rows], own[cols]) != shape or math.prod(own) != math.prod(shape):
             raise ProblemError(
                 "observed",
                 f"is {grid_in_words(own)} in {self.frame.unit}, but the image "
                 f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
                 "length, or take a field on its pixels.",
             )
-        d = self.displacement[..., -2:].reshape(*shape, 2) * frame.spacing
+        rows_first = np.moveaxis(self.displacement, (rows - 1, cols - 1), (-3, -2))
+        d = rows_first.reshape(*shape, -1)[..., [rows, cols]] * frame.spacing
         return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0)
 
 

@@ -268,7 +268,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
             _GRID.validate_python({**header["grid"], "place": place}),
             Tissue(
                 labels=arrays.get("tissue_labels"),
-                materials=_materials(tissue["materials"]),
+                materials=materials_of(tissue["materials"]),
                 stiffness=arrays.get("stiffness"),
                 curve=None if curve is None else StiffnessCurve.from_dict(curve),
                 preset=None if preset is None else _preset_from_dict(preset),
@@ -316,10 +316,17 @@ def _preset_as_dict(preset: Preset) -> dict[str, Any]:
 
 
 def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
-    return Preset(**{**values, "materials": _materials(values["materials"])})
+    return Preset(**{**values, "materials": materials_of(values["materials"])})
 
 
-def _materials(rows: Any) -> tuple[Material, ...]:
+def materials_of(rows: Any) -> tuple[Material, ...]:
+    """The materials of `Material.as_row`, as files hold them.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If it is something else.
+    """
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 
