@@ -179,8 +179,8 @@ def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
             case.image.name, f"is a volume of {count} slices. Give --slice 0 to {count - 1}."
         )
     if place is not None:
-        steps = place.direction * place.spacing[::-1]
-        place = place._replace(origin=tuple((place.origin + steps[:, 2] * number).tolist()))
+        (first,) = place.to_space(np.array([[number, 0.0, 0.0]]))
+        place = place._replace(origin=tuple(first[::-1].tolist()))
     return image._replace(pixels=image.pixels[number]), place
 
 
