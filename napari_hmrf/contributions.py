@@ -121,8 +121,9 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
             "name": Path(each).name.partition(".")[0],
             "rgb": image.colours,
             "metadata": described(IMAGE),
-            **_place(image.place),
         }
+        if image.place is not None:
+            attributes |= image.place.frame().placement()
         layers.append((image.pixels_in_place, attributes, "image"))
     return layers
 
@@ -170,26 +171,13 @@ def _field(path: str) -> LayerData:
     from pathlib import Path
 
     from napari_hmrf.io.apply import load_field
-    from napari_hmrf.io.fields import frame_of
-    from napari_hmrf.layers.field_layer import field_layer, on_all_axes
-    from napari_hmrf.layers.place import Frame
+    from napari_hmrf.layers.field_layer import field_layer
 
     field = load_field(path)
-    pixels = field.displacement / field.spacing
+    pixels, frame = field.displacement / field.spacing, field.place.frame()
     if pixels.shape[-1] == 2:
-        pixels = on_all_axes(pixels, Frame.from_dict(frame_of(field.place)))
-    return field_layer(pixels, _place(field.place), Path(path).name.partition(".")[0])
-
-
-def _place(place: Any) -> dict[str, Any]:
-    """Where a scan lies, as a layer takes it: world axes z, y, x to superior, posterior, left."""
-    from napari_hmrf.io.fields import frame_of
-
-    if place is None:
-        return {}
-    frame = frame_of(place)
-    names = ("scale", "affine", "units", "axis_labels")
-    return {name: frame[name] for name in names}
+        pixels = frame.put_field(pixels)
+    return field_layer(pixels, frame.placement(), Path(path).name.partition(".")[0])
 
 
 def _listed(path: PathOrPaths) -> list[str]:
@@ -219,10 +207,8 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     ValueError
         If the arrows are not a result of this package.
     """
-    from pathlib import Path
-
     from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
-    from napari_hmrf.layers.field_layer import saved_field
+    from napari_hmrf.layers.field_layer import tell_saved
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
 
@@ -235,6 +221,6 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        saved_field(Path(path).name, export_field(path, solution), tell=True)
+        tell_saved(path, export_field(path, solution))
         return [path]
     return [str(solution.save(path))]

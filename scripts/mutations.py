@@ -99,13 +99,13 @@ MUTATIONS = (
     ),
     # layers: where things lie, and what is read
     Mutation(
-        "layers/place.py",
+        "field/frame.py",
         "return float(lengths[0]), float(lengths[1])",
         "return float(lengths[1]), float(lengths[0])",
         "test_layers_inputs.py",
     ),
     Mutation(
-        "layers/place.py",
+        "field/frame.py",
         "placed[:, 0] = self.index",
         "placed[:, 1] = self.index",
         "test_layers_outputs.py",
@@ -117,7 +117,7 @@ MUTATIONS = (
         "test_landmark_boundary.py",
     ),
     Mutation(
-        "layers/read.py",
+        "field/observation.py",
         "at = np.rint(arrows[:, 0]).astype(int)",
         "at = np.ceil(arrows[:, 0]).astype(int)",
         "test_layers_inputs.py",

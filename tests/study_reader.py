@@ -12,9 +12,8 @@ from studies import Study
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.study.ground import Ground, statement_of
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -39,7 +38,7 @@ def read(study: Study) -> Read:
     hold_edge = study.hold_edge and drawing is not None
     if study.where is not None:
         reference = study.image if study.image is not None else study.tissue
-        frame = Frame.of(reference, view)
+        frame = frame_of(reference, view)
         shape = tuple(reference.data.shape[axis] for axis in frame.plane)
         how = study.landmarks
         marks, _ = read_landmarks(study.where, study.should, frame, shape, view, **how)

@@ -116,12 +116,12 @@ def test_the_shell_solves_what_python_would(files, capsys):
 def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(files):
     folder, *_ = files
     before = read_case(case(folder, hold_edge=True))
-    assert before.grid.place["index"] == [1, 0, 0]
+    assert before.grid.place.index == (1, 0, 0)
     pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
     before = replace(before, motion=replace(before.motion, drawing=pull))
     # Saved without a field: what is solved afterwards lies in the same place.
     study = load_study(save_study(folder / "a.study", before)).study
-    assert study.grid.place["index"] == [1, 0, 0]
+    assert study.grid.place.index == (1, 0, 0)
     path = save_study(folder / "b.study", study, solve_study(study, backend="cpu"))
     assert main(["export", str(path), str(folder / "field.mha")]) == 0
     field = sitk.ReadImage(str(folder / "field.mha"))
@@ -136,7 +136,7 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     stack = np.random.default_rng(0).integers(1, 200, (4, *SHAPE), dtype=np.uint8)
     save_image(tmp_path / "stack.tif", ImageFile(stack))
     given = Case(tmp_path / "stack.tif", slice=2, hold_edge=True)
-    assert read_case(given).grid.place["index"] == [2, 0, 0]
+    assert read_case(given).grid.place.index == (2, 0, 0)
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
     assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"

@@ -19,12 +19,13 @@ from napari_hmrf.contributions import (
     save_solution,
 )
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, save_image
 from napari_hmrf.layers.metadata import METADATA, rows_of
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
 
@@ -50,7 +51,7 @@ def arrows(solution):
         rotate=[[1, 0, 0], [0, 0, -1], [0, 1, 0]],
         name="T1",
     )
-    frame = Frame.of(stack)
+    frame = frame_of(stack)
     frame = Frame(**{**frame.__dict__, "index": (3, 0, 0)})
     return Layer.create(*result_layers(solution, frame).layers["arrows"])
 

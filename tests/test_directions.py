@@ -6,10 +6,10 @@ from napari.components import ViewerModel
 from napari.layers import Image
 from screen import head
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, described
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
@@ -36,10 +36,10 @@ TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, col
 )
 def test_rows_and_columns_run_as_they_are_seen(place, seen):
     image = Image(np.zeros((20, 30)), **place)
-    ways = Directions.of(Frame.of(image))
+    ways = Directions.of(frame_of(image))
     assert ways[:2] == seen
     # Whatever the angle: a step along the way named is seen to go there, and nowhere else.
-    pixels = np.divide(ways.along((3.0, 0.0)), Frame.of(image).spacing)
+    pixels = np.divide(ways.along((3.0, 0.0)), frame_of(image).spacing)
     goes = np.subtract(image.data_to_world(pixels), image.data_to_world((0, 0)))
     if all(seen):
         towards = {"down": (3, 0), "up": (-3, 0), "right": (0, 3), "left": (0, -3)}[seen[0]]
@@ -51,7 +51,7 @@ def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
     viewer = ViewerModel()
     image = viewer.add_image(np.zeros((20, 30)), scale=(1, -1))
     viewer.dims.order = (1, 0)
-    frame = Frame.of(image, View.of(viewer.dims))
+    frame = frame_of(image, View.of(viewer.dims))
     assert Directions.of(frame, viewer)[:2] == ("up", "right"), (
         "the image's columns are the rows now"
     )
@@ -155,7 +155,7 @@ def test_slices_are_called_as_the_slider_does():
     viewer = ViewerModel()
     image = viewer.add_image(np.zeros((9, 20, 30)), scale=(-1, -1, -1))
     viewer.dims.set_current_step(0, 2)
-    frame = Frame.of(image, View.of(viewer.dims))
+    frame = frame_of(image, View.of(viewer.dims))
     assert frame.index[0] == 6
     assert frame.slice_seen == "slice 2"
     assert frame.slice_name == "slice 6", "what tells results apart"
@@ -163,7 +163,7 @@ def test_slices_are_called_as_the_slider_does():
     spaced = viewer.add_image(np.zeros((9, 20, 30)), scale=(2, 1, 1))
     viewer.layers.remove(image)
     viewer.dims.set_current_step(0, 3)
-    assert Frame.of(spaced, View.of(viewer.dims)).slice_seen == "slice 3"
+    assert frame_of(spaced, View.of(viewer.dims)).slice_seen == "slice 3"
 
 
 def test_a_boundary_without_paint_here_names_the_slice_by_the_slider(qtbot):

@@ -1,5 +1,7 @@
 """Displacement fields of other tools are layers: a boundary, or what a result is compared with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from napari.components import ViewerModel
@@ -8,6 +10,8 @@ from screen import Screen
 
 from napari_hmrf import ProblemError, at_edges, write_field
 from napari_hmrf.contributions import open_scan, open_solution
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.observation import PixelField
 from napari_hmrf.layers.field_layer import field_layer, field_of
 from napari_hmrf.layers.metadata import described
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -256,3 +260,16 @@ def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run
     tissue = dock.solution.tissue
     apart = np.linalg.norm(dock.solution.displacement - first, axis=-1)[tissue]
     assert dock.comparison.rmsd == pytest.approx(np.sqrt((apart**2).mean()), rel=1e-4) != 0
+
+
+def test_pixels_taken_for_pixels_are_those_of_the_axes_that_are_seen():
+    """Of a slice that is seen with its rows as columns, and of one in the middle of a volume."""
+    d = swirl((8, 8), 1.0)
+    known = PixelField(d, Frame.at((1.0, 1.0), ("mm", "mm")))
+    turned = replace(Frame.at((2.0, 3.0), ("pixel", "pixel")), plane=(1, 0))
+    seen = known.on(turned, (8, 8)).displacement
+    np.testing.assert_allclose(seen, d.swapaxes(0, 1)[..., ::-1] * turned.spacing, rtol=1e-6)
+    side = replace(Frame.at((1.0, 1.0, 1.0), ("mm",) * 3), plane=(0, 1))
+    target = replace(Frame.at((1.0, 1.0, 1.0), ("pixel",) * 3), plane=(0, 1))
+    seen = PixelField(side.put_field(d), side).on(target, (8, 8)).displacement
+    np.testing.assert_allclose(seen, d, rtol=1e-6)

@@ -19,8 +19,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.io.fields import FIELD_SUFFIXES
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -223,7 +222,7 @@ def test_a_result_of_a_slice_lies_where_its_image_lies_in_the_volume(tmp_path):
         translate=(4, 5, 6),
         units=("cm", "cm", "cm"),
     )
-    frame = Frame.of(image, View((1, 2), tuple(image.data_to_world((2, 10, 10)))))
+    frame = frame_of(image, View((1, 2), tuple(image.data_to_world((2, 10, 10)))))
     y, c = np.zeros((2, 20, 24, 2))
     c[0] = c[-1] = 1
     y[-1, :, 1] = 0.1

@@ -11,8 +11,8 @@ from study_reader import read_layers
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 
@@ -38,7 +38,7 @@ def taken(where, should, boundary=None, radius=None, confidence=1.0, **place):
     tissue[4:-4, 4:-4] = 1
     image = Image(np.zeros(SHAPE), name="MR", **place)
     how = {"radius": radius, "confidence": confidence}
-    marks, _ = read_landmarks(where, should, Frame.of(image), SHAPE, **how)
+    marks, _ = read_landmarks(where, should, frame_of(image), SHAPE, **how)
     tissue = Labels(tissue, name="Tissue", **place)
     return Request(tissue, boundary, image, MATERIALS, RULES, drawing=Drawing(marks))
 
@@ -113,7 +113,7 @@ def test_a_landmark_just_beside_the_tissue_takes_what_its_patch_reaches():
 
 def test_a_place_beyond_the_image_is_said_and_not_refused():
     pair = (Points([[20, 20]], name="is"), Points([[20, 70]], name="ought"))
-    marks, notes = read_landmarks(*pair, Frame.of(Image(np.zeros(SHAPE))), SHAPE)
+    marks, notes = read_landmarks(*pair, frame_of(Image(np.zeros(SHAPE))), SHAPE)
     assert notes == ("point 0 of 'ought' lies outside the image",)
     assert len(marks) == 1
 

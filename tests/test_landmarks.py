@@ -6,15 +6,14 @@ from napari.layers import Image, Points
 
 from napari_hmrf import ProblemError
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.drawing import Landmark
 
 
 def landmarks(where, should, image=None, view=None, **place):
     image = image or Image(np.zeros((40, 50)), name="MR")
     where, should = Points(where, name="is", **place), Points(should, name="ought", **place)
-    frame = Frame.of(image, view)
+    frame = frame_of(image, view)
     shape = image.data.shape[-2:]
     return read_landmarks(where, should, frame, shape, radius=3.0, confidence=0.5)[0]
 
@@ -75,5 +74,5 @@ def test_points_with_an_axis_more_than_the_image_count_on_the_slice_that_is_show
         Points([[3, 2, 2], [4, 6, 6]], name="ought"),
     )
     view = View((1, 2), (4.0, 0.0, 0.0))
-    found, _ = read_landmarks(*pair, Frame.of(image, view), (40, 50), view, radius=3.0)
+    found, _ = read_landmarks(*pair, frame_of(image, view), (40, 50), view, radius=3.0)
     assert found == (Landmark((5, 6), (6, 6), 3.0),)

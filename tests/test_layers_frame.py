@@ -10,8 +10,8 @@ from napari.layers import Image, Layer
 
 from napari_hmrf.contributions import open_solution
 from napari_hmrf.errors import FileFormatError, ProblemError
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
 
@@ -19,7 +19,7 @@ SHAPE = (12, 15)
 
 
 def frame(shape=SHAPE, **place):
-    return Frame.of(Image(np.zeros(shape), **place))
+    return frame_of(Image(np.zeros(shape), **place))
 
 
 def apart(first, second, shape=SHAPE):
@@ -81,7 +81,7 @@ def test_another_slice_is_another_place():
     seen = []
     for step in (1, 2):
         viewer.dims.set_current_step(0, step)
-        seen.append(Frame.of(stack, View.of(viewer.dims)))
+        seen.append(frame_of(stack, View.of(viewer.dims)))
     assert apart(*seen)
 
 
@@ -94,18 +94,18 @@ def test_a_place_that_is_no_number_is_refused(attribute, value):
     layer = Image(np.zeros(SHAPE), name="MR")
     setattr(layer, attribute, value)
     with pytest.raises(ProblemError, match=r"'MR'.*NaN or infinity"):
-        Frame.of(layer)
+        frame_of(layer)
 
 
 def test_an_affine_that_flattens_the_image_is_refused():
     layer = Image(np.zeros(SHAPE), name="MR", affine=[[1, 1, 0], [1, 1, 0], [0, 0, 1]])
     with pytest.raises(ProblemError, match=r"'MR'.*flattens"):
-        Frame.of(layer)
+        frame_of(layer)
 
 
 def test_a_shear_that_napari_keeps_as_a_matrix_can_be_told():
     layer = Image(np.zeros(SHAPE), shear=np.array([[1.0, 0.0], [0.2, 1.0]]))
-    found = Frame.of(layer)
+    found = frame_of(layer)
     again = Image(np.zeros(SHAPE), **found.placement())
     np.testing.assert_allclose(again.data_to_world((3, 4)), layer.data_to_world((3, 4)))
     assert Frame.from_dict(json.loads(json.dumps(found.as_dict()))) == found
@@ -129,7 +129,7 @@ def saved(tmp_path, stored):
 
 def good_frame():
     stack = Image(np.zeros((5, 8, 9)), scale=(2.0, 1.0, 1.0), units=("s", "mm", "mm"))
-    return Frame.of(stack).as_dict()
+    return frame_of(stack).as_dict()
 
 
 def one_at(values, at, value):
@@ -232,7 +232,7 @@ def test_a_good_place_is_believed(tmp_path):
 
 
 def test_a_place_is_the_same_after_a_file_with_any_of_its_parts_changed():
-    found = Frame.of(Image(np.zeros(SHAPE)))
+    found = frame_of(Image(np.zeros(SHAPE)))
     assert Frame.from_dict(json.loads(json.dumps(found.as_dict()))) == found
     moved = replace(found, translate=(3.0, 4.0))
     assert Frame.from_dict(moved.as_dict()) != found

@@ -11,10 +11,10 @@ from napari.layers import Image, Labels, Vectors
 from study_reader import read_layers
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.pixel_copy import LayerCopies
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
@@ -712,7 +712,7 @@ def test_only_the_slice_of_a_lazy_stack_is_computed():
 
 def test_a_frame_survives_a_file():
     viewer, wanted = stack(scale=(5.0, 0.5, 1.0), units=("mm", "mm", "mm"))
-    frame = Frame.of(wanted.image, View.of(viewer.dims))
+    frame = frame_of(wanted.image, View.of(viewer.dims))
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
     with pytest.raises(ValueError, match="place of a slice"):
         Frame.from_dict({"plane": [0, 1]})

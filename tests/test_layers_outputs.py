@@ -8,13 +8,13 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
 from napari_hmrf import Problem, solve
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.warp import warp
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.overlay import overlay_of
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import ARROWS, Pictures, result_layers
 from napari_hmrf.layers.result_lookup import result_of
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -134,7 +134,7 @@ def test_a_colour_image_stays_one():
 )
 def test_results_lie_where_the_source_does(place):
     source = Image(spot(), **place)
-    frame = Frame.of(source)
+    frame = frame_of(source)
     spacing = frame.spacing
     moved = solution((2.0 * spacing[0], 3.0 * spacing[1]), spacing)
     outputs = result_layers(moved, frame, Pictures(spot(), name="MR"))
@@ -161,7 +161,7 @@ def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
     )
     viewer.dims.order = order
     viewer.dims.set_current_step(order[0], 5)
-    frame = Frame.of(source, View.of(viewer.dims))
+    frame = frame_of(source, View.of(viewer.dims))
     picture = frame.take(source.data)
     still = solution((0.0, 0.0), frame.spacing, picture.shape)
     pictures = Pictures(picture, picture > 0, "MR", "T")
@@ -180,7 +180,7 @@ def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
 
 
 def test_arrows_carry_the_whole_solution_with_its_frame():
-    frame = Frame.of(Labels(np.ones(SHAPE, int), scale=(2.0, 2.0)))
+    frame = frame_of(Labels(np.ones(SHAPE, int), scale=(2.0, 2.0)))
     outputs = result_layers(solution(), frame)
     kept = outputs.layers["arrows"].attributes["metadata"][METADATA]["solution"]
     assert Frame.from_dict(kept.frame) == frame

@@ -13,8 +13,8 @@ from study_reader import read_ground
 from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.ground import Ground, statement_of
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
@@ -125,7 +125,7 @@ def test_landmarks_of_layers_and_of_a_study_are_one_problem(pairs):
     where, should = (np.array(each) for each in zip(*pairs, strict=True))
     image, stiffness = Image(np.zeros(SHAPE), **PLACE), np.ones(SHAPE)
     points = Points(where, **PLACE), Points(should, **PLACE)
-    marks, _ = read_landmarks(*points, Frame.of(image), SHAPE, radius=0.1)
+    marks, _ = read_landmarks(*points, frame_of(image), SHAPE, radius=0.1)
     asked = Request(tissue=Image(stiffness, **PLACE), image=image, drawing=Drawing(marks))
     own = Drawing(tuple(Landmark(at, to, 0.1) for at, to in pairs))
     study = Study(

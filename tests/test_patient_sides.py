@@ -14,7 +14,7 @@ from napari_hmrf.contributions import open_scan
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, save_image
 from napari_hmrf.layers.patient_axes import Sides, step_in_patient
-from napari_hmrf.layers.place import Frame
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 pytest.importorskip("SimpleITK")
@@ -116,11 +116,11 @@ def test_they_go_with_the_dock(window):
 def test_a_step_is_said_by_the_sides_of_the_patient(tmp_path, stored):
     path = head(tmp_path, DIRECTIONS[stored])
     ((data, attributes, _),) = open_scan(path)(path)
-    frame = Frame.of(Image(data, **attributes))
+    frame = frame_of(Image(data, **attributes))
     sign = 1 if stored == "LPS" else -1
     assert step_in_patient(frame, (sign * 1.25, sign * -0.5)) == "1.25 P, 0.5 R"
     assert step_in_patient(frame, (0.0, sign * 2.0)) == "2 L"
-    assert step_in_patient(Frame.of(Image(np.zeros((4, 4)))), (1.0, 1.0)) == ""
+    assert step_in_patient(frame_of(Image(np.zeros((4, 4)))), (1.0, 1.0)) == ""
 
 
 def test_the_status_bar_says_it_of_what_is_under_the_cursor(qtbot, wait_for, tmp_path):

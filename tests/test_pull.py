@@ -13,8 +13,8 @@ from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import LayerCopies
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
@@ -167,7 +167,7 @@ def test_an_arrow_of_one_component_has_a_double_arrow_along_that_at_its_head(com
 
 
 def test_arrows_lie_on_their_slice():
-    frame = Frame.of(Image(np.zeros((4, 20, 30)), scale=(5, 2, 2)))
+    frame = frame_of(Image(np.zeros((4, 20, 30)), scale=(5, 2, 2)))
     made = arrow_layer(frame, (20, 30))
     assert made.attributes["ndim"] == 3
     assert tuple(made.attributes["scale"]) == (5, 2, 2)

@@ -1,5 +1,7 @@
 """What is done in the window is saved in one file, and is there again when that is opened."""
 
+import json
+
 import numpy as np
 import pytest
 from conftest import dock_in
@@ -24,6 +26,7 @@ from napari_hmrf import (
     replay,
     save_study,
 )
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import place_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -109,7 +112,7 @@ def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
     first = made(stack())
     run(first)
     path = first.save_study(tmp_path / "case")
-    assert load_study(path).study.grid.place["index"][0] == 1, "of the stack that it was cut from"
+    assert load_study(path).study.grid.place.index[0] == 1, "of the stack that it was cut from"
     second = made(ViewerModel())
     second.open_study(path)
     wait_for(lambda: not second.busy)
@@ -177,10 +180,15 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
 
 
 def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
-    grid = Grid(SHAPE, (1.0, 1.0), place={"plane": [0, 7]})
+    grid = Grid(SHAPE, (1.0, 1.0), place=Frame.at((1.0, 1.0), ("mm", "mm")))
     path = save_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
+    with np.load(path) as parts:
+        header = json.loads(str(parts["header"]))
+        header["grid"]["place"]["plane"] = [0, 7]
+        with open(tmp_path / "case.study", "wb") as file:
+            np.savez(file, **{**parts, "header": np.array(json.dumps(header))})
     dock = made(ViewerModel())
-    with pytest.raises(FileFormatError, match=r"case\.study: not a valid study: not the place"):
+    with pytest.raises(FileFormatError, match=r"case\.study: not a valid .*: not the place"):
         dock.open_study(path)
     assert not dock._viewer.layers
 

@@ -39,10 +39,11 @@ from napari_hmrf import (
     save_study,
     solve_study,
 )
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.study.layer_names import Named
 
 SHAPE = (20, 24)
-GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", {"plane": [0, 1], "index": [0, 0]})
+GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", Frame.at((0.5, 0.8), ("mm", "mm")))
 PULL = Drawing(
     (
         Arrow(at=(10, 12), by=(0.5, 1), radius=2, components="row"),

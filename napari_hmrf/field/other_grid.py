@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import looked_up
 from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.solver.solution import Solution
 
@@ -21,6 +24,8 @@ Array = npt.NDArray[Any]
 _SAME = 1e-3
 #: How far from a slice, in slices, is on it.
 _ON = 0.5
+#: What an axis of space is called that has no unit of length.
+_DEPTHS = ("z", "depth", "slice", "plane", "section")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +47,42 @@ class OtherGrid:
     solution: Solution
     to: Array
     plane: Sequence[int]
+
+    @classmethod
+    def of(cls, solution: Solution, frame: Frame, own: Frame) -> OtherGrid:
+        """A grid that may have other pixels than a solution, and more axes.
+
+        Along an axis of space the slice of the solution is moved; along others, such as time,
+        channels, or one of which nobody has said what it is, all that there is.
+
+        Parameters
+        ----------
+        solution : Solution
+        frame, own : Frame
+            Where the solution lies, and where the grid does.
+
+        Raises
+        ------
+        ProblemError
+            If the grid's axes have no unit in common with the solution's, or it is at an angle to
+            it.
+        """
+        more = own.ndim - frame.ndim
+        plane = [axis + more for axis in frame.plane]
+        if min(plane) < 0:
+            raise ProblemError("observed", f"has {own.ndim} axes, and not those of the result.")
+        across = [axis for axis in frame.others if axis + more >= 0 and _is_space(frame, axis)]
+        counted = [*frame.plane, *across]
+        found = frame.from_pixels_of(own, counted)
+        if found is None:
+            raise ProblemError(
+                "observed", "is measured in other units than the result. Give it those."
+            )
+        to = found[counted]
+        to[2:, -1] -= np.array(frame.index)[across]
+        if np.abs(to[2:, plane]).max(initial=0.0) * max(solution.tissue.shape) > 1:
+            raise ProblemError("observed", "is at an angle to the result. Resample one of them.")
+        return cls(solution, to, plane)
 
     def moved_points(self, points: Array) -> Array:
         """Move points, (N, n) in the grid's pixels, to where their tissue has gone."""
@@ -114,3 +155,9 @@ class OtherGrid:
     @property
     def _field(self) -> tuple[Array, tuple[float, ...], Array]:
         return self.solution.displacement, self.solution.spacing, self.solution.tissue
+
+
+def _is_space(frame: Frame, axis: int) -> bool:
+    """Whether an axis is known to be one of space."""
+    length = np.isfinite(unit_factor(frame.units[axis], "millimeter"))
+    return bool(length) or frame.axis_labels[axis].lower() in _DEPTHS

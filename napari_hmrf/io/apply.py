@@ -163,11 +163,10 @@ def _slices(field: FieldFile, image: ImageFile, name: str) -> list[int]:
     place, own = image.place, field.place
     if place is None or len(own.spacing) < 3:
         return list(range(len(image.pixels)))
-    steps = place.direction * place.spacing[::-1]
-    index = np.linalg.solve(steps, np.array(own.origin) - place.origin)
-    along = np.linalg.solve(steps, own.direction * own.spacing[::-1])
-    number = round(float(index[2]))
-    apart = np.abs([*(index - [0, 0, number]), *(along[:, :2] - np.eye(3)[:, :2]).ravel()]).max()
+    corners = np.diag([0.0, 1.0, 1.0])
+    found = place.to_pixels(own.to_space(corners))
+    number = round(float(found[0, 0]))
+    apart = np.abs(found - corners - [number, 0, 0]).max()
     if apart > _SAME or not 0 <= number < len(image.pixels):
         raise ProblemError(
             name, "lies elsewhere than the field. Give an image of the same patient and pixels."

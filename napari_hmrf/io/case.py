@@ -14,7 +14,7 @@ from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.field.measurement import measure
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
-from napari_hmrf.io.fields import Place, frame_of, place_of
+from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
 from napari_hmrf.io.material_tables import load_materials
@@ -186,8 +186,8 @@ def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
             case.image.name, f"is a volume of {count} slices. Give --slice 0 to {count - 1}."
         )
     if place is not None:
-        steps = place.direction * place.spacing[::-1]
-        place = place._replace(origin=tuple((place.origin + steps[:, 2] * number).tolist()))
+        (first,) = place.to_space(np.array([[number, 0.0, 0.0]]))
+        place = place._replace(origin=tuple(first[::-1].tolist()))
     return image._replace(pixels=image.pixels[number]), place
 
 
@@ -195,12 +195,11 @@ def _grid(shape: tuple[int, ...], image: ImageFile, case: Case) -> Grid:
     """The slice that is meant, which knows its number and the place of the volume."""
     number = case.slice if image.ndim > 2 and case.slice is not None else 0
     if image.place is not None:
-        frame = frame_of(image.place, number)
-        return Grid(shape, image.place.spacing[-2:], "millimeter", frame)
+        return Grid(shape, image.place.spacing[-2:], "millimeter", image.place.frame(number))
     if image.ndim == 2:
         return Grid(shape, (1.0, 1.0))
     pixels = Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
-    return Grid(shape, (1.0, 1.0), place=frame_of(pixels, number, "pixel"))
+    return Grid(shape, (1.0, 1.0), place=pixels.frame(number, "pixel"))
 
 
 def _materials(path: Path) -> tuple[Material, ...]:

@@ -12,19 +12,20 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pint
 
 from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import as_field, inverse_displacement
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.io.itk_files import read_image, read_transform
 from napari_hmrf.io.nifti import place_in_nifti
 from napari_hmrf.solver.problem import as_numbers
@@ -243,6 +244,19 @@ class Place(NamedTuple):
         found: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
         return found + self.origin[::-1]
 
+    def frame(self, number: int = 0, unit: str = "millimeter") -> Frame:
+        """The place as layers have it, of one slice of a volume: the inverse of `place_of`."""
+        n = len(self.spacing)
+        turn = np.eye(n + 1)
+        turn[:n, :n], turn[:n, n] = self.direction[::-1, ::-1], self.origin[::-1]
+        return Frame.at(
+            self.spacing,
+            (unit,) * n,
+            index=(number, *(0,) * (n - 1)) if n > 2 else None,
+            affine=turn,
+            axis_labels=PATIENT_AXES if n == 3 else ("y", "x"),
+        )
+
 
 def place_of(solution: Solution) -> Place:
     """Where a solution lies: of a slice of a volume, in the volume.
@@ -260,58 +274,29 @@ def place_of(solution: Solution) -> Place:
         n = solution.tissue.ndim
         return Place(solution.spacing, (0.0,) * n, np.eye(n))
     matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
-    others = [axis for axis in range(len(matrix) - 1) if axis not in plane and _length(frame, axis)]
+    # How many mm each axis of the world counts by, 1 if it counts pixels; 0 if it is no length.
+    mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
+    sizes = np.nan_to_num(mm)
+    others = [axis for axis in np.flatnonzero(sizes).tolist() if axis not in plane]
     axes = [*others[-1:], *plane]
-    size = np.array([_length(frame, axis) for axis in axes])
-    if not size.all():
+    if not sizes[axes].all():
         units = ", ".join(str(unit) for unit in frame["units"])
         raise ProblemError(
             "displacement", f"is measured in {units}. Give the image a unit of length, such as mm."
         )
     # Rows of the world, z first, by columns of the image's axes.
     world = sorted(axes)
-    steps = matrix[np.ix_(world, axes)] * size[[axes.index(axis) for axis in world]][:, None]
-    first = (matrix @ [*frame["index"], 1.0])[world] * size[[axes.index(axis) for axis in world]]
+    steps = matrix[np.ix_(world, axes)] * sizes[world][:, None]
+    first = (matrix @ [*frame["index"], 1.0])[world] * sizes[world]
     spacing = np.linalg.norm(steps, axis=0)
     turn = (steps / spacing)[::-1, ::-1]
     return Place(tuple(spacing.tolist()), tuple(first[::-1].tolist()), _rotation(turn, len(axes)))
-
-
-def frame_of(place: Place, number: int = 0, unit: str = "millimeter") -> dict[str, Any]:
-    """The place as `Solution.frame` has it, of one slice of a volume: the inverse of `place_of`."""
-    n = len(place.spacing)
-    turn = np.eye(n + 1)
-    turn[:n, :n], turn[:n, n] = place.direction[::-1, ::-1], place.origin[::-1]
-    return {
-        "plane": [n - 2, n - 1],
-        "index": [number, *[0] * (n - 1)] if n > 2 else [0] * n,
-        "scale": list(place.spacing),
-        "translate": [0.0] * n,
-        "rotate": np.eye(n).tolist(),
-        "shear": [0.0] * (n * (n - 1) // 2),
-        "affine": turn.tolist(),
-        "units": [unit] * n,
-        "axis_labels": list(PATIENT_AXES) if n == 3 else ["y", "x"],
-        "matrix": (turn @ np.diag([*place.spacing, 1.0])).tolist(),
-    }
 
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
     """The displacement of a solution in the unit of its `place_of`, and that place."""
     place = place_of(solution)
     return solution.displacement * (np.array(place.spacing[-2:]) / solution.spacing), place
-
-
-def _length(frame: Mapping[str, Any], axis: int) -> float:
-    """How many mm an axis of the world counts by, 1 if it counts pixels; 0 if it is no length."""
-    unit = str(frame["units"][axis])
-    if unit == "pixel":
-        return 1.0
-    try:
-        registry: Any = pint.get_application_registry()  # type: ignore[no-untyped-call]
-        return float(registry.Quantity(1, unit).to("millimeter").magnitude)
-    except pint.errors.PintError:
-        return 0.0
 
 
 def export_field(
@@ -343,6 +328,15 @@ def export_field(
         forward=forward,
         tissue=solution.tissue,
     )
+
+
+def saved_field(path: str | os.PathLike[str], residual: float | None) -> str:
+    """Say which way a field that was written leads, and how good an inverse it is, if it is one."""
+    name = Path(path).name
+    if residual is None:
+        return f"Saved {name}: it says where tissue goes, which moves points."
+    worst = f"{residual:.2g} px at the worst site"
+    return f"Saved {name}: it moves images, and is an inverse to {worst}."
 
 
 def simpleitk() -> Any:

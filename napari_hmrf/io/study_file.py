@@ -20,6 +20,7 @@ from pydantic import TypeAdapter
 from napari_hmrf import array_file
 from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
@@ -51,7 +52,6 @@ class Saved(NamedTuple):
     Attributes
     ----------
     study : Study
-        With its place as JSON types, for whoever opens it as layers.
     solution : Solution or None
         The field, if it was saved with it.
     """
@@ -258,12 +258,17 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
 def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
     tissue, motion = header["tissue"], header["motion"]
     pictures, curve, preset = header["pictures"], tissue["curve"], tissue["preset"]
+    place = header["grid"]["place"]
+    try:
+        place = None if place is None else Frame.from_dict(place)
+    except ValueError as error:
+        raise Invalid(str(error)) from None
     try:
         study = Study(
-            _GRID.validate_python(header["grid"]),
+            _GRID.validate_python({**header["grid"], "place": place}),
             Tissue(
                 labels=arrays.get("tissue_labels"),
-                materials=_materials(tissue["materials"]),
+                materials=materials_of(tissue["materials"]),
                 stiffness=arrays.get("stiffness"),
                 curve=None if curve is None else StiffnessCurve.from_dict(curve),
                 preset=None if preset is None else _preset_from_dict(preset),
@@ -311,10 +316,17 @@ def _preset_as_dict(preset: Preset) -> dict[str, Any]:
 
 
 def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
-    return Preset(**{**values, "materials": _materials(values["materials"])})
+    return Preset(**{**values, "materials": materials_of(values["materials"])})
 
 
-def _materials(rows: Any) -> tuple[Material, ...]:
+def materials_of(rows: Any) -> tuple[Material, ...]:
+    """The materials of `Material.as_row`, as files hold them.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If it is something else.
+    """
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData, vector_layer
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point

@@ -12,10 +12,10 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import paint_steps, unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study_model import Step, StudyModel
 
@@ -183,7 +183,7 @@ class ViewerSteps:
         if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
             return
         with suppress(HmrfError):  # the slice shown may lie beyond the layer
-            if Frame.of(layer, view).index == index:
+            if frame_of(layer, view).index == index:
                 return
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
         there = there / view.factors(layer)

@@ -11,9 +11,9 @@ import numpy as np
 from napari.layers import Layer, Vectors
 from psygnal import Signal
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import show_name
 from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, known_of, role_of
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 

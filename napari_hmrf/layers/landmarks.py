@@ -9,8 +9,8 @@ import numpy.typing as npt
 from napari.layers import Shapes
 from scipy.spatial import KDTree
 
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import usual_radius
@@ -179,7 +179,7 @@ def _in_pixels(layer: Any, places: FloatArray, what: str, frame: Frame) -> Float
     bad = np.flatnonzero(~np.isfinite(places).all(axis=1))
     if len(bad):
         raise LayerError(layer, f"has NaN or infinity in {what} {bad[0]}. Remove it.")
-    to = frame.from_pixels_of(Frame.of(layer))  # where they lack an axis they lie on the slice
+    to = frame.from_pixels_of(frame_of(layer))  # where they lack an axis they lie on the slice
     if to is None:
         raise LayerError(
             layer, "is measured in other units than the image. Give both a unit of length."
@@ -197,7 +197,7 @@ def _on_slice(
     here = (np.rint(pixels[:, others]) == np.array(frame.index)[others]).all(axis=1)
     extra = layer.ndim - frame.ndim
     if extra > 0 and view is not None:
-        shown = np.array(Frame.of(layer, view).index)[:extra]
+        shown = np.array(frame_of(layer, view).index)[:extra]
         here = here & (np.rint(places[:, :extra]) == shown).all(axis=1)
     return here
 

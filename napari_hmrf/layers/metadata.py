@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, Literal, NamedTuple
 
-from pydantic import TypeAdapter
-
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
+from napari_hmrf.io.study_file import materials_of
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 #: Where a layer's metadata hold what this package knows of it.
 METADATA = "napari-hmrf"
@@ -26,8 +25,6 @@ _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
 }
 #: Of whose values some were changed by hand.
 _CHANGED = "changed since taken from: "
-#: Checks the types of what a file holds.
-_MATERIALS = TypeAdapter(tuple[Material, ...])
 #: What is changed in a row.
 _WORDS = {
     "name": "the name",
@@ -96,10 +93,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
     """The table of materials that the solution in a result's layer was made with, and its unit."""
     try:
         record = known_of(layer)["solution"].provenance.parameters["tissue"]
-        rows = [
-            {**row, "stiffness": read_stiffness(row["stiffness"])} for row in record["materials"]
-        ]
-        return _MATERIALS.validate_python(rows), str(record.get("unit", ""))
+        return materials_of(record["materials"]), str(record.get("unit", ""))
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
         return None, ""
 

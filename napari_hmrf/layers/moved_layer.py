@@ -11,18 +11,15 @@ from napari.layers import Image, Labels, Points, Shapes
 
 from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Answer, LayerData
-from napari_hmrf.layers.slice_view import unit_factor
-from napari_hmrf.study.layer_names import LayerError, full_resolution
+from napari_hmrf.layers.slice_view import frame_of
+from napari_hmrf.study.layer_names import full_resolution, naming
 
 Array = npt.NDArray[Any]
 #: What the metadata of a layer say that was moved.
 MOVED = "moved"
 #: Pieces of a side of a rectangle, and of an ellipse, which are bent.
 _PIECES, _ROUND = 8, 64
-#: What an axis of space is called that has no unit of length.
-_DEPTHS = ("z", "depth", "slice", "plane", "section")
 
 
 def can_move(layer: Any) -> bool:
@@ -33,16 +30,16 @@ def can_move(layer: Any) -> bool:
 def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
     """Get ready to move a layer with a result: what is returned does, on any thread.
 
-    The layer may have other pixels than the result, and more axes. Along an axis of space the slice
-    of the result is moved; along others, such as time, channels, or one of which nobody has said
-    what it is, all that there is. Labels get no new values.
+    The layer may have other pixels than the result, and more axes, as of `OtherGrid.of`. Labels get
+    no new values.
 
     Raises
     ------
     LayerError
-        If its axes have no unit in common with those of the result, or it is at an angle to it.
+        As of `OtherGrid.of`.
     """
-    grid = _grid_of(layer, answer)
+    with naming(observed=layer):
+        grid = OtherGrid.of(answer.solution, answer.frame, frame_of(layer))
     data, attributes, kind = layer.as_layer_data_tuple()
     known = {key: value for key, value in known_of(layer).items() if key != "role"}
     attributes["metadata"] = {METADATA: {**known, "kind": MOVED}}
@@ -56,31 +53,6 @@ def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
     bent = [_bent(corners, each) for corners, each in zip(data, layer.shape_type, strict=True)]
     attributes["shape_type"] = [each for _, each in bent]
     return lambda: LayerData([grid.moved_points(each) for each, _ in bent], attributes, kind)
-
-
-def _grid_of(layer: Any, answer: Answer) -> OtherGrid:
-    """The grid of a layer, as it lies on the tissue of a result."""
-    own, frame = Frame.of(layer), answer.frame
-    more = own.ndim - frame.ndim
-    plane = [axis + more for axis in frame.plane]
-    if min(plane) < 0:
-        raise LayerError(layer, f"has {own.ndim} axes, and not those of the result.")
-    across = [axis for axis in frame.others if axis + more >= 0 and _is_space(frame, axis)]
-    counted = [*frame.plane, *across]
-    found = frame.from_pixels_of(own, counted)
-    if found is None:
-        raise LayerError(layer, "is measured in other units than the result. Give it those.")
-    to = found[counted]
-    to[2:, -1] -= np.array(frame.index)[across]
-    if np.abs(to[2:, plane]).max(initial=0.0) * max(answer.shape) > 1:
-        raise LayerError(layer, "is at an angle to the result. Resample one of them.")
-    return OtherGrid(answer.solution, to, plane)
-
-
-def _is_space(frame: Frame, axis: int) -> bool:
-    """Whether an axis is known to be one of space."""
-    length = np.isfinite(unit_factor(frame.units[axis], "millimeter"))
-    return bool(length) or frame.axis_labels[axis].lower() in _DEPTHS
 
 
 def _bent(corners: Array, kind: str) -> tuple[Array, str]:

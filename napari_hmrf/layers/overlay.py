@@ -8,11 +8,11 @@ import numpy as np
 
 from napari_hmrf.field.animation import Motion, moved_grid
 from napari_hmrf.field.colormaps import reach_of
+from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import pixels_between
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.strain import folds
 from napari_hmrf.layers.arrow_layer import spread
-from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.label_colours import (
     OBSERVED,
     OVER,
@@ -76,7 +76,9 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
         made = answer.pixels(name, picture, "deformed", look, "labels", source)
     elif name == "difference":
         if compared is not None:
-            made, picture = _difference_layer(answer, compared), compared.difference
+            picture, what = compared.difference, f"difference from {compared.reference}"
+            shown = Coloured(picture, (0.0, reach_of(picture)), signed=False)
+            made = _coloured_layer(answer, name, shown, f"{what} ({answer.unit})")
     elif name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
         made = answer.vectors(name, moved_grid(solution), name, look)
@@ -109,17 +111,14 @@ def quantity_layer(answer: Answer, quantity: Quantity, shown: Coloured | None = 
     """
     shown = shown or coloured(answer.solution, quantity)
     title, unit = QUANTITIES[quantity]
+    return _coloured_layer(answer, quantity, shown, f"{title} ({unit or answer.unit})")
+
+
+def _coloured_layer(answer: Answer, name: Name, shown: Coloured, what: str) -> LayerData:
+    """Colour every pixel of tissue, before it moves."""
     colours = quantity_colours(shown.signed, shown.folded)
     look = {"colormap": colours, "contrast_limits": shown.limits, **OVER}
-    return answer.pixels(quantity, shown.values, f"{title} ({unit or answer.unit})", look)
-
-
-def _difference_layer(answer: Answer, compared: Comparison) -> LayerData:
-    """How far tissue goes from where the reference has it go."""
-    reach = reach_of(compared.difference)
-    look = {"colormap": quantity_colours(False), "contrast_limits": (0.0, reach), **OVER}
-    what = f"difference from {compared.reference} ({answer.unit})"
-    return answer.pixels("difference", compared.difference, what, look)
+    return answer.pixels(name, shown.values, what, look)
 
 
 def _fold_layer(answer: Answer) -> LayerData | None:

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows, spread
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import LayerData, pixel_layer
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty

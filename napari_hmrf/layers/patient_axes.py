@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from napari.layers import Image, Labels
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import PATIENT_AXES
 from napari_hmrf.layers.compat import camera_of
-from napari_hmrf.layers.place import Frame
 
 #: Where an axis leads to, and where it comes from, as letters at the edges of a picture.
 _LETTERS = dict(zip(PATIENT_AXES, (("S", "I"), ("P", "A"), ("L", "R")), strict=True))

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from napari.layers import Vectors
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.study.layer_names import LayerError, full_resolution
 from napari_hmrf.study.study import is_same
 
@@ -87,7 +87,7 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
 def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
     """Whether a layer has the pixels of a reference; True, too, of slices that it does not have."""
     try:
-        own, frame = Frame.of(layer, view), Frame.of(reference, view)
+        own, frame = frame_of(layer, view), frame_of(reference, view)
     except (HmrfError, ValueError):
         return True
     shape = plane_shape(reference, frame)

@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.observation import arrow_observation
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_of, holds_field
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
 from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, unit_symbol
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import LayerError, Named, naming
@@ -123,12 +124,12 @@ class _Reader:
         self._request = request
         self._copies = copies
         self._reference = reference = request.layers[0]
-        self._frame = Frame.of(reference, request.view)
+        self._frame = frame_of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
         self._of_arrows: tuple[str, ...] = ()
         self._multiscale = any(layer.multiscale for layer in request.layers)
         self._frames = {
-            id(layer): self._frame if layer is reference else Frame.of(layer, request.view)
+            id(layer): self._frame if layer is reference else frame_of(layer, request.view)
             for layer in request.layers
         }
 
@@ -234,12 +235,11 @@ class _Reader:
             with naming(observed=layer):
                 if field is not None:
                     y, known, out = field.on(frame, shape)
-                    c = np.repeat(known[..., None].astype(np.float32), 2, axis=-1)
                 else:
-                    y, c, out = arrow_observations(np.array(data, float), own, frame.spacing, shape)
-            if sure is not None:
-                c = np.where(c > 0, sure.astype(np.float32)[..., None], np.float32(0))
-            return y, c, out
+                    arrows = np.array(data, float)
+                    y, known, out = arrow_observation(arrows, own, frame.spacing, shape)
+            c = np.where(known, 1 if sure is None else sure, 0).astype(np.float32)
+            return y, np.repeat(c[..., None], 2, axis=-1), out
 
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
         y, c, out = self._copies.made(layer, of, observe)
@@ -318,75 +318,3 @@ def look_of(layer: Any) -> dict[str, Any]:
         "contrast_limits": tuple(layer.contrast_limits),
         "gamma": layer.gamma,
     }
-
-
-FloatArray = npt.NDArray[np.float32]
-
-
-def arrow_observations(
-    vectors: npt.NDArray[np.float64],
-    own: Frame,
-    spacing: tuple[float, float],
-    shape: tuple[int, int],
-) -> tuple[FloatArray, FloatArray, int]:
-    """Displacement and confidence from arrows, each counting for the pixel it starts in.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (N, 2, D)
-        Of a Vectors layer, in the pixels of the image.
-    own : Frame
-        The layer's slice.
-    spacing : (float, float)
-        Size of a pixel in (row, col) direction.
-    shape : (int, int)
-        The grid.
-
-    Returns
-    -------
-    y, c : ndarray, shape (H, W, 2), float32
-        Displacement in the unit of `spacing`, and 1 where an arrow starts.
-    int
-        How many arrows of the slice point straight out of it, and so say nothing of a motion in it:
-        they do not count.
-
-    Raises
-    ------
-    ProblemError
-        By the arrow's number, if it starts outside the grid, disagrees with another in its pixel,
-        or holds NaN.
-    """
-    bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
-    if len(bad):
-        raise ProblemError("observed", f"has NaN or infinity in vector {bad[0]}. Remove it.")
-    others = list(own.others)
-    here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
-    inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
-    outward = vectors[:, 1][:, others].any(axis=1) & ~inward
-    here = here.all(axis=1)
-    rows = np.flatnonzero(here & ~outward)
-    arrows = vectors[rows][:, :, list(own.plane)]
-    at = np.rint(arrows[:, 0]).astype(int)
-    outside = np.flatnonzero(((at < 0) | (at >= shape)).any(axis=1))
-    if len(outside):
-        first = outside[0]
-        raise ProblemError(
-            "observed",
-            f"has {len(outside)} vectors that start outside the image of {shape[0]} x {shape[1]} "
-            f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
-            "Remove them.",
-        )
-    y = np.zeros((*shape, 2), dtype=np.float32)
-    c = np.zeros_like(y)
-    steps = (arrows[:, 1] * spacing).astype(np.float32)
-    y[tuple(at.T)] = steps
-    c[tuple(at.T)] = 1
-    conflict = np.flatnonzero((y[tuple(at.T)] != steps).any(axis=1))
-    if len(conflict):
-        first = conflict[0]
-        raise ProblemError(
-            "observed",
-            f"has vectors that start in the same pixel and differ, as vector {rows[first]} at "
-            f"{tuple(at[first].tolist())}. Keep one for each pixel.",
-        )
-    return y, c, int((here & outward).sum())

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.deformation import arrows_apart, smallest_determinant
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.solver.model_names import in_words, model_name
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution

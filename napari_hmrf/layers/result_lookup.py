@@ -11,11 +11,11 @@ import numpy.typing as npt
 from napari.layers import Image
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.metadata import IMAGE, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_layers import Answer
-from napari_hmrf.layers.slice_view import View, layer_extents
+from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
 
 
 def result_of(layer: Any) -> Answer | None:
@@ -52,7 +52,7 @@ def tissue_of(layers: Iterable[Any], result: Answer) -> Any:
 def frame_in(layer: Any, result: Answer) -> Frame | None:
     """The frame of the slice of a layer that lies on a result's pixels; None if none does."""
     try:
-        own = Frame.of(layer)
+        own = frame_of(layer)
         more = own.ndim - result.frame.ndim
         plane = tuple(axis + more for axis in result.frame.plane)
         index = ((0,) * more + result.frame.index)[-own.ndim :]
@@ -126,7 +126,7 @@ def slices_apart(layer: Any, result: Answer, view: View) -> tuple[str, str] | No
     if result.frame.ndim < 3 or len(view.displayed) != 2:
         return None
     try:
-        shown = Frame.of(layer, view)
+        shown = frame_of(layer, view)
     except (ProblemError, ValueError):
         return None
     frame = result.frame

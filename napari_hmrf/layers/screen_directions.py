@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import camera_of
-from napari_hmrf.layers.place import Frame
 
 #: Columns whose direction is less than this aside from that of the rows have no way of their own.
 _ASIDE = 0.5

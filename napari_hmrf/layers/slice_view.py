@@ -1,19 +1,16 @@
-"""Which slice of a layer a viewer shows, and in what units it is measured."""
+"""Which slice of a layer a viewer shows, and where that lies."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pint
 
+from napari_hmrf.field.frame import Frame, as_tuples, is_flat
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.study.layer_names import LayerError, full_resolution
-
-#: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
-_UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,62 @@ class View:
         return tuple((start * factor, step * factor) for (start, step), factor in found)
 
 
-def slice_shown(
+def frame_of(layer: Any, view: View | None = None) -> Frame:
+    """The slice of a layer that a viewer shows.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+    view : View, optional
+        By default the last two axes, first slice.
+
+    Raises
+    ------
+    ProblemError
+        If the transform holds no numbers, or the viewer shows the layer at an angle, across
+        an axis it lacks, or beyond its ends.
+    """
+    ndim = int(layer.ndim)
+    corners = np.concatenate([np.zeros((1, ndim)), np.eye(ndim)])
+    origin, *ends = (np.asarray(layer.data_to_world(corner), float) for corner in corners)
+    matrix = np.eye(ndim + 1)
+    matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
+    matrix[:ndim, ndim] = origin
+    if not np.isfinite(matrix).all():
+        raise LayerError(
+            layer,
+            "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
+        )
+    if is_flat(matrix[:-1, :-1]):
+        raise LayerError(
+            layer,
+            "has a scale, rotation or affine that flattens it to less than its axes. Set one "
+            "that keeps all its axes apart.",
+        )
+    plane, index = _slice_shown(layer, matrix, view)
+    row_unit, col_unit = (str(layer.units[axis]) for axis in plane)
+    if np.isnan(unit_factor(col_unit, row_unit)):
+        raise LayerError(
+            layer,
+            f"measures rows in {row_unit} and columns in {col_unit}. Give both axes a unit of "
+            "length.",
+        )
+    return Frame(
+        plane=plane,
+        index=index,
+        scale=as_tuples(layer.scale),
+        translate=as_tuples(layer.translate),
+        rotate=as_tuples(layer.rotate),
+        shear=as_tuples(layer.shear),
+        affine=as_tuples(layer.affine.affine_matrix),
+        units=tuple(str(unit) for unit in layer.units),
+        axis_labels=tuple(str(label) for label in layer.axis_labels),
+        matrix=as_tuples(matrix),
+        sliders=() if view is None else view.sliders_of(layer),
+    )
+
+
+def _slice_shown(
     layer: Any, matrix: npt.NDArray[np.float64], view: View | None
 ) -> tuple[tuple[int, int], tuple[int, ...]]:
     """The layer's axes that a viewer draws as rows and columns, and its slice on the others."""
@@ -105,39 +157,3 @@ def layer_extents(layer: Any) -> tuple[int, ...]:
     if layer.__class__.__name__ in ("Vectors", "Points", "Shapes"):
         return ()
     return tuple(full_resolution(layer).shape[: layer.ndim])
-
-
-def unit_factor(unit: str, to: str) -> float:
-    """How many `to` make one `unit`; NaN if they measure different things."""
-    if unit == to:
-        return 1.0
-    try:
-        return float(_units().Quantity(1, unit).to(to).magnitude)
-    except pint.errors.PintError:
-        return float("nan")
-
-
-def is_unit(unit: str) -> bool:
-    """Whether layers know a unit of that name."""
-    if not _UNIT.fullmatch(unit):
-        return False
-    try:
-        _units().Unit(unit)
-    except Exception:  # noqa: BLE001 - parsing text of others raises what it likes
-        return False
-    return True
-
-
-def unit_symbol(unit: str) -> str:
-    """A unit of length as tables show it: "px", "mm"."""
-    if unit == "pixel":
-        return "px"
-    try:
-        return f"{_units().Unit(unit):~}" or unit
-    except (pint.errors.PintError, ValueError):
-        return unit
-
-
-def _units() -> Any:
-    """The units that layers know; asked for anew, as an application may set others."""
-    return pint.get_application_registry()  # type: ignore[no-untyped-call]

@@ -7,34 +7,18 @@ from typing import Any
 import numpy as np
 from napari.layers import Image, Labels, Layer, Vectors
 
-from napari_hmrf.layers.field_layer import field_layer, on_all_axes
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.field_layer import field_layer
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, described
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.study.study import Grid, Study
+from napari_hmrf.study.study import Study
 
 #: More arrows than this are a field, of which some are drawn.
 _MANY = 2000
 
 
-def frame_of_grid(grid: Grid) -> Frame:
-    """Where a grid lies: as it says, or in the file's words, or from the origin on.
-
-    Raises
-    ------
-    ValueError
-        If no layer can lie there.
-    """
-    if isinstance(grid.place, Frame):
-        return grid.place
-    if grid.place is None:
-        image = Image(np.zeros(grid.shape, bool), scale=grid.spacing, units=(grid.unit,) * 2)
-        return Frame.of(image)
-    return Frame.from_dict(grid.place)
-
-
 def study_layers(study: Study) -> dict[str, Any]:
-    """Make the layers that are read as a study.
+    """Make the layers that are read as a study, where it lies, or from the origin on.
 
     Parameters
     ----------
@@ -46,13 +30,9 @@ def study_layers(study: Study) -> dict[str, Any]:
     dict of str to napari.layers.Layer
         By "image", "tissue", "boundary" and "confidence", those there are; in the order in which
         they lie above each other.
-
-    Raises
-    ------
-    ValueError
-        If no layer can lie where the study says.
     """
-    frame, tissue, motion = frame_of_grid(study.grid), study.tissue, study.motion
+    grid, tissue, motion = study.grid, study.tissue, study.motion
+    frame = grid.place or Frame.at(grid.spacing, (grid.unit,) * 2)
     place, names = frame.placement(image=True), study.names
     made: dict[str, Any] = {}
 
@@ -84,7 +64,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         steps = motion.observed[tuple(starts.T)] / study.grid.spacing
         known, title = {METADATA: {"role": BOUNDARY}}, name("boundary", "Observed")
         if len(starts) > _MANY:
-            pixels = on_all_axes(motion.observed / study.grid.spacing, frame)
+            pixels = frame.put_field(motion.observed / study.grid.spacing)
             made["boundary"] = Layer.create(*field_layer(pixels, place, title, BOUNDARY))
         else:
             arrows = frame.put_vectors(np.stack([starts, steps], axis=1))

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.layers.place import PLACE
+from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.result_layers import LayerData
 
 #: The layers of viewers whose selection will be as it was.

@@ -39,9 +39,9 @@ class Grid:
         Size of a pixel along each axis, in `unit`.
     unit : str
         Of all lengths: displacements, radii.
-    place : object, optional
-        Where the pixels lie in the world, and which slice they are, as layers say it. The field
-        does not depend on it.
+    place : Frame, optional
+        Where the pixels lie in the world, and which slice they are. The field does not depend on
+        it.
     """
 
     shape: tuple[int, ...]
@@ -52,10 +52,8 @@ class Grid:
     @property
     def place_as_dict(self) -> dict[str, Any] | None:
         """The place in JSON types, as `Solution.frame` and files have it."""
-        found: dict[str, Any] | None = (
-            self.place.as_dict() if hasattr(self.place, "as_dict") else self.place
-        )
-        return found
+        kept: dict[str, Any] | None = None if self.place is None else self.place.as_dict()
+        return kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from qtpy.QtGui import QColor, QIcon, QPixmap
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import BOUNDARY, Role, Table
 from napari_hmrf.layers.pixel_copy import CHANGES, copy_slice
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.labels import unlisted
 from napari_hmrf.ui.events import Listening, single_shot
 
@@ -221,7 +220,7 @@ class LabelTable(QAbstractTableModel):
     def _list_painted(self) -> list[Any]:
         """Give each label of the slice a row; those that are new, none if it cannot be read."""
         try:
-            picture = copy_slice(self._layer, Frame.of(self._layer, self._view()))
+            picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
             return []
         labels = unlisted(picture, self.rows)

@@ -9,8 +9,8 @@ import numpy as np
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.field.deformation import magnitude
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
-from napari_hmrf.layers.slice_view import unit_symbol
 from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane

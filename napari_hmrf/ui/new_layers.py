@@ -12,8 +12,7 @@ from napari.layers import Labels
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import fits, plane_shape
-from napari_hmrf.layers.place import Frame
-from napari_hmrf.layers.slice_view import View, layer_extents
+from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step
@@ -56,7 +55,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
         # What holds is to be seen on top.
         layers.insert(layers.index(boundary) if boundary_there else len(layers), tissue)
     if not boundary_there:
-        frame = Frame.of(image, view)
+        frame = frame_of(image, view)
         push = usual_step(plane_shape(image, frame), frame.spacing)
         rules = (
             BoundaryRule(1, "fixed", name="holds"),
@@ -75,7 +74,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
 
 def _blank(image: Any, view: View, name: str, known: dict[str, Any], **look: Any) -> Labels:
     """A layer on an image's pixels, in its place, of which nothing is painted."""
-    frame, shape = Frame.of(image, view), layer_extents(image)
+    frame, shape = frame_of(image, view), layer_extents(image)
     place = frame.placement()
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))

@@ -10,8 +10,8 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.tissue_point import Probe
-from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.errors import FileFormatError
 from napari_hmrf.io.study_file import load_study, save_study
 from napari_hmrf.layers.study_layers import study_layers
 from napari_hmrf.solver.priors import ElasticPrior
@@ -26,10 +25,7 @@ def save(dock: Any, path: str | Path, fresh: bool) -> Path:
 def open_into(dock: Any, viewer: Any, path: str | Path) -> None:
     """Add the layers of a saved study to a viewer, and have its dock be as it was."""
     study = load_study(path).study
-    try:
-        layers = study_layers(study)
-    except ValueError as error:
-        raise FileFormatError(f"{Path(path).name}: not a valid study: {error}") from error
+    layers = study_layers(study)
     for layer in layers.values():
         viewer.add_layer(layer)
     for part in ("image", "tissue", "boundary", "confidence"):

@@ -8,10 +8,10 @@ from typing import Any
 from napari.layers import Labels
 from psygnal import Signal
 
+from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
-from napari_hmrf.layers.place import PLACE
 from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages

@@ -11,10 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 from napari.layers import Layer
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
 from napari_hmrf.layers.metadata import add_known
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point

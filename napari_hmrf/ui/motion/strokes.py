@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Layer, Vectors
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.paint_layer import number_of, painted_layer
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 from napari_hmrf.study.study import Grid
 from napari_hmrf.tissue.drawing import Drawing, Stroke

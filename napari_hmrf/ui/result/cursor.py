@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from napari.layers import Image
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.tissue_point import Points, Probe
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.patient_axes import step_in_patient
-from napari_hmrf.layers.place import Frame
 from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View

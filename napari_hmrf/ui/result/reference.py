@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from napari_hmrf.layers.comparison import Comparison
+from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.ui.layer_choice import LayerChoice
 

@@ -13,10 +13,9 @@ from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
-from napari_hmrf.io.fields import export_field
+from napari_hmrf.io.fields import export_field, saved_field
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
-from napari_hmrf.layers.field_layer import saved_field
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
 from napari_hmrf.layers.result_layers import LayerData
@@ -100,11 +99,10 @@ class ResultMenu:
         """Write the field for other tools, as `export_field`; how good its inverse is is said."""
         solution = self._shown.answer.solution
         work = partial(export_field, path, solution, forward=forward)
-        name = Path(path).name
         self._errands.send(
             f"{path}",
             work,
-            lambda residual: self._say(saved_field(name, None if forward else residual)),
+            lambda residual: self._say(saved_field(path, None if forward else residual)),
         )
 
     def save_film(self, path: str | Path) -> None:

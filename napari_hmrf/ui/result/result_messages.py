@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Probe
-from napari_hmrf.layers.comparison import Comparison
 from napari_hmrf.layers.overlay import Name
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.screen_directions import Directions

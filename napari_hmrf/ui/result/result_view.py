@@ -11,9 +11,9 @@ from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.io.figures import save_result_pictures
-from napari_hmrf.layers.comparison import Comparison, compare
 from napari_hmrf.layers.field_layer import field_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
@@ -26,7 +26,7 @@ from napari_hmrf.layers.result_lookup import (
 )
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.study.layer_names import Named
+from napari_hmrf.study.layer_names import Named, naming
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
@@ -223,7 +223,12 @@ class ResultView:
         self._errands.forget("comparison")
         field = field_of(reference)
         if shown is not None and field is not None:
-            work = partial(compare, shown.answer, field, Named.of(reference))
+            answer, named = shown.answer, Named.of(reference)
+
+            def work() -> Comparison:
+                with naming(observed=named):
+                    return compare(answer.solution, answer.frame, field, named.name)
+
             self._errands.send("comparison", work, self._on_compared)
 
     def _on_compared(self, found: Comparison) -> None:

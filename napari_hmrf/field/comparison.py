@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from napari_hmrf.layers.field_layer import LayerField
-from napari_hmrf.layers.result_layers import Answer, Array
-from napari_hmrf.study.layer_names import Named, naming
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.observation import PixelField
+from napari_hmrf.solver.solution import Solution
 
 
 class Comparison(NamedTuple):
@@ -27,24 +28,23 @@ class Comparison(NamedTuple):
     """
 
     reference: str
-    difference: Array
+    difference: npt.NDArray[np.float32]
     rmsd: float
     part: float
 
 
-def compare(answer: Answer, field: LayerField, reference: Named) -> Comparison:
-    """Compare a result with a field, wherever that lies.
+def compare(solution: Solution, frame: Frame, field: PixelField, reference: str) -> Comparison:
+    """Compare a result, of a slice, with a field of that name, wherever it lies.
 
     Raises
     ------
     ProblemError
-        As of `LayerField.on`.
+        As of `PixelField.on`.
     """
-    solution = answer.solution
-    with naming(observed=reference):
-        found = field.on(answer.frame, answer.shape)
+    rows, cols = solution.tissue.shape
+    found = field.on(frame, (rows, cols))
     known = found.known & solution.tissue
     apart = np.linalg.norm(solution.displacement - found.displacement, axis=-1)
     rmsd = float(np.sqrt((apart[known] ** 2).mean())) if known.any() else np.nan
     difference = np.where(known, apart, np.nan).astype(np.float32)
-    return Comparison(reference.name, difference, rmsd, float(known.sum() / solution.tissue.sum()))
+    return Comparison(reference, difference, rmsd, float(known.sum() / solution.tissue.sum()))

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Image
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from napari_hmrf.layers.slice_view import View, is_unit, slice_shown, unit_factor
+from napari_hmrf.field.units import is_unit, unit_factor
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.layer_names import LayerError
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -62,58 +60,39 @@ class Frame:
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)
 
     @classmethod
-    def of(cls, layer: Any, view: View | None = None) -> Frame:
-        """The slice of a layer that a viewer shows.
+    def at(
+        cls,
+        scale: Sequence[float],
+        units: Sequence[str],
+        *,
+        index: Sequence[int] | None = None,
+        affine: npt.ArrayLike | None = None,
+        axis_labels: Sequence[str] | None = None,
+    ) -> Frame:
+        """A slice of pixels along the last two axes, as a layer has it that nobody has turned.
 
         Parameters
         ----------
-        layer : napari.layers.Layer
-        view : View, optional
-            By default the last two axes, first slice.
-
-        Raises
-        ------
-        ProblemError
-            If the transform holds no numbers, or the viewer shows the layer at an angle, across
-            an axis it lacks, or beyond its ends.
+        scale : sequence of float
+            The size of a pixel along each axis.
+        units, index, axis_labels
+            As the frame has them; by default the first slice, and axes that nobody has named.
+        affine : array_like, optional
+            To the world.
         """
-        ndim = int(layer.ndim)
-        corners = np.concatenate([np.zeros((1, ndim)), np.eye(ndim)])
-        origin, *ends = (np.asarray(layer.data_to_world(corner), float) for corner in corners)
-        matrix = np.eye(ndim + 1)
-        matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
-        matrix[:ndim, ndim] = origin
-        if not np.isfinite(matrix).all():
-            raise LayerError(
-                layer,
-                "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
-            )
-        if _flat(matrix[:-1, :-1]):
-            raise LayerError(
-                layer,
-                "has a scale, rotation or affine that flattens it to less than its axes. Set one "
-                "that keeps all its axes apart.",
-            )
-        plane, index = slice_shown(layer, matrix, view)
-        row_unit, col_unit = (str(layer.units[axis]) for axis in plane)
-        if np.isnan(unit_factor(col_unit, row_unit)):
-            raise LayerError(
-                layer,
-                f"measures rows in {row_unit} and columns in {col_unit}. Give both axes a unit of "
-                "length.",
-            )
+        n = len(scale)
+        turn = np.eye(n + 1) if affine is None else np.asarray(affine)
         return cls(
-            plane=plane,
-            index=index,
-            scale=_as_tuples(layer.scale),
-            translate=_as_tuples(layer.translate),
-            rotate=_as_tuples(layer.rotate),
-            shear=_as_tuples(layer.shear),
-            affine=_as_tuples(layer.affine.affine_matrix),
-            units=tuple(str(unit) for unit in layer.units),
-            axis_labels=tuple(str(label) for label in layer.axis_labels),
-            matrix=_as_tuples(matrix),
-            sliders=() if view is None else view.sliders_of(layer),
+            plane=(n - 2, n - 1),
+            index=tuple(index or (0,) * n),
+            scale=as_tuples(scale),
+            translate=(0.0,) * n,
+            rotate=as_tuples(np.eye(n)),
+            shear=(0.0,) * (n * (n - 1) // 2),
+            affine=as_tuples(turn),
+            units=tuple(units),
+            axis_labels=tuple(axis_labels or map(str, range(-n, 0))),
+            matrix=as_tuples(turn @ np.diag([*scale, 1.0])),
         )
 
     @property
@@ -209,6 +188,12 @@ class Frame:
             picture = picture.swapaxes(0, 1)
         return np.ascontiguousarray(np.expand_dims(picture, self.others))
 
+    def put_field(self, steps: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Give a field (H, W, 2), in pixels of the slice, the layer's axes, and steps along all."""
+        placed = np.zeros((*steps.shape[:2], self.ndim))
+        placed[..., list(self.plane)] = steps
+        return self.put_image(placed)
+
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes.
 
@@ -249,19 +234,11 @@ class Frame:
 
         Layers of fewer dimensions lie on every slice: only the axes that both have are compared.
         """
-        shared = min(self.ndim, other.ndim)
-        mine, theirs = self._corners(shape)[:, -shared:], other._corners(shape)[:, -shared:]
-        factors = [
-            unit_factor(unit, to)
-            for unit, to in zip(other.units[-shared:], self.units[-shared:], strict=True)
-        ]
-        if not np.isfinite(factors).all():
+        to = self.from_pixels_of(other)
+        if to is None:
             return False
-        # In pixels, axis by axis: a length in the world says nothing of the pixels of all axes.
-        apart = np.zeros((len(mine), self.ndim))
-        apart[:, -shared:] = theirs * factors - mine
-        pixels = apart @ np.linalg.inv(np.array(self.matrix)[:-1, :-1]).T
-        return bool(np.abs(pixels).max() <= _TOLERANCE)
+        apart = other._corners(shape) @ to.T - self._corners(shape)[:, :-1]
+        return bool(np.abs(apart).max() <= _TOLERANCE)
 
     def from_pixels_of(
         self, other: Frame, axes: Iterable[int] | None = None
@@ -297,11 +274,11 @@ class Frame:
         return found
 
     def _corners(self, shape: tuple[int, int]) -> npt.NDArray[np.float64]:
+        """Those of a slice of that shape, in homogeneous pixels."""
         corners = np.tile(np.array([*self.index, 1.0]), (4, 1))
         corners[:, self.plane[0]] = [0, 0, shape[0], shape[0]]
         corners[:, self.plane[1]] = [0, shape[1], 0, shape[1]]
-        world: npt.NDArray[np.float64] = (corners @ np.array(self.matrix).T)[:, :-1]
-        return world
+        return corners
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types, for `Solution.frame`."""
@@ -355,7 +332,7 @@ class Frame:
             values = np.array(getattr(self, name))
             if len(values) > ndim and values[-1].tolist() != [0.0] * ndim + [1.0]:
                 raise ValueError(f"the last row of its {name} is {values[-1].tolist()}")
-            if _flat(values[:ndim, :ndim]):
+            if is_flat(values[:ndim, :ndim]):
                 raise ValueError(f"its {name} flattens space")
         rows, cols = (self.units[axis] for axis in plane)
         if not all(is_unit(unit) for unit in self.units) or np.isnan(unit_factor(cols, rows)):
@@ -372,19 +349,19 @@ class Frame:
         """
         if solution.frame:
             return cls.from_dict(solution.frame)
-        return cls.of(Image(np.zeros((2, 2)), scale=solution.spacing))
+        return cls.at(solution.spacing, ("pixel", "pixel"))
 
 
 #: Checks the types of what a file holds.
 _PLACES = TypeAdapter(Frame)
 
 
-def _as_tuples(values: Any) -> Any:
+def as_tuples(values: Any) -> Any:
     """Numbers, or a matrix: napari keeps some shears as the one, some as the other."""
-    return tuple(map(_as_tuples, values)) if np.ndim(values) else float(values)
+    return tuple(map(as_tuples, values)) if np.ndim(values) else float(values)
 
 
-def _flat(linear: npt.NDArray[np.float64]) -> bool:
+def is_flat(linear: npt.NDArray[np.float64]) -> bool:
     """Whether a square matrix flattens space, however long its columns are."""
     lengths = np.linalg.norm(linear, axis=0)
     if not ((lengths > 0) & np.isfinite(lengths)).all():
