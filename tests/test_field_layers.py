@@ -98,7 +98,7 @@ def test_a_field_on_a_grid_of_its_own_is_the_boundary_of_a_slice_of_a_volume(
     motion = dock.study.motion
     rows, cols = np.indices(SHAPE)
     at_z, at_y, at_x = 3 + 2.0 * 3 - 3, 10 + 0.5 * rows - 2, 60 - 0.8 * cols - 1
-    inside = motion.counts[..., 0] > 0
+    inside = motion.confidence[..., 0] > 0
     assert inside[:, 5:40].all()
     expected = np.stack([0.02 * at_y + 0.01 * at_z, 0.01 * at_x], axis=-1)
     np.testing.assert_allclose(motion.observed[inside], expected[inside], atol=0.02)
@@ -127,7 +127,7 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
     ):
         dock.confidence = chosen
         motion = dock.study.motion
-        np.testing.assert_array_equal(motion.counts, np.repeat(counts[..., None], 2, axis=-1))
+        np.testing.assert_array_equal(motion.confidence, np.repeat(counts[..., None], 2, axis=-1))
         np.testing.assert_allclose(motion.observed, held, atol=1e-6)
     wait_for(lambda: not dock.busy)
     known = at_edges(layers[0].data) > 0
@@ -170,7 +170,7 @@ def test_a_dense_field_of_a_study_is_drawn_as_a_few_arrows(tmp_path, dock_beside
     assert len(again.boundary.data) < 500
     ours, theirs = dock.study.motion, again.study.motion
     np.testing.assert_allclose(theirs.observed, ours.observed, atol=1e-5)
-    np.testing.assert_array_equal(theirs.counts, ours.counts)
+    np.testing.assert_array_equal(theirs.confidence, ours.confidence)
 
 
 def test_a_turned_field_on_its_own_pixels_is_what_it_was(tmp_path, dock_beside):
