@@ -182,10 +182,8 @@ class ResultView:
         if before is not None and other:
             before.layers.leave()
         self.shown = self.player.shown = shown
-        self._form.reference.shown = self.arrows
-        self._form.reference.reset_choices()
+        self._form.offer(self.arrows)
         self._compare()
-        self._form.offer(shown is not None)
         self._say_how_far()
         if shown is None:
             return
