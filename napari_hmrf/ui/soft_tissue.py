@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
-from napari_hmrf.ui.forms import Part
+from napari_hmrf.ui.forms import Part, attempt
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
@@ -183,8 +184,8 @@ class SoftTissue(Dock):
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
         self._second = SecondImage(viewer, form, self._view, self._live_study)
-        self._sides = PatientSides(self.native, viewer)
-        self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study)
+        self._sides = PatientSides(viewer)
+        self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study, self._try)
         self._connect()
         self._choices.choose_first()
 
@@ -438,12 +439,12 @@ class SoftTissue(Dock):
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
 
-    def _try(self, action: Any) -> None:
-        try:
-            action()
-        except HmrfError as error:
-            self._guide.refuse(messages.in_short(error))
-            show_warning(messages.in_short(error))
+    def _try(self, action: Callable[[], object]) -> None:
+        attempt(action, self._refuse)
+
+    def _refuse(self, why: str) -> None:
+        self._guide.refuse(why)
+        show_warning(why)
 
     # What is pressed, and what is said
 
@@ -479,18 +480,9 @@ class SoftTissue(Dock):
             self._live_study.curve_layer.show(None)
             self._pointer.leave()
             self._view.rest()
-        watch, live, guide = self._watch, self._live_study, self._guide
-        parts = (
-            self._second,
-            self._unsaved,
-            self._sides,
-            watch,
-            guide,
-            live,
-            self._view,
-            self._steps,
-        )
-        for part in (*parts, self._form):
+        shown = (self._second, self._sides, self._view)
+        heard = (self._unsaved, self._watch, self._guide, self._live_study, self._steps)
+        for part in (*shown, *heard, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from napari.layers import Labels
-from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
+from qtpy.QtWidgets import QFileDialog, QPushButton
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
@@ -22,7 +22,7 @@ from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.result_lookup import picture_of, tissue_of
 from napari_hmrf.layers.viewer_layers import same_selection
-from napari_hmrf.ui.forms import add_entry
+from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
@@ -63,11 +63,8 @@ class ResultMenu:
         say: Callable[[str], None],
     ) -> None:
         self._button, self._viewer, self._look, self._say = button, viewer, shown, say
-        self._errands = Errands(lambda error: say(str(error) or type(error).__name__))
-        menu = QMenu(button)
-        menu.setToolTipsVisible(True)
-        menu.aboutToShow.connect(self._fill)
-        button.setMenu(menu)
+        self._errands = Errands(say)
+        give_menu(button, self._fill)
 
     @property
     def busy(self) -> bool:
@@ -132,7 +129,8 @@ class ResultMenu:
             names = ", ".join(f"'{each.attributes['name']}'" for each in made)
             self._say(f"Moved along: {names}.")
 
-        self._errands.send("moved", lambda: [move() for move in movers], add)
+        kind = f"{[layer.name for layer in layers]} moved along"  # of others these stay
+        self._errands.send(kind, lambda: [move() for move in movers], add)
 
     def release(self) -> None:
         """Answer nothing any more."""
@@ -158,7 +156,9 @@ class ResultMenu:
         menu, shown = self._button.menu(), self._look()
         menu.clear()
         about = "How far each tissue moved, how its area changed, and its strain"
-        add_entry(menu, "Measurements ...", about, lambda: self._try(self._show_measurements))
+        add_entry(
+            menu, "Measurements ...", about, lambda: attempt(self._show_measurements, self._say)
+        )
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -166,7 +166,7 @@ class ResultMenu:
         rows = [(str(each.name), [each]) for each in layers]
         for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
             move = partial(self.move_along, *chosen)
-            add_entry(along, title, _WITH_IT, lambda _=False, move=move: self._try(move))
+            add_entry(along, title, _WITH_IT, lambda _=False, move=move: attempt(move, self._say))
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
@@ -192,10 +192,4 @@ class ResultMenu:
     def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
         path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
         if path:
-            self._try(partial(save, path))
-
-    def _try(self, action: Callable[[], Any]) -> None:
-        try:
-            action()
-        except (HmrfError, OSError) as error:
-            self._say(str(error))
+            attempt(partial(save, path), self._say)

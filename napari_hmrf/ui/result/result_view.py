@@ -62,7 +62,7 @@ class ResultView:
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._native, self._viewer, self._form, self._results = native, viewer, form, results
-        self._errands = Errands(self._refuse)
+        self._errands = Errands(self.said.emit)
         self.shown: MovingLayers | None = None
         #: How far the result is from its reference, if there is one.
         self.comparison: Comparison | None = None
@@ -190,7 +190,7 @@ class ResultView:
         try:
             shown.copy_image()
         except HmrfError as error:
-            self._refuse(error)
+            self.said.emit(str(error))
         self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
         self._on_eye()
@@ -395,6 +395,3 @@ class ResultView:
         self.before = True
         yield
         self.before = False
-
-    def _refuse(self, error: Exception) -> None:
-        self.said.emit(str(error) or type(error).__name__)
