@@ -183,10 +183,10 @@ def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, sett
     run(widget)
     click(widget, "\u26a0")
     settle(widget)
-    assert viewer.layers["MR folds"].visible
+    assert viewer.layers["MR folds where tissue was"].visible
     click(widget, "\u26a0")
     settle(widget)
-    assert "MR folds" not in viewer.layers
+    assert "MR folds where tissue was" not in viewer.layers
     assert widget.overlay == "nothing"
 
 

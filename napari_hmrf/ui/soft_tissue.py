@@ -149,7 +149,7 @@ class SoftTissue(Dock):
     comparison = Part[Comparison | None]("_view.comparison")
     more = Part[ResultMenu]("_view.more")
     overlay = Part[str]("_form.result.overlay.value")
-    saved = Part[Any]("_view.saved")
+    saved = Part[Any]("_view.more.saved")
     unsaved = Part[bool]("_unsaved.there")
     ask = Part[Any]("_unsaved.ask")
     compare_with = Part[Any]("_form.result.second.value")
@@ -297,7 +297,7 @@ class SoftTissue(Dock):
 
     def save_pictures(self, folder: str | Path) -> None:
         """Write pictures into a folder that exists; `saved` is emitted when they are there."""
-        self._view.save(Path(folder))
+        attempt(partial(self.more.save_pictures, folder), self.say)
 
     def save_study(self, path: str | Path) -> Path:
         """Save all of `study`, and its field if that is up to date; as `napari_hmrf.save_study`."""

@@ -1,4 +1,4 @@
-"""The menu of what else can be made of a result: numbers, files, and other layers moved with it."""
+"""What else can be made of a result: pictures, numbers, fields, and other layers moved with it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 from napari.layers import Labels
-from qtpy.QtWidgets import QFileDialog, QPushButton
+from psygnal import Signal
+from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.io.fields import export_field
+from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
 from napari_hmrf.layers.field_layer import saved_field
@@ -26,7 +28,8 @@ from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
+from napari_hmrf.ui.result.result_form import ResultForm
+from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, saved
 
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"
@@ -40,14 +43,14 @@ _WITH_IT = (
 
 
 class ResultMenu:
-    """What else can be made of the result that is looked at.
+    """What else can be made of the result that is looked at, by a menu or a button.
 
     What takes long is done while the window lives; what comes of it is said.
 
     Parameters
     ----------
-    button : QPushButton
-        Which has the menu.
+    form : ResultForm
+        With the buttons.
     viewer : napari.Viewer or ViewerModel
     shown : callable
         The result that is looked at, or None.
@@ -55,16 +58,20 @@ class ResultMenu:
         Given what there is to say.
     """
 
+    #: Pictures are written: a list of `Path`.
+    saved = Signal(object)
+
     def __init__(
         self,
-        button: QPushButton,
+        form: ResultForm,
         viewer: Any,
         shown: Callable[[], MovingLayers | None],
         say: Callable[[str], None],
     ) -> None:
-        self._button, self._viewer, self._look, self._say = button, viewer, shown, say
+        self._button, self._viewer, self._look, self._say = form.more, viewer, shown, say
         self._errands = Errands(say)
-        give_menu(button, self._fill)
+        give_menu(self._button, self._fill)
+        form.save.changed.connect(self._on_save)
 
     @property
     def busy(self) -> bool:
@@ -92,6 +99,21 @@ class ResultMenu:
     def save_measurements(self, path: str | Path) -> Path:
         """Write what `measure` finds; as `napari_hmrf.io.tables.save_measurements`."""
         return save_measurements(path, self.measure(), self._shown.answer.unit)
+
+    def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
+        """Write pictures, perhaps into a new folder in that one; then `saved` is emitted.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result.
+        """
+        shown = self._shown
+        answer = shown.answer
+        made = f"{answer.source or 'result'} pictures" if own_folder else ""
+        what = Path(folder), answer.solution, shown.image, answer.unit, made
+        self._say(SAVING)
+        self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools, as `export_field`; how good its inverse is is said."""
@@ -176,6 +198,16 @@ class ResultMenu:
         ):
             ask = partial(self._ask, save, name, kinds)
             add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
+
+    def _on_save(self, *_: Any) -> None:
+        title = "Where to make a folder of pictures"
+        chosen = QFileDialog.getExistingDirectory(self._button, title)
+        if chosen:
+            attempt(partial(self.save_pictures, chosen, own_folder=True), self._say)
+
+    def _on_saved(self, paths: list[Path]) -> None:
+        self._say(saved(paths))
+        self.saved.emit(paths)
 
     def _show_measurements(self) -> None:
         unit = self._shown.answer.unit
