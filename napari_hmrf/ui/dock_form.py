@@ -15,6 +15,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, WholeEntries, row
+from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
@@ -88,6 +89,11 @@ class DockForm:
         tissue = self.tissue.choice
         return (self.image, tissue, boundary.choice, boundary.confidence, *marks, *compared)
 
+    @property
+    def tables(self) -> tuple[LabelTable, ...]:
+        """Those of tissues and of boundaries."""
+        return self.tissue.table, self.motion.boundary.table
+
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way rows and columns run on the screen."""
         self.motion.fields.show_place(unit, ways)
@@ -95,8 +101,8 @@ class DockForm:
 
     def release(self) -> None:
         """Stop listening to layers."""
-        self.tissue.table.release()
-        self.motion.boundary.table.release()
+        for table in self.tables:
+            table.release()
 
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image])

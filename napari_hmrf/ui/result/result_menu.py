@@ -210,15 +210,11 @@ class ResultMenu:
         self.saved.emit(paths)
 
     def _show_measurements(self) -> None:
-        unit = self._shown.answer.unit
-        table = MeasurementTable(self._button.window(), self.measure(), unit)
-        table.save.clicked.connect(
-            lambda: self._ask(
-                lambda path: save_measurements(path, table.rows, unit),
-                "measurements.csv",
-                "Tables (*.csv)",
-            )
-        )
+        rows, unit = self.measure(), self._shown.answer.unit
+        table = MeasurementTable(self._button.window(), rows, unit)
+        save = partial(save_measurements, rows=rows, unit=unit)
+        ask = partial(self._ask, save, "measurements.csv", "Tables (*.csv)")
+        table.save.clicked.connect(lambda _: ask())
         table.show()
 
     def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:

@@ -62,7 +62,7 @@ class ResultView:
         #: How far the result is from its reference, if there is one.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer)
-        self.player = Player(native, self._errands)
+        self.player = Player(native, self._errands, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
         self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
@@ -164,7 +164,7 @@ class ResultView:
         self.cursor.watch(None)
         if before is not None and other:
             before.layers.leave()
-        self.shown = self.player.shown = shown
+        self.shown = shown
         self._form.offer(self.arrows)
         self._compare()
         self._say_how_far()
