@@ -37,10 +37,11 @@ class SecondImage:
 
     def __init__(self, viewer: Any, form: DockForm, view: ResultView, live: LiveStudy) -> None:
         self._viewer, self._view, self._live, self._form = viewer, view, live, form.result
+        self._image = form.image
         self._pair = form.motion.boundary.landmarks
         # The layers that are drawn in another way, and how they were before.
         self._before: list[tuple[Any, dict[str, Any]]] = []
-        choices = (self._form.second, self._pair.where, self._pair.should)
+        choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (live.followed, *(choice.changed for choice in choices))
         self._heard = Listening(*((change, self.look) for change in changes))
 
@@ -52,7 +53,7 @@ class SecondImage:
     def look(self, *_: Any) -> None:
         """Show the second image over the first, and say how far landmarks are apart."""
         shown = self._view.shown
-        moved = (self._live.source, None if shown is None else shown.layer("image"))
+        moved = (self._image.value, None if shown is None else shown.layer("image"))
         self._draw(self._form.second.value, [layer for layer in moved if layer is not None])
         self._form.landmarks.say(self._measured())
 

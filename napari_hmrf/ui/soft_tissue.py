@@ -177,6 +177,7 @@ class SoftTissue(Dock):
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
+        form.image.changed.connect(self._view.stand_on)
         remember(viewer, form.model)
         self._steps = DockSteps(self.native, form, steps, self._pointer)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
@@ -310,8 +311,8 @@ class SoftTissue(Dock):
     def deform(self) -> None:
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
         if self.idle and not self.away:
-            for section in (self._form.tissue, self._form.motion.boundary):
-                section.table.look()
+            for table in self._form.tables:
+                table.look()
             self._choices.begin()
             self._live_study.settle()
 
@@ -404,7 +405,6 @@ class SoftTissue(Dock):
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
-        form.image.changed.connect(self._view.stand_on)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.clicked.connect(
@@ -422,8 +422,8 @@ class SoftTissue(Dock):
         form.result.keep.changed.connect(lambda _: self._try(self._unsaved.save_as))
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
-        for section in (form.tissue, form.motion.boundary):
-            section.table.picked.connect(self.hand_brush)
+        for table in form.tables:
+            table.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
@@ -477,7 +477,6 @@ class SoftTissue(Dock):
         if closed:
             self._live_study.cancel()
             self._live_study.forget()
-            self._live_study.curve_layer.show(None)
             self._pointer.leave()
             self._view.rest()
         shown = (self._second, self._sides, self._view)
