@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import napari_hmrf
-from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
@@ -260,13 +259,15 @@ def _apply(options: argparse.Namespace) -> int:
 
 
 def _measure(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import measured
+    from pandas import DataFrame
 
-    table = measured(options.result, options.labels)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    from napari_hmrf.io.case import measured
+    from napari_hmrf.io.tables import save_measurements
+
+    rows = measured(options.result, options.labels)
+    print(DataFrame(rows).to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     if options.out is not None:
-        write_whole(options.out, table.to_csv(index=False).encode())
-        print(f"written: {options.out}")
+        print(f"written: {save_measurements(options.out, rows)}")
     return 0
 
 

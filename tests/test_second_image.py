@@ -113,3 +113,21 @@ def test_what_cannot_be_compared_is_not_offered_and_an_image_may_go(compared, wa
     assert before.colormap.name == "gray"
     wait_for(lambda: not dock.busy)
     assert dock.image is before
+
+
+def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_no_more(
+    compared, wait_for
+):
+    viewer, dock, before, after = compared
+    dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))
+    dock.compare_with = after
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    third = viewer.add_image(before.data, name="third", scale=SIZE, units=("mm", "mm"))
+    dock.image = third
+    wait_for(lambda: not dock.busy)
+    assert (before.colormap.name, third.colormap.name) == ("gray", "magenta")
+    assert dock.residual == ""
+    dock.image = before
+    wait_for(lambda: not dock.busy)
+    assert (before.colormap.name, third.colormap.name) == ("magenta", "gray")
+    assert "apart before" in dock.residual

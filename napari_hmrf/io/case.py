@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import HmrfError, ProblemError
-from napari_hmrf.field.measurement import measure
+from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, place_of
@@ -34,9 +34,6 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 @dataclass(frozen=True)
@@ -131,8 +128,8 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
     return Saved(study, solution)
 
 
-def measured(path: Path, labels: Path | None = None) -> DataFrame:
-    """Measure what happened to each tissue of a study or result, in a table.
+def measured(path: Path, labels: Path | None = None) -> tuple[Measurement, ...]:
+    """Measure what happened to each tissue of a study or result.
 
     Parameters
     ----------
@@ -145,8 +142,6 @@ def measured(path: Path, labels: Path | None = None) -> DataFrame:
     HmrfError, OSError
         If a file cannot be read; or if it holds no field, or no labels and none are given.
     """
-    from pandas import DataFrame
-
     study, solution = load_solved(path)
     tissue = None if study is None else study.tissue
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
@@ -155,7 +150,7 @@ def measured(path: Path, labels: Path | None = None) -> DataFrame:
         image = load_image(labels).pixels
     if image is None:
         raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
-    return DataFrame(measure(solution, image, names=names))
+    return measure(solution, image, names=names)
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:

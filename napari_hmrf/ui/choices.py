@@ -97,7 +97,6 @@ class Choices:
             choice.reset_choices()
         self._by_hand = by_hand
         form.motion.boundary.landmarks.look()
-        form.second.look()
         if before is not None and form.image.value is None:
             others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
             images = [layer for layer in form.image.offered if layer not in others]

@@ -15,12 +15,12 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import Narrow, WholeEntries, row
+from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.second_image_form import SecondImageForm
 from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
 
 #: Of the dock, in pixels.
@@ -47,8 +47,6 @@ class DockForm:
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
-    second : SecondImageForm
-        Within `result`.
     model : ModelForm
     footer : Footer
     """
@@ -70,9 +68,7 @@ class DockForm:
         )
         self.tissue = TissueSection(layers, view)
         self.motion = MotionForm(layers, view)
-        self.result = ResultForm(layers)
-        self.second = SecondImageForm(layers, self.image)
-        self.result.append(self.second)
+        self.result = ResultForm(layers, self.image)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
@@ -87,9 +83,16 @@ class DockForm:
     @property
     def choices(self) -> tuple[LayerChoice, ...]:
         """The menus of layers."""
-        boundary = self.motion.boundary
-        others = (boundary.landmarks.where, boundary.landmarks.should, self.result.reference)
-        return (self.image, self.tissue.choice, boundary.choice, boundary.confidence, *others)
+        boundary, result = self.motion.boundary, self.result
+        marks = (boundary.landmarks.where, boundary.landmarks.should)
+        compared = (result.reference, result.second)
+        tissue = self.tissue.choice
+        return (self.image, tissue, boundary.choice, boundary.confidence, *marks, *compared)
+
+    @property
+    def tables(self) -> tuple[LabelTable, ...]:
+        """Those of tissues and of boundaries."""
+        return self.tissue.table, self.motion.boundary.table
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit lengths are, and which way rows and columns run on the screen."""
@@ -98,8 +101,8 @@ class DockForm:
 
     def release(self) -> None:
         """Stop listening to layers."""
-        self.tissue.table.release()
-        self.motion.boundary.table.release()
+        for table in self.tables:
+            table.release()
 
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image])

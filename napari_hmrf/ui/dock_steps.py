@@ -39,10 +39,9 @@ class DockSteps:
         self._form, self._steps, self._owner = form, steps, owner
         self._model = steps.edits
         tissue = form.tissue
-        self._tables = (tissue.table, form.motion.boundary.table)
         # Whether something is put back, which is no step.
         self._going = False
-        for table in self._tables:
+        for table in form.tables:
             table.changed.connect(self.note)
         for choice in (form.image, tissue.choice, form.model, form.model.in_detail):
             choice.changed.connect(self.note, max_args=0)
@@ -81,7 +80,7 @@ class DockSteps:
     @property
     def _edited(self) -> list[tuple[Slot, Any]]:
         form = self._form
-        tables = [(Slot(table.role, table.layer), table.contents) for table in self._tables]
+        tables = [(Slot(table.role, table.layer), table.contents) for table in form.tables]
         choice = Slot(CHOICE, form.image.value), form.tissue.choice.value
         return [*tables, choice, (_THE_MODEL, form.model.values)]
 
@@ -129,7 +128,7 @@ class DockSteps:
             tissue.choice.value = value if value in tissue.choice.choices else None
         elif slot == self._curve_slot:
             tissue.go_by(value)
-        for table in self._tables:
+        for table in form.tables:
             if slot == Slot(table.role, table.layer):
                 table.contents = value
         self._going = going

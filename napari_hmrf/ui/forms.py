@@ -8,7 +8,10 @@ from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, QSize
-from qtpy.QtWidgets import QMenu, QScrollArea, QSizePolicy
+from qtpy.QtWidgets import QMenu, QPushButton, QScrollArea, QSizePolicy
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.ui.messages import in_short
 
 T = TypeVar("T")
 
@@ -65,6 +68,22 @@ def add_entry(menu: QMenu, title: str, about: str, answer: Callable[..., Any]) -
     action.setToolTip(about)
     action.triggered.connect(answer)
     return action
+
+
+def give_menu(button: QPushButton, fill: Callable[[], None]) -> None:
+    """Give a button a menu that is filled with what there is whenever it opens."""
+    made = QMenu(button)
+    made.setToolTipsVisible(True)
+    made.aboutToShow.connect(fill)
+    button.setMenu(made)
+
+
+def attempt(action: Callable[[], object], refuse: Callable[[str], object]) -> None:
+    """Do what somebody has asked for, or say why it cannot be done."""
+    try:
+        action()
+    except (HmrfError, OSError) as error:
+        refuse(str(error) if isinstance(error, OSError) else in_short(error))
 
 
 def row(*widgets: Any) -> Container:

@@ -56,9 +56,9 @@ class Guide:
         self._viewer, self._form, self._pointer, self._live = viewer, form, pointer, live
         self._said = self._doing = ""
         self._why = _Said.NEWS
-        for section in (form.tissue, form.motion.boundary):
-            section.table.found.connect(self._on_found)
-            section.table.refused.connect(self.refuse)
+        for table in form.tables:
+            table.found.connect(self._on_found)
+            table.refused.connect(self.refuse)
         form.tissue.menu.said.connect(self.say)
         form.tissue.menu.taken.connect(self._on_found)
         form.tissue.editor.refused.connect(self.refuse)

@@ -81,12 +81,12 @@ class Errands:
 
     Parameters
     ----------
-    refused : callable
-        Given the error of work that raised one.
+    refuse : callable
+        Given what was wrong, in words, with work that raised an error.
     """
 
-    def __init__(self, refused: Callable[[Exception], None]) -> None:
-        self._refused = refused
+    def __init__(self, refuse: Callable[[str], object]) -> None:
+        self._refuse = refuse
         self._sent: dict[Future[Any], tuple[str, _Answer]] = {}
         self._ended = Newest(self._on_ended)
 
@@ -130,7 +130,7 @@ class Errands:
                 found = future.result(timeout=0)
             except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
                 _log.debug("%s failed", kind, exc_info=True)
-                self._refused(error)
+                self._refuse(str(error) or type(error).__name__)
             else:
                 answer(found)
 

@@ -34,6 +34,8 @@ class LayerChoice(ComboBox):
         How a layer is named in the menu; by default by its name.
     more : callable, optional
         What else can be chosen now: pairs of a title and a value.
+    if_any : bool
+        Whether it is seen only where there is a layer to choose.
     """
 
     def __init__(
@@ -44,8 +46,9 @@ class LayerChoice(ComboBox):
         tooltip: str,
         title: Callable[[Any], str] = lambda layer: str(layer.name),
         more: Callable[[], list[tuple[str, Any]]] = list,
+        if_any: bool = False,
     ) -> None:
-        self._layers, self._accept = layers, accept
+        self._layers, self._accept, self._if_any = layers, accept, if_any
         super().__init__(
             choices=lambda _: [*more(), *((title(layer), layer) for layer in self.offered)],
             nullable=True,
@@ -66,6 +69,8 @@ class LayerChoice(ComboBox):
             super().reset_choices()
             after = before if before in self.choices else None
             self.set_value(after)
+        if self._if_any:
+            self.visible = bool(self.offered)
         if after is not before:
             self.changed.emit(after)
 

@@ -255,6 +255,7 @@ class LiveStudy:
         self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
         self._done.pop(self.source, None)
+        self.curve_layer.show(None)
         self.study = self.source = self._asked = None
         self._failed = self._report = ""
         self._pointer.stand_on(None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -10,13 +11,12 @@ from typing import Any
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.layers.metadata import TISSUE, Table, tissue_recorded
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import default_rigid, stiffness_in_words
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
-from napari_hmrf.ui.forms import add_entry
+from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.tissue_tables import MaterialTable
 
 _FILES = f"Materials (*{ENDING})"
@@ -58,10 +58,7 @@ class MaterialMenu(QPushButton):
             "Published stiffnesses with their sources, and those of other layers and of files, in "
             "place of the table; or keep the table in a file, for other images"
         )
-        menu = QMenu(self)
-        menu.setToolTipsVisible(True)
-        menu.aboutToShow.connect(self.fill)
-        self.setMenu(menu)
+        give_menu(self, self.fill)
 
     def fill(self) -> None:
         """Fill the menu with what there is now."""
@@ -128,19 +125,13 @@ class MaterialMenu(QPushButton):
 
     def _load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)
-        self._try(self.take, path)
+        if path:
+            attempt(partial(self.take, path), self.said.emit)
 
     def _save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
-        self._try(self.save, path)
-
-    def _try(self, act: Callable[[str], Any], path: str) -> None:
-        """Do something with a file, if one was chosen, or say why not."""
-        try:
-            if path:
-                act(path)
-        except (HmrfError, OSError) as error:
-            self.said.emit(str(error))
+        if path:
+            attempt(partial(self.save, path), self.said.emit)
 
 
 def _head(menu: QMenu, title: str) -> None:

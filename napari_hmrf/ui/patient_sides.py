@@ -6,8 +6,8 @@ from contextlib import suppress
 from typing import Any
 
 from napari.qt import QtViewer
-from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtWidgets import QLabel
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.patient_axes import Sides
@@ -19,20 +19,21 @@ _STYLE = (
     "font-weight: bold;"
 )
 _MARGIN = 6
+#: Rows and columns of the canvas, in the order of `Sides`.
+_EDGES = ((0, 1), (2, 1), (1, 0), (1, 2))
+#: What happens to layers, of all that does, after which other letters may be seen.
+_TELLING = ("inserted", "removed", "visible", "axis_labels")
 
 
-class PatientSides(QObject):
+class PatientSides:
     """Shows them while a dock is there, on slices whose layers say how they lie in the patient.
 
     Parameters
     ----------
-    native : QWidget
-        The dock.
     viewer : napari.Viewer or ViewerModel
     """
 
-    def __init__(self, native: Any, viewer: Any) -> None:
-        super().__init__(native)
+    def __init__(self, viewer: Any) -> None:
         self._viewer = viewer
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
@@ -50,42 +51,31 @@ class PatientSides(QObject):
 
     def begin(self, window: Any) -> None:
         """Show them on the canvas of a window of napari's."""
+        if self._labels:
+            return
         canvas = window.findChild(QtViewer).canvas.native
-        if not self._labels:
-            self._labels = [QLabel(canvas) for _ in Sides._fields]
-            canvas.installEventFilter(self)
-        for label in self._labels:
-            label.setStyleSheet(_STYLE)
+        layout = canvas.layout()  # of a dock that was closed
+        if layout is None:
+            layout = QGridLayout(canvas)
+            layout.setContentsMargins(_MARGIN, _MARGIN, _MARGIN, _MARGIN)
+            layout.setRowStretch(1, 1)
+            layout.setColumnStretch(1, 1)
+        for edge in _EDGES:
+            label = QLabel(styleSheet=_STYLE)
             label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+            layout.addWidget(label, *edge, Qt.AlignmentFlag.AlignCenter)
+            self._labels.append(label)
         self.look()
-
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Keep to the edges of the canvas."""
-        if event.type() == QEvent.Type.Resize:
-            self._place()
-        return False
 
     def look(self, *_: Any) -> None:
         """Show what is known of the slice that is seen."""
         for label, letter in zip(self._labels, Sides.of(self._viewer), strict=False):
             label.setText(letter)
             label.setVisible(bool(letter))
-            label.adjustSize()
-        self._place()
 
     def _on_layers(self, event: Any) -> None:
         if event.type in _TELLING:
             self.look()
-
-    def _place(self) -> None:
-        for label, (across, down) in zip(self._labels, _EDGES, strict=False):
-            canvas = label.parentWidget().rect()
-            room = canvas.adjusted(
-                _MARGIN, _MARGIN, -_MARGIN - label.width(), -_MARGIN - label.height()
-            )
-            label.move(
-                room.left() + round(across * room.width()), room.top() + round(down * room.height())
-            )
 
     def release(self) -> None:
         """Take them away."""
@@ -94,9 +84,3 @@ class PatientSides(QObject):
             with suppress(RuntimeError):  # gone with their window
                 label.deleteLater()
         self._labels = []
-
-
-#: What happens to layers, of all that does, after which other letters may be seen.
-_TELLING = ("inserted", "removed", "visible", "axis_labels")
-#: Where the letters stand, from 0 to 1, in the order of `Sides`.
-_EDGES = ((0.5, 0.0), (0.5, 1.0), (0.0, 0.5), (1.0, 0.5))

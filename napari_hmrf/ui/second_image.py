@@ -8,14 +8,14 @@ import numpy as np
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.layers.landmarks import landmark_pairs
+from napari_hmrf.layers.landmarks import LandmarkPairs, landmark_pairs
+from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.drawing import Landmark
+from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
-from napari_hmrf.ui.landmark_choice import LandmarkChoice
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.result.result_view import ResultView
-from napari_hmrf.ui.second_image_form import SecondImageForm
 
 #: Where both images are alike they make grey.
 _MOVED = {"colormap": "magenta"}
@@ -35,86 +35,83 @@ class SecondImage:
     live : LiveStudy
     """
 
-    def __init__(self, viewer: Any, form: Any, view: ResultView, live: LiveStudy) -> None:
-        self._viewer, self._view, self._live = viewer, view, live
-        self._form: SecondImageForm = form.second
-        self._pair: LandmarkChoice = form.motion.boundary.landmarks
+    def __init__(self, viewer: Any, form: DockForm, view: ResultView, live: LiveStudy) -> None:
+        self._viewer, self._view, self._live, self._form = viewer, view, live, form.result
+        self._image = form.image
+        self._pair = form.motion.boundary.landmarks
+        # The layers that are drawn in another way, and how they were before.
         self._before: list[tuple[Any, dict[str, Any]]] = []
-        self._other: Any = None
-        changes = (
-            self._form.other.changed,
-            live.followed,
-            self._pair.where.changed,
-            self._pair.should.changed,
-        )
+        choices = (self._image, self._form.second, self._pair.where, self._pair.should)
+        changes = (live.followed, *(choice.changed for choice in choices))
         self._heard = Listening(*((change, self.look) for change in changes))
 
     def release(self) -> None:
         """The dock is closed, or its window is gone."""
         self._heard.release()
-        self._restore()
+        self._draw(None, [])
 
     def look(self, *_: Any) -> None:
         """Show the second image over the first, and say how far landmarks are apart."""
-        other, shown = self._form.other.value, self._view.shown
-        if other is not self._other:
-            self._restore()
-            self._other = other
+        shown = self._view.shown
+        moved = (self._image.value, None if shown is None else shown.layer("image"))
+        self._draw(self._form.second.value, [layer for layer in moved if layer is not None])
+        self._form.landmarks.say(self._measured())
+
+    def _draw(self, other: Any, moved: list[Any]) -> None:
+        """Draw an image over others that move; those drawn so before are as they were."""
+        looks: list[tuple[Any, dict[str, Any]]] = []
         if other is not None:
-            self._draw(other, _OTHER)
-            layers = self._viewer.layers
-            for layer in (self._live.source, None if shown is None else shown.layer("image")):
-                self._draw(layer, _MOVED)
-                if layer in layers and layers.index(layer) > layers.index(other):
-                    layers.move(layers.index(other), layers.index(layer) + 1)
-        self._form.line.say(self._measured())
-
-    def _draw(self, layer: Any, look: dict[str, Any]) -> None:
-        """Draw a layer in another way until nothing is compared any more."""
-        if layer is None or any(each is layer for each, _ in self._before):
-            return
-        looks = {name: value for name, value in look.items() if name != "colormap" or not layer.rgb}
-        self._before.append((layer, {name: getattr(layer, name) for name in looks}))
-        _set(layer, looks)
-
-    def _restore(self) -> None:
+            looks = [(other, _OTHER), *((layer, _MOVED) for layer in moved)]
+        wanted = [layer for layer, _ in looks]
         for layer, look in self._before:
-            _set(layer, look)
-        self._before = []
+            if layer not in wanted:
+                _set(layer, look)
+        self._before = [each for each in self._before if each[0] in wanted]
+        known = [layer for layer, _ in self._before]
+        for layer, look in looks:
+            if layer not in known:
+                new = {name: look[name] for name in look if name != "colormap" or not layer.rgb}
+                self._before.append((layer, {name: getattr(layer, name) for name in new}))
+                _set(layer, new)
+        layers = self._viewer.layers
+        for layer in wanted[1:]:
+            if layer in layers and layers.index(layer) > layers.index(other):
+                layers.move(layers.index(other), layers.index(layer) + 1)
 
     def _measured(self) -> str:
         """How far landmarks were and are apart; each pair's goes to the features of its layer."""
         shown, where = self._view.shown, self._pair.where.value
-        if shown is None:
+        pairs = None if shown is None else self._pairs(shown.answer)
+        if shown is None or pairs is None:
             return ""
-        answer = shown.answer
-        spacing, d = answer.solution.spacing, answer.solution.displacement
+        solution, unit = shown.answer.solution, shown.answer.unit
+        spacing = solution.spacing
+        now = moved_points(pairs.at, solution.displacement, spacing=spacing)
+        apart, left = (
+            np.linalg.norm((pairs.to - places) * spacing, axis=1) for places in (pairs.at, now)
+        )
+        if where is not None:
+            column = np.full(len(where.data), np.nan)
+            column[pairs.numbers] = left
+            where.features = where.features.assign(**{f"residual ({unit})": column})
+        before, after = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
+        return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
+
+    def _pairs(self, answer: Answer) -> LandmarkPairs | None:
+        """The landmarks of the layers that are chosen, or else of the drawing."""
+        where, should = self._pair.where.value, self._pair.should.value
         if where is not None:
             view = View.of(self._viewer.dims)
             try:
-                pairs = landmark_pairs(
-                    where, self._pair.should.value, answer.frame, answer.shape, view
-                )
+                return landmark_pairs(where, should, answer.frame, answer.shape, view)
             except HmrfError:
-                return ""  # said when they are taken
-            numbers, at, to = pairs.numbers, pairs.at, pairs.to
-        else:
-            drawing = self._live.study.motion.drawing if self._live.study is not None else None
-            marks = () if drawing is None else drawing.marks
-            both = [(mark.source, mark.target) for mark in marks if isinstance(mark, Landmark)]
-            if not both:
-                return ""
-            at, to = np.array(both, dtype=float).swapaxes(0, 1)
-        apart = np.linalg.norm((to - at) * spacing, axis=1)
-        left = np.linalg.norm((to - moved_points(at, d, spacing=spacing)) * spacing, axis=1)
-        if where is not None:
-            column = np.full(len(where.data), np.nan)
-            column[numbers] = left
-            where.features = where.features.assign(**{f"residual ({answer.unit})": column})
-        before, now = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
-        return (
-            f"Landmarks: {before:.3g} {answer.unit} apart before, {now:.3g} now (RMS of {len(at)})"
-        )
+                return None  # said when they are taken
+        marks = () if self._live.study is None else self._live.study.motion.drawing.marks
+        both = [(mark.source, mark.target) for mark in marks if isinstance(mark, Landmark)]
+        if not both:
+            return None
+        at, to = np.array(both, dtype=float).swapaxes(0, 1)
+        return LandmarkPairs(np.arange(len(at)), at, to)
 
 
 def _set(layer: Any, look: dict[str, Any]) -> None:

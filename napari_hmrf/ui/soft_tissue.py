@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_steps import DockSteps
-from napari_hmrf.ui.forms import Part
+from napari_hmrf.ui.forms import Part, attempt
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
@@ -148,11 +149,11 @@ class SoftTissue(Dock):
     comparison = Part[Comparison | None]("_view.comparison")
     more = Part[ResultMenu]("_view.more")
     overlay = Part[str]("_form.result.overlay.value")
-    saved = Part[Any]("_view.saved")
+    saved = Part[Any]("_view.more.saved")
     unsaved = Part[bool]("_unsaved.there")
     ask = Part[Any]("_unsaved.ask")
-    compare_with = Part[Any]("_form.second.other.value")
-    residual = Part[str]("_form.second.line.value")
+    compare_with = Part[Any]("_form.result.second.value")
+    residual = Part[str]("_form.result.landmarks.value")
     sides = Part[Sides]("_sides.shown")
     live = Part[bool]("_form.footer.live.on")
     status = Part[str]("_guide.shown")
@@ -176,6 +177,7 @@ class SoftTissue(Dock):
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
+        form.image.changed.connect(self._view.stand_on)
         remember(viewer, form.model)
         self._steps = DockSteps(self.native, form, steps, self._pointer)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
@@ -183,8 +185,8 @@ class SoftTissue(Dock):
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
         self._second = SecondImage(viewer, form, self._view, self._live_study)
-        self._sides = PatientSides(self.native, viewer)
-        self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study)
+        self._sides = PatientSides(viewer)
+        self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study, self._try)
         self._connect()
         self._choices.choose_first()
 
@@ -296,7 +298,7 @@ class SoftTissue(Dock):
 
     def save_pictures(self, folder: str | Path) -> None:
         """Write pictures into a folder that exists; `saved` is emitted when they are there."""
-        self._view.save(Path(folder))
+        attempt(partial(self.more.save_pictures, folder), self.say)
 
     def save_study(self, path: str | Path) -> Path:
         """Save all of `study`, and its field if that is up to date; as `napari_hmrf.save_study`."""
@@ -309,8 +311,8 @@ class SoftTissue(Dock):
     def deform(self) -> None:
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
         if self.idle and not self.away:
-            for section in (self._form.tissue, self._form.motion.boundary):
-                section.table.look()
+            for table in self._form.tables:
+                table.look()
             self._choices.begin()
             self._live_study.settle()
 
@@ -403,7 +405,6 @@ class SoftTissue(Dock):
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study
-        form.image.changed.connect(self._view.stand_on)
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.clicked.connect(
@@ -421,8 +422,8 @@ class SoftTissue(Dock):
         form.result.keep.changed.connect(lambda _: self._try(self._unsaved.save_as))
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
-        for section in (form.tissue, form.motion.boundary):
-            section.table.picked.connect(self.hand_brush)
+        for table in form.tables:
+            table.picked.connect(self.hand_brush)
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
@@ -438,12 +439,12 @@ class SoftTissue(Dock):
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
 
-    def _try(self, action: Any) -> None:
-        try:
-            action()
-        except HmrfError as error:
-            self._guide.refuse(messages.in_short(error))
-            show_warning(messages.in_short(error))
+    def _try(self, action: Callable[[], object]) -> None:
+        attempt(action, self._refuse)
+
+    def _refuse(self, why: str) -> None:
+        self._guide.refuse(why)
+        show_warning(why)
 
     # What is pressed, and what is said
 
@@ -476,21 +477,11 @@ class SoftTissue(Dock):
         if closed:
             self._live_study.cancel()
             self._live_study.forget()
-            self._live_study.curve_layer.show(None)
             self._pointer.leave()
             self._view.rest()
-        watch, live, guide = self._watch, self._live_study, self._guide
-        parts = (
-            self._second,
-            self._unsaved,
-            self._sides,
-            watch,
-            guide,
-            live,
-            self._view,
-            self._steps,
-        )
-        for part in (*parts, self._form):
+        shown = (self._second, self._sides, self._view)
+        heard = (self._unsaved, self._watch, self._guide, self._live_study, self._steps)
+        for part in (*shown, *heard, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

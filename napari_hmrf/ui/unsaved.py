@@ -6,24 +6,15 @@ import logging
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
-from napari.utils.notifications import show_warning
-from qtpy.QtCore import QEvent, QObject, Qt, QThread, QTimer, Signal
-from qtpy.QtWidgets import (
-    QApplication,
-    QFileDialog,
-    QFrame,
-    QHBoxLayout,
-    QLabel,
-    QMainWindow,
-    QMessageBox,
-    QPushButton,
-    QVBoxLayout,
-)
+from qtpy.QtCore import QEvent, QObject, Qt, QThread, QTimer
+from qtpy.QtWidgets import QApplication, QFileDialog, QMainWindow, QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
@@ -35,10 +26,11 @@ from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui import study_files
 from napari_hmrf.ui.events import Listening, single_shot
-from napari_hmrf.ui.messages import in_short
+from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
+Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
 #: How long nothing must be edited until it is kept against a crash, in milliseconds.
 _REST = 1000
@@ -57,6 +49,8 @@ class Unsaved(QObject):
     viewer : napari.Viewer or ViewerModel
     pointer : Pointer
     live : LiveStudy
+    attempt : callable
+        Given what to do, does it or says why not.
 
     Attributes
     ----------
@@ -64,19 +58,16 @@ class Unsaved(QObject):
         Given a question, answers "save", "discard" or "cancel"; by default a person does.
     """
 
-    def __init__(self, dock: Any, viewer: Any, pointer: Any, live: Any) -> None:
+    def __init__(self, dock: Any, viewer: Any, pointer: Any, live: Any, attempt: Attempt) -> None:
         super().__init__(dock.native)
         self.ask: Callable[[str], Answer] = self._ask_person
+        self._try = attempt
         self._dock, self._viewer, self._pointer, self._live = dock, viewer, pointer, live
         self._steps, self._work = steps_of(viewer), shared(viewer, UnsavedWork)
-        self._over = False
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
         self._heard = Listening((self._steps.edits.changed, self._on_edited))
-        self._left = LeftBehind(self._take_up)
-        self._left.refused.connect(self._refuse)
-        dock.native.layout().insertWidget(0, self._left)
-        self._left.show_next(recovery.left_behind(folder()))
+        dock.insert(0, LeftBehind(lambda file: attempt(partial(self._take_up, file))))
         _all.add(self)
 
     @property
@@ -94,10 +85,9 @@ class Unsaved(QObject):
 
     def save_as(self) -> bool:
         """Ask where to save the study, and save it; whether it was."""
-        image, here = self._dock.image, self._pointer.history.slot
-        name = "study" if image is None else str(image.name)
+        here, name = self._pointer.history.slot, "study"
         if isinstance(here, Slot):
-            name = f"{name} {_slice(here)}".strip()
+            name = f"{here.layer.name} {_slice(here)}".strip()
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", name + SUFFIX, f"Studies (*{SUFFIX})"
         )
@@ -121,7 +111,9 @@ class Unsaved(QObject):
             return  # made again in a moment
         edits = self._steps.edits
         here = slot if slot.what == DRAWING else self._pointer.history.slot
-        by_hand = edits.next_undo or edits.next_redo or edits.in_progress
+        # What changes with something else, as a choice that follows new layers does, is no step.
+        steps = (edits.next_undo, edits.next_redo)
+        by_hand = any(step is not None and step.slot == slot for step in steps)
         if isinstance(here, Slot) and by_hand:
             self._work.note(here, slot, before)
             self._resting.start()
@@ -144,15 +136,15 @@ class Unsaved(QObject):
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         """Hear of the window's closing before napari does."""
-        if event.type() != QEvent.Type.Close or self._over:
+        if event.type() != QEvent.Type.Close or self not in _all:
             return False
         if watched.findChild(QtViewer).isHidden():
             # A script closes it, or napari does after another window: too late to stay.
             if QThread.currentThread().loopLevel() == 0:
                 self._discard()
             return False
-        asked = [each for each in _all if each is self or is_quitting(watched)]
-        asked = [each for each in asked if each.there]
+        everybody = is_quitting(watched)
+        asked = [each for each in _all if each.there and (everybody or each is self)]
         if not all(each.may_close() for each in asked):
             stop_quitting(watched)
             event.ignore()
@@ -184,17 +176,8 @@ class Unsaved(QObject):
         self._dock.image = slot.layer
         self._steps.go_to(slot)
         self._live.look()
-        try:
-            if (known := self._work.paths.get(slot)) is not None:
-                self.save(known)
-            else:
-                self.save_as()
-        except (HmrfError, OSError) as error:
-            self._refuse(in_short(error))
-
-    def _refuse(self, why: str) -> None:
-        self._dock.say(why)
-        show_warning(why)
+        known = self._work.paths.get(slot)
+        self._try(self.save_as if known is None else partial(self.save, known))
 
     def _ask_person(self, question: str) -> Answer:
         button = QMessageBox.StandardButton
@@ -241,59 +224,45 @@ class Unsaved(QObject):
         _all.discard(self)
         self._heard.release()
         self._resting.stop()
-        self._over = True
 
 
-class LeftBehind(QFrame):
+class LeftBehind(Container):
     """Says that work was found which was not saved when napari ended, and what can be done.
 
     Parameters
     ----------
     take_up : callable
-        Opens a file.
+        Opens a file, which then is no more among those that were left behind.
     """
 
-    #: Why a file cannot be opened.
-    refused = Signal(str)
-
     def __init__(self, take_up: Callable[[Path], None]) -> None:
-        super().__init__()
-        self._take_up = take_up
-        self._files: list[Path] = []
-        self._label = QLabel(wordWrap=True)
-        take, drop = QPushButton("Open it"), QPushButton("Discard")
-        take.clicked.connect(self._on_open)
-        drop.clicked.connect(self._on_drop)
-        layout, buttons = QVBoxLayout(self), QHBoxLayout()
-        layout.setContentsMargins(4, 4, 4, 4)
-        layout.addWidget(self._label)
-        layout.addLayout(buttons)
-        buttons.addWidget(take)
-        buttons.addWidget(drop)
+        self._file = Path()
+        self._said = Prose()
+        answers: dict[str, Callable[[Path], None]] = {"Open it": take_up, "Discard": _discard}
+        buttons = [PushButton(text=words) for words in answers]
+        super().__init__(widgets=[self._said, row(*buttons)], labels=False)
+        for button, answer in zip(buttons, answers.values(), strict=True):
+            button.changed.connect(partial(self._on_pressed, answer))
+        self.look()
 
-    def show_next(self, files: Iterable[Path]) -> None:
-        """Speak of the first of some files, if there is one."""
-        self._files = [file for file in files if file.exists()]
-        self.setVisible(bool(self._files))
-        said = ""
-        if self._files:
-            when = time.strftime("%d %b, %H:%M", time.localtime(self._files[0].stat().st_mtime))
-            more = f" (and {len(self._files) - 1} more)" if len(self._files) > 1 else ""
+    def look(self) -> None:
+        """Speak of the newest file that was left behind, if there is one."""
+        files, said = recovery.left_behind(folder()), ""
+        if files:
+            self._file = files[0]
+            when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
+            more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             said = f"Work of {when} was not saved when napari ended{more}."
-        self._label.setText(said)
+        self._said.say(said)
+        self.visible = bool(files)
 
-    def _on_open(self) -> None:
-        file = self._files[0]
-        try:
-            self._take_up(file)
-        except (HmrfError, OSError) as error:
-            self.refused.emit(in_short(error))
-        else:
-            self.show_next(self._files[1:])
+    def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:
+        answer(self._file)
+        self.look()
 
-    def _on_drop(self) -> None:
-        self._files[0].unlink(missing_ok=True)
-        self.show_next(self._files[1:])
+
+def _discard(file: Path) -> None:
+    file.unlink(missing_ok=True)
 
 
 def folder() -> Path:

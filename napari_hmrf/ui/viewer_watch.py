@@ -237,9 +237,8 @@ class ViewerWatch:
 
     def _mark(self) -> None:
         """Mark the row that is painted with."""
-        active = self._viewer.layers.selection.active
-        for section in (self._form.tissue, self._form.motion.boundary):
-            section.table.mark(active)
+        for table in self._form.tables:
+            table.mark(self._viewer.layers.selection.active)
 
     @property
     def _is_painted(self) -> bool:

@@ -47,7 +47,6 @@ class MeasurementTable(QDialog):
 
     def __init__(self, parent: QWidget, rows: Sequence[Measurement], unit: str) -> None:
         super().__init__(parent)
-        self.rows = tuple(rows)
         self.setWindowTitle("What happened to each tissue")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         table = QTableWidget(len(rows), len(_COLUMNS))

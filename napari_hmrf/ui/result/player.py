@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -30,11 +31,11 @@ class Player:
     ----------
     parent : QWidget
     errands : Errands
+    shown : callable
+        Returns the result whose moments are drawn, or None.
 
     Attributes
     ----------
-    shown : MovingLayers or None
-        The result whose moments are drawn.
     moved : Signal(int)
         Per cent that playing has come to.
     playing_changed : Signal(bool)
@@ -46,9 +47,10 @@ class Player:
     playing_changed = Signal(bool)
     drawn = Signal()
 
-    def __init__(self, parent: Any, errands: Errands) -> None:
-        self._errands = errands
-        self.shown: MovingLayers | None = None
+    def __init__(
+        self, parent: Any, errands: Errands, shown: Callable[[], MovingLayers | None]
+    ) -> None:
+        self._errands, self._shown = errands, shown
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
 
@@ -59,9 +61,9 @@ class Player:
 
     def play(self) -> None:
         """Go back and forth until stopped, beginning where the slider is."""
-        if self.shown is None or self.playing:
+        if (shown := self._shown()) is None or self.playing:
             return
-        self._started = time.monotonic() - SECONDS * self.shown.percent / FULL
+        self._started = time.monotonic() - SECONDS * shown.percent / FULL
         self._timer.start()
         self.playing_changed.emit(True)
 
@@ -73,7 +75,7 @@ class Player:
 
     def show(self, percent: int) -> None:
         """Draw a moment, at once if it is kept, else as soon as it is computed."""
-        if (shown := self.shown) is None:
+        if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
             self._errands.forget("moment")
@@ -88,12 +90,12 @@ class Player:
 
     def _on_tick(self) -> None:
         # The slider waits for the picture: both always say the same.
-        if self.shown is None or self._errands.busy("moment"):
+        if (shown := self._shown()) is None or self._errands.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2
         part = along if along <= 1 else 2 - along
         # As fine as all moments can be kept.
-        step = max(_STEP, math.ceil(FULL * self.shown.motion.finest))
+        step = max(_STEP, math.ceil(FULL * shown.motion.finest))
         percent = min(FULL, round(FULL * part / step) * step)
-        if percent != self.shown.percent:
+        if percent != shown.percent:
             self.moved.emit(percent)

@@ -9,8 +9,9 @@ from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
 
+from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.ui.forms import Prose, narrow, row
-from napari_hmrf.ui.result.reference import ReferenceChoice
+from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
 #: What is held to see the image as it was.
@@ -29,9 +30,19 @@ class _JumpThere(QProxyStyle):
 
 
 class ResultForm(Container):
-    """How much of the deformation is seen, what of it is drawn, and with what it is compared."""
+    """How much of the deformation is seen, what of it is drawn, and with what it is compared.
 
-    def __init__(self, layers: Callable[[], list[Any]]) -> None:
+    Parameters
+    ----------
+    layers : callable
+        The layers there are.
+    image : LayerChoice
+        What is deformed.
+    """
+
+    def __init__(self, layers: Callable[[], list[Any]], image: LayerChoice) -> None:
+        # Those of the result that is looked at, which is not compared with itself.
+        self._own_arrows: Any = None
         self.slider = Slider(
             value=100,
             max=100,
@@ -51,7 +62,24 @@ class ResultForm(Container):
             choices=overlay_choices("px"), value=NOTHING, label="show", tooltip=OVERLAY_TIP
         )
         narrow(self.overlay)
-        self.reference = ReferenceChoice(layers)
+        self.reference = LayerChoice(
+            layers,
+            lambda layer: layer is not self._own_arrows and holds_field(layer),
+            "reference",
+            "A displacement field, by File > Open, or another result: how far this one is from it "
+            "is said here, and 'show' has a map of it",
+            if_any=True,
+        )
+        self.second = LayerChoice(
+            layers,
+            lambda layer: is_picture(layer) and layer is not image.value,
+            "compare with",
+            "A second image of the same tissue, such as a later scan: it is seen in green over the "
+            "one that moves, in magenta. Where they agree they make grey",
+            if_any=True,
+        )
+        image.changed.connect(self.second.reset_choices)
+        self.landmarks = Prose()
         self.arrows = CheckBox(
             value=True,
             text="arrows",
@@ -80,9 +108,10 @@ class ResultForm(Container):
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
-                Container(widgets=[self.overlay, self.reference]),
+                Container(widgets=[self.overlay, self.reference, self.second]),
                 self.arrows,
                 kept,
+                self.landmarks,
             ],
             labels=False,
         )
@@ -90,7 +119,9 @@ class ResultForm(Container):
             if isinstance(part, Container):
                 part.margins = (0, 0, 0, 0)
 
-    def offer(self, there: bool) -> None:
-        """Let be used what takes a result, if there is one; a study is saved without, too."""
+    def offer(self, arrows: Any) -> None:
+        """Let be used what takes a result, if these arrows hold one; a study is saved without."""
+        self._own_arrows = arrows
+        self.reference.reset_choices()
         for part in (self.slider, self.play, self.before, self.overlay, self.arrows, self.save):
-            part.enabled = there
+            part.enabled = arrows is not None

@@ -1,4 +1,4 @@
-"""The menu of what else can be made of a result: numbers, files, and other layers moved with it."""
+"""What else can be made of a result: pictures, numbers, fields, and other layers moved with it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 from napari.layers import Labels
-from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
+from psygnal import Signal
+from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.io.fields import export_field, saved_field
+from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
@@ -21,11 +23,12 @@ from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.result_lookup import picture_of, tissue_of
 from napari_hmrf.layers.viewer_layers import same_selection
-from napari_hmrf.ui.forms import add_entry
+from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
+from napari_hmrf.ui.result.result_form import ResultForm
+from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, saved
 
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"
@@ -39,14 +42,14 @@ _WITH_IT = (
 
 
 class ResultMenu:
-    """What else can be made of the result that is looked at.
+    """What else can be made of the result that is looked at, by a menu or a button.
 
     What takes long is done while the window lives; what comes of it is said.
 
     Parameters
     ----------
-    button : QPushButton
-        Which has the menu.
+    form : ResultForm
+        With the buttons.
     viewer : napari.Viewer or ViewerModel
     shown : callable
         The result that is looked at, or None.
@@ -54,19 +57,20 @@ class ResultMenu:
         Given what there is to say.
     """
 
+    #: Pictures are written: a list of `Path`.
+    saved = Signal(object)
+
     def __init__(
         self,
-        button: QPushButton,
+        form: ResultForm,
         viewer: Any,
         shown: Callable[[], MovingLayers | None],
         say: Callable[[str], None],
     ) -> None:
-        self._button, self._viewer, self._look, self._say = button, viewer, shown, say
-        self._errands = Errands(lambda error: say(str(error) or type(error).__name__))
-        menu = QMenu(button)
-        menu.setToolTipsVisible(True)
-        menu.aboutToShow.connect(self._fill)
-        button.setMenu(menu)
+        self._button, self._viewer, self._look, self._say = form.more, viewer, shown, say
+        self._errands = Errands(say)
+        give_menu(self._button, self._fill)
+        form.save.changed.connect(self._on_save)
 
     @property
     def busy(self) -> bool:
@@ -94,6 +98,21 @@ class ResultMenu:
     def save_measurements(self, path: str | Path) -> Path:
         """Write what `measure` finds; as `napari_hmrf.io.tables.save_measurements`."""
         return save_measurements(path, self.measure(), self._shown.answer.unit)
+
+    def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
+        """Write pictures, perhaps into a new folder in that one; then `saved` is emitted.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result.
+        """
+        shown = self._shown
+        answer = shown.answer
+        made = f"{answer.source or 'result'} pictures" if own_folder else ""
+        what = Path(folder), answer.solution, shown.image, answer.unit, made
+        self._say(SAVING)
+        self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools, as `export_field`; how good its inverse is is said."""
@@ -130,7 +149,8 @@ class ResultMenu:
             names = ", ".join(f"'{each.attributes['name']}'" for each in made)
             self._say(f"Moved along: {names}.")
 
-        self._errands.send("moved", lambda: [move() for move in movers], add)
+        kind = f"{[layer.name for layer in layers]} moved along"  # of others these stay
+        self._errands.send(kind, lambda: [move() for move in movers], add)
 
     def release(self) -> None:
         """Answer nothing any more."""
@@ -156,7 +176,9 @@ class ResultMenu:
         menu, shown = self._button.menu(), self._look()
         menu.clear()
         about = "How far each tissue moved, how its area changed, and its strain"
-        add_entry(menu, "Measurements ...", about, lambda: self._try(self._show_measurements))
+        add_entry(
+            menu, "Measurements ...", about, lambda: attempt(self._show_measurements, self._say)
+        )
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -164,7 +186,7 @@ class ResultMenu:
         rows = [(str(each.name), [each]) for each in layers]
         for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
             move = partial(self.move_along, *chosen)
-            add_entry(along, title, _WITH_IT, lambda _=False, move=move: self._try(move))
+            add_entry(along, title, _WITH_IT, lambda _=False, move=move: attempt(move, self._say))
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
@@ -175,25 +197,25 @@ class ResultMenu:
             ask = partial(self._ask, save, name, kinds)
             add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
 
+    def _on_save(self, *_: Any) -> None:
+        title = "Where to make a folder of pictures"
+        chosen = QFileDialog.getExistingDirectory(self._button, title)
+        if chosen:
+            attempt(partial(self.save_pictures, chosen, own_folder=True), self._say)
+
+    def _on_saved(self, paths: list[Path]) -> None:
+        self._say(saved(paths))
+        self.saved.emit(paths)
+
     def _show_measurements(self) -> None:
-        unit = self._shown.answer.unit
-        table = MeasurementTable(self._button.window(), self.measure(), unit)
-        table.save.clicked.connect(
-            lambda: self._ask(
-                lambda path: save_measurements(path, table.rows, unit),
-                "measurements.csv",
-                "Tables (*.csv)",
-            )
-        )
+        rows, unit = self.measure(), self._shown.answer.unit
+        table = MeasurementTable(self._button.window(), rows, unit)
+        save = partial(save_measurements, rows=rows, unit=unit)
+        ask = partial(self._ask, save, "measurements.csv", "Tables (*.csv)")
+        table.save.clicked.connect(lambda _: ask())
         table.show()
 
     def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
         path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
         if path:
-            self._try(partial(save, path))
-
-    def _try(self, action: Callable[[], Any]) -> None:
-        try:
-            action()
-        except (HmrfError, OSError) as error:
-            self._say(str(error))
+            attempt(partial(save, path), self._say)

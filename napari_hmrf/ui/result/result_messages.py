@@ -12,7 +12,6 @@ from napari_hmrf.layers.overlay import Name
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
-from napari_hmrf.ui.result.reference import in_words
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (
@@ -92,7 +91,14 @@ def how_far(
     moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
     if apart is not None:
         return f"{moved}. Of {apart[0]}; you look at {apart[1]}."
-    return moved if compared is None else f"{moved}. {in_words(compared, result.unit)}"
+    return moved if compared is None else f"{moved}. {_compared(compared, result.unit)}"
+
+
+def _compared(found: Comparison, unit: str) -> str:
+    if not found.part:
+        return f"'{found.reference}' reaches none of this tissue."
+    where = "" if found.part > 0.995 else f" over {found.part:.0%} of the tissue"
+    return f"RMSD from '{found.reference}'{where}: {found.rmsd:.3g} {unit}."
 
 
 def at_point(

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from psygnal import Signal
-from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.field.tissue_point import Points
-from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.layers.field_layer import field_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
@@ -57,25 +54,22 @@ class ResultView:
 
     #: What there is to say.
     said = Signal(str)
-    #: Pictures are written: a list of `Path`.
-    saved = Signal(object)
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
-        self._native, self._viewer, self._form, self._results = native, viewer, form, results
-        self._errands = Errands(self._refuse)
+        self._viewer, self._form, self._results = viewer, form, results
+        self._errands = Errands(self.said.emit)
         self.shown: MovingLayers | None = None
         #: How far the result is from its reference, if there is one.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer)
-        self.player = Player(native, self._errands)
-        self.more = ResultMenu(form.more, viewer, lambda: self.shown, self.said.emit)
+        self.player = Player(native, self._errands, lambda: self.shown)
+        self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
         self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
         form.reference.changed.connect(self._on_reference)
         form.arrows.changed.connect(self._on_ticked)
         form.play.changed.connect(self._on_play)
-        form.save.changed.connect(self._on_save)
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
         form.before.native.released.connect(partial(setattr, self, "before", False))
         self.player.moved.connect(self._on_moved)
@@ -141,17 +135,6 @@ class ResultView:
         if self._can_move():
             self.player.play()
 
-    def save(self, folder: Path, own_folder: bool = False) -> None:
-        """Write pictures of the result, perhaps into a new folder; then `saved` is emitted."""
-        if (shown := self.shown) is None:
-            self.said.emit(words.NO_RESULT)
-            return
-        self.said.emit(words.SAVING)
-        answer = shown.answer
-        made = f"{answer.source or 'result'} pictures" if own_folder else ""
-        what = folder, answer.solution, shown.image, answer.unit, made
-        self._errands.send("pictures", partial(save_result_pictures, *what), self._on_saved)
-
     def rest(self) -> None:
         """Leave the layers as they were before they were moved."""
         if self._while_key_is_held in self._viewer.keymap.values():
@@ -181,18 +164,16 @@ class ResultView:
         self.cursor.watch(None)
         if before is not None and other:
             before.layers.leave()
-        self.shown = self.player.shown = shown
-        self._form.reference.shown = self.arrows
-        self._form.reference.reset_choices()
+        self.shown = shown
+        self._form.offer(self.arrows)
         self._compare()
-        self._form.offer(shown is not None)
         self._say_how_far()
         if shown is None:
             return
         try:
             shown.copy_image()
         except HmrfError as error:
-            self._refuse(error)
+            self.said.emit(str(error))
         self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
         self._on_eye()
@@ -388,20 +369,7 @@ class ResultView:
         else:
             self.play()
 
-    def _on_save(self, *_: Any) -> None:
-        title = "Where to make a folder of pictures"
-        chosen = QFileDialog.getExistingDirectory(self._native, title)
-        if chosen:
-            self.save(Path(chosen), own_folder=True)
-
-    def _on_saved(self, paths: list[Path]) -> None:
-        self.said.emit(words.saved(paths))
-        self.saved.emit(paths)
-
     def _while_key_is_held(self, _: Any) -> Any:
         self.before = True
         yield
         self.before = False
-
-    def _refuse(self, error: Exception) -> None:
-        self.said.emit(str(error) or type(error).__name__)
