@@ -46,8 +46,16 @@ class Field:
 
     Attributes
     ----------
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
+        Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
+        them. If the file says where what is seen came from, it is inverted when first asked for.
+    residual : float
+        How far, in pixels, that is from the inverse of what the file says at the worst site; 0 if
+        the file says where tissue goes.
+    spacing : tuple of float, shape (n,)
+        Size of a pixel along each axis, in mm; [z,] y, x.
     field : DisplacementField
-        As it is stored, with components in the order of the axes, in mm along them.
+        The same as it is stored, whichever way it leads; it can be asked at points.
     origin : tuple of float, shape (n,)
         Of the first pixel's middle, in mm, as ITK states it: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
@@ -60,10 +68,7 @@ class Field:
 
     @property
     def displacement(self) -> npt.NDArray[np.float64]:
-        """Material: what is at X moves to X + d(X). (H, W, 2) or (D, H, W, 3), as the field.
-
-        If the file says where what is seen came from, all of it is inverted when first asked for.
-        """
+        """Material, at every site; inverted when first asked for, if it has to be."""
         return self.field.displacement.astype(np.float64, copy=False)
 
     @property
@@ -73,10 +78,7 @@ class Field:
 
     @property
     def residual(self) -> float:
-        """How far, in pixels, `displacement` is from what the file says at the worst site.
-
-        0 if the file says where tissue goes, and need not be inverted.
-        """
+        """How far, in pixels, `displacement` is from what the file says at the worst site."""
         return self.field.residual
 
 
