@@ -167,17 +167,18 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
 
 
 def _field(path: str) -> LayerData:
-    """A displacement field as a layer that holds it, in pixels."""
+    """A displacement field as a layer that holds it as it is stored, in pixels."""
     from pathlib import Path
 
+    from napari_hmrf.field.displacement_field import DisplacementField
     from napari_hmrf.io.apply import load_field
     from napari_hmrf.layers.field_layer import field_layer
 
-    field = load_field(path)
-    pixels, frame = field.displacement / field.spacing, field.place.frame()
-    if pixels.shape[-1] == 2:
-        pixels = frame.put_field(pixels)
-    return field_layer(pixels, frame.placement(), Path(path).name.partition(".")[0])
+    file = load_field(path)
+    field, frame = file.field.to_pixels(), file.place.frame()
+    if len(field.shape) == 2:
+        field = DisplacementField.in_pixels(frame.put_field(field.displacement))
+    return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
 
 def _listed(path: PathOrPaths) -> list[str]:

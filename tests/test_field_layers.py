@@ -10,6 +10,7 @@ from screen import Screen
 
 from napari_hmrf import ProblemError, at_edges, write_field
 from napari_hmrf.contributions import open_scan, open_solution
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.layers.field_layer import field_layer, field_of
@@ -18,6 +19,7 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 
 pytest.importorskip("SimpleITK")
 SHAPE = (40, 48)
+in_pixels = DisplacementField.in_pixels
 TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
 
 
@@ -64,7 +66,7 @@ def test_a_field_of_any_tool_is_a_layer_where_it_lies(tmp_path, ending):
     x_first = [3.0, -4.0] + TURN @ [0.7 * 11, 0.5 * 20]
     np.testing.assert_allclose(layer.data_to_world((20, 11)), x_first[::-1], atol=1e-5)
     inner = np.s_[8:-8, 8:-8]
-    held = field_of(layer).displacement
+    held = field_of(layer).field.displacement
     np.testing.assert_allclose(held[inner], (d / [0.5, 0.7])[inner], atol=0.02)
     assert 100 < len(layer.data) < 500, "as many arrows as can be seen"
     assert opened_arrows_are_of_the_field(layer, held)
@@ -122,7 +124,7 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
     layers[0].metadata = described("image")
     dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), *layers)
     dock.image, dock.boundary = viewer.layers["photo"], viewer.layers["warp"]
-    held = field_of(viewer.layers["warp"]).displacement
+    held = field_of(viewer.layers["warp"]).field.displacement
     for chosen, counts in (
         (None, np.ones(SHAPE)),
         (viewer.layers["mask"], mask > 0),
@@ -143,7 +145,7 @@ def test_pixels_are_taken_for_pixels_where_an_image_has_no_millimetres(tmp_path,
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 0.5), spacing=(0.5, 0.5))
     dock, viewer = dock_beside(photo(), opened(tmp_path / "warp.mha"))
     dock.boundary = viewer.layers["warp"]
-    held = field_of(dock.boundary).displacement
+    held = field_of(dock.boundary).field.displacement
     np.testing.assert_allclose(dock.study.motion.observed, held, atol=1e-6)
 
 
@@ -185,7 +187,7 @@ def test_a_turned_field_on_its_own_pixels_is_what_it_was(tmp_path, dock_beside):
     dock, viewer = dock_beside(photo(**place), field)
     dock.boundary = viewer.layers["warp"]
     observed = dock.study.motion.observed
-    np.testing.assert_allclose(observed, field_of(field).displacement * [0.5, 0.7], atol=1e-5)
+    np.testing.assert_allclose(observed, field_of(field).field.displacement * [0.5, 0.7], atol=1e-5)
 
 
 @pytest.fixture
@@ -209,7 +211,7 @@ def test_how_far_a_result_is_from_a_reference_is_said_and_shown(pulled, wait_for
     dock, viewer = pulled()
     screen = Screen(dock)
     d = (dock.solution.displacement + np.array([0.3, -0.4])) / 0.5
-    made = field_layer(d, {"scale": (0.5, 0.5), "units": ("mm", "mm")}, "t")
+    made = field_layer(in_pixels(d), {"scale": (0.5, 0.5), "units": ("mm", "mm")}, "t")
     assert "RMSD" not in screen.words
     layer = viewer.add_layer(Layer.create(*made))
     dock.reference = layer
@@ -234,12 +236,12 @@ def test_a_reference_that_reaches_a_part_is_compared_there(pulled, wait_for):
     dock, viewer = pulled()
     d = dock.solution.displacement[:, :12] / 0.5
     place = {"scale": (0.5, 0.5), "units": ("mm", "mm")}
-    dock.reference = viewer.add_layer(Layer.create(*field_layer(d, place, "half")))
+    dock.reference = viewer.add_layer(Layer.create(*field_layer(in_pixels(d), place, "half")))
     wait_for(lambda: not dock.busy)
     assert dock.comparison.rmsd == pytest.approx(0, abs=1e-6)
     assert "over 50% of the tissue: " in Screen(dock).words
     far = {**place, "translate": (500, 500)}
-    dock.reference = viewer.add_layer(Layer.create(*field_layer(d, far, "far")))
+    dock.reference = viewer.add_layer(Layer.create(*field_layer(in_pixels(d), far, "far")))
     wait_for(lambda: not dock.busy)
     assert dock.comparison is None
     assert "'far' lies elsewhere" in dock.status
@@ -265,11 +267,11 @@ def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run
 def test_pixels_taken_for_pixels_are_those_of_the_axes_that_are_seen():
     """Of a slice that is seen with its rows as columns, and of one in the middle of a volume."""
     d = swirl((8, 8), 1.0)
-    known = PixelField(d, Frame.at((1.0, 1.0), ("mm", "mm")))
+    known = PixelField(in_pixels(d), Frame.at((1.0, 1.0), ("mm", "mm")))
     turned = replace(Frame.at((2.0, 3.0), ("pixel", "pixel")), plane=(1, 0))
     seen = known.on(turned, (8, 8)).displacement
     np.testing.assert_allclose(seen, d.swapaxes(0, 1)[..., ::-1] * turned.spacing, rtol=1e-6)
     side = replace(Frame.at((1.0, 1.0, 1.0), ("mm",) * 3), plane=(0, 1))
     target = replace(Frame.at((1.0, 1.0, 1.0), ("pixel",) * 3), plane=(0, 1))
-    seen = PixelField(side.put_field(d), side).on(target, (8, 8)).displacement
+    seen = PixelField(in_pixels(side.put_field(d)), side).on(target, (8, 8)).displacement
     np.testing.assert_allclose(seen, d, rtol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.moved_points import looked_up
+from napari_hmrf.field.moved_points import looked_up, looked_up_with_slopes
 from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.solver.problem import as_numbers
 
@@ -20,6 +21,8 @@ Float64Array = npt.NDArray[np.float64]
 _NEAR, _STEPS = 1e-6, 30
 #: No step goes further than so many pixels: beyond, the slope of a field says nothing.
 _FARTHEST = 4.0
+#: So many points are inverted at once: what that takes of memory is a few MB, whatever a field's.
+_AT_ONCE = 2**14
 
 
 class Inverse(NamedTuple):
@@ -49,7 +52,7 @@ def inverse_displacement(
     """Invert a motion at each site of its grid: u with u(P) = X - P, where X + d(X) = P.
 
     In two dimensions by `inverse_map`, exact for motion that is linear on triangles; in three by
-    Newton's method for motion that is trilinear between sites.
+    `origins_at`, some planes after the others.
 
     Parameters
     ----------
@@ -67,25 +70,44 @@ def inverse_displacement(
         Naming the input at fault.
     """
     d = as_field(displacement)
-    n = d.shape[-1]
+    if d.shape[-1] == 3:
+        return _inverse_of_volume(d / spacing, spacing)
     sites = np.moveaxis(np.indices(d.shape[:-1], dtype=np.float64), 0, -1)
-    if n == 3:
-        origins, known = _by_newton(d / spacing, sites)
+    origins, known = inverse_map(d, spacing=spacing, tissue=tissue)
+    if not known.all() and tissue is not None:
+        sheet, there = inverse_map(d, spacing=spacing)
+        origins[~known], filled = sheet[~known], known | there
     else:
-        origins, known = inverse_map(d, spacing=spacing, tissue=tissue)
-        if not known.all() and tissue is not None:
-            sheet, there = inverse_map(d, spacing=spacing)
-            origins[~known], filled = sheet[~known], known | there
-        else:
-            filled = known
-        if not filled.all():
-            origins = _extended(origins - sites, filled) + sites
+        filled = known
+    if not filled.all():
+        origins = _extended(origins - sites, filled) + sites
     back = (origins - sites) * spacing
-    residual = np.nan
-    if known.any():
-        away = looked_up(d / spacing, origins[known]) + origins[known] - sites[known]
-        residual = float(np.linalg.norm(away, axis=-1).max())
+    residual = _residual(d / spacing, origins[known], sites[known]) if known.any() else np.nan
     return Inverse(back, residual)
+
+
+def origins_at(pixels: npt.NDArray[np.floating], points: Float64Array) -> Float64Array:
+    """Find where in a volume that which is seen at points came from: X with X + d(X) = P.
+
+    By Newton's method, for motion that is trilinear between sites; all are taken to have an origin.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (D, H, W, 3)
+        Material displacement, in pixels.
+    points : ndarray, shape (N, 3)
+        In pixels.
+
+    Returns
+    -------
+    ndarray, shape (N, 3), float64
+        In pixels.
+    """
+    found = np.empty(points.shape)
+    for start in range(0, len(points), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        found[part] = _by_newton(pixels, points[part])
+    return found
 
 
 def as_field(displacement: npt.ArrayLike) -> Float64Array:
@@ -98,34 +120,43 @@ def as_field(displacement: npt.ArrayLike) -> Float64Array:
     return d
 
 
-def _by_newton(
-    pixels: Float64Array, sites: Float64Array
-) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
-    """Find the origin of each site of a volume; all are taken to have one."""
-    n = sites.shape[-1]
-    targets = sites.reshape(-1, n)
-    found = targets - pixels.reshape(-1, n)
-    slopes = np.zeros((*pixels.shape, n))
-    for axis in range(n):
-        if pixels.shape[axis] > 1:  # along a single slice nothing changes
-            slopes[..., axis] = np.gradient(pixels, axis=axis)
+def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Inverse:
+    """Invert a volume's motion at all of its sites."""
+    back, residual = np.empty(pixels.shape), 0.0
+    planes = 1 + _AT_ONCE // (1 + math.prod(pixels.shape[1:3]))
+    for first in range(0, len(pixels), planes):
+        part = back[first : first + planes]
+        sites = np.indices(part.shape[:-1], dtype=np.float64).reshape(3, -1).T
+        sites[:, 0] += first
+        origins = origins_at(pixels, sites)
+        residual = max(residual, _residual(pixels, origins, sites))
+        part[...] = ((origins - sites) * spacing).reshape(part.shape)
+    return Inverse(back, residual)
+
+
+def _residual(pixels: Float64Array, origins: Float64Array, sites: Float64Array) -> float:
+    """How far from its site the motion leads what came from an origin, at the worst."""
+    away = looked_up(pixels, origins) + origins - sites
+    return float(np.linalg.norm(away, axis=-1).max())
+
+
+def _by_newton(pixels: npt.NDArray[np.floating], targets: Float64Array) -> Float64Array:
+    """Find the origins of some points at once."""
+    found = targets - looked_up(pixels, targets)
     open_ones = np.arange(len(targets))
     for _ in range(_STEPS):
         at = found[open_ones]
-        away = at + looked_up(pixels, at) - targets[open_ones]
-        slope = np.eye(n) + looked_up(slopes.reshape(*sites.shape[:-1], n * n), at).reshape(
-            -1, n, n
-        )
+        values, slopes = looked_up_with_slopes(pixels, at)
+        slope = slopes + np.eye(3)
         # Where a field folds there is no way back; a slope that is no slope is stepped over.
-        flat = np.abs(np.linalg.det(slope)) < 1e-3
-        slope[flat] = np.eye(n)
-        step = np.linalg.solve(slope, away[..., None])[..., 0]
+        slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)
+        step = np.linalg.solve(slope, (at + values - targets[open_ones])[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)
         found[open_ones] = at - step * np.minimum(1, _FARTHEST / np.maximum(length, _NEAR))
         open_ones = open_ones[length[:, 0] > _NEAR]
         if not len(open_ones):
             break
-    return found.reshape(sites.shape), np.ones(sites.shape[:-1], dtype=bool)
+    return found
 
 
 def _extended(values: Float64Array, known: npt.NDArray[np.bool_]) -> Float64Array:

@@ -56,3 +56,32 @@ def looked_up(
         for part in range(field.shape[-1])
     ]
     return np.stack(parts, axis=-1)
+
+
+def looked_up_with_slopes(
+    field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Look a field up as `looked_up` does, and by how much it changes a pixel further.
+
+    Returns
+    -------
+    values : ndarray, shape (N, k)
+    slopes : ndarray, shape (N, k, n)
+        Along each axis: between the corners of the cell that a point is in. 0 beyond the edge.
+    """
+    n = points.shape[1]
+    last = np.array(field.shape[:-1]) - 1
+    at = np.clip(points, 0, last)
+    low = np.minimum(at.astype(np.intp), np.maximum(last - 1, 0))
+    ends = [low, np.minimum(low + 1, last)]
+    corners = [
+        np.stack([end[:, axis] for end in ends]).reshape(*np.eye(n, dtype=int)[axis] + 1, -1)
+        for axis in range(n)
+    ]
+    # Axis by axis, of both ends of each cell that is left: the value, and the slopes so far.
+    parts = [field[tuple(corners)].astype(np.float64)]
+    for axis in range(n):
+        share, inside = (at - low)[:, axis, None], (at == points)[:, axis, None]
+        slope = (parts[0][1] - parts[0][0]) * inside
+        parts = [*(part[0] + (part[1] - part[0]) * share for part in parts), slope]
+    return parts[0], np.stack(parts[1:], axis=-1)

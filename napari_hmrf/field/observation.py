@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.moved_points import looked_up
 from napari_hmrf.solver.problem import grid_in_words
 
 #: How far beyond the middle of its outermost pixels a field reaches, in pixels.
@@ -41,13 +41,13 @@ class PixelField(NamedTuple):
 
     Attributes
     ----------
-    displacement : ndarray, shape (..., D)
-        Material; in the pixels of its grid, along all of its axes.
+    field : DisplacementField
+        In the pixels of its grid, along all of its axes.
     frame : Frame
         Of the grid, at its first site.
     """
 
-    displacement: npt.NDArray[Any]
+    field: DisplacementField
     frame: Frame
 
     def on(self, frame: Frame, shape: tuple[int, int]) -> Observation:
@@ -60,7 +60,7 @@ class PixelField(NamedTuple):
         ProblemError
             If the field reaches no pixel of the slice, or pixels cannot be taken for pixels.
         """
-        own, more = self.displacement.shape[:-1], self.frame.ndim - frame.ndim
+        own, more = self.field.shape, self.frame.ndim - frame.ndim
         if min(frame.plane) + more < 0 or max((1, *own[: max(more, 0)])) > 1:
             raise ProblemError(
                 "observed",
@@ -77,14 +77,14 @@ class PixelField(NamedTuple):
         if not known.any():
             raise ProblemError("observed", "lies elsewhere than the image. Give both one place.")
         steps = np.zeros((len(at), frame.ndim))
-        steps[known] = looked_up(self.displacement, at[known]) @ back[:, :-1].T
+        steps[known] = self.field.at(at[known]) @ back[:, :-1].T
         sizes = np.linalg.norm(np.array(frame.matrix)[:-1, :-1], axis=0)
         out = np.abs(steps * sizes)[:, list(frame.others)].max(initial=0.0)
         d = (steps[:, list(frame.plane)] * frame.spacing).reshape(*shape, 2)
         return Observation(d.astype(np.float32), known.reshape(shape), float(out))
 
     def _by_pixels(self, frame: Frame, shape: tuple[int, int]) -> Observation:
-        own = self.displacement.shape[:-1]
+        own = self.field.shape
         rows, cols = (axis - frame.ndim for axis in frame.plane)
         if (own[rows], own[cols]) != shape or math.prod(own) != math.prod(shape):
             raise ProblemError(
@@ -93,7 +93,7 @@ class PixelField(NamedTuple):
                 f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
                 "length, or take a field on its pixels.",
             )
-        rows_first = np.moveaxis(self.displacement, (rows - 1, cols - 1), (-3, -2))
+        rows_first = np.moveaxis(self.field.displacement, (rows - 1, cols - 1), (-3, -2))
         d = rows_first.reshape(*shape, -1)[..., [rows, cols]] * frame.spacing
         return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.fields import Place, placed, read_field
 from napari_hmrf.io.images import ImageFile, load_image, save_image
@@ -41,27 +41,32 @@ class FieldFile:
 
     Attributes
     ----------
-    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
-        Material, in the unit of the place's spacing.
+    field : DisplacementField
+        In the unit of the place's spacing.
     place : Place
         Of a slice of a volume with three spacings.
     tissue : ndarray of bool or None
         What moves; None if the file does not say: everything.
     """
 
-    displacement: npt.NDArray[np.floating]
+    field: DisplacementField
     place: Place
     tissue: npt.NDArray[np.bool_] | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The pixels of its grid along each axis."""
-        return self.displacement.shape[:-1]
+        return self.field.shape
 
     @property
-    def spacing(self) -> tuple[float, ...]:
+    def spacing(self) -> Sequence[float]:
         """Of the axes that it moves along."""
-        return self.place.spacing[-len(self.shape) :]
+        return self.field.spacing
+
+    @property
+    def displacement(self) -> npt.NDArray[Any]:
+        """Material, at every site: of a field that leads back, all of it is inverted."""
+        return self.field.displacement
 
 
 def load_field(path: str | os.PathLike[str]) -> FieldFile:
@@ -76,12 +81,14 @@ def load_field(path: str | os.PathLike[str]) -> FieldFile:
     """
     if is_solution_file(path) or is_study_file(path):
         _, solution = load_solved(path)
-        return FieldFile(*placed(solution), solution.tissue)
-    field = read_field(path)
-    d = field.displacement
-    if d.ndim == 4 and len(d) == 1 and np.abs(d[..., 0]).max() < _ROUNDING:  # a slice of a volume
-        d = d[0, ..., 1:]
-    return FieldFile(d, Place(field.spacing, field.origin, field.direction))
+        d, place = placed(solution)
+        return FieldFile(DisplacementField(d, place.spacing[-2:]), place, solution.tissue)
+    file = read_field(path)
+    field, place = file.field, Place(file.spacing, file.origin, file.direction)
+    across = field.vectors[..., 0]
+    if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # of one slice
+        field = DisplacementField(file.displacement[0, ..., 1:], file.spacing[1:])
+    return FieldFile(field, place)
 
 
 def apply_field(
@@ -135,9 +142,8 @@ def _moved_slice(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
 
 
 def _moved_volume(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    back = inverse_displacement(field.displacement, spacing=field.spacing).displacement
-    sites = np.moveaxis(np.indices(field.shape), 0, -1)
-    origins = np.moveaxis(sites + back / field.spacing, -1, 0)
+    steps = field.field.backward / field.spacing
+    origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
     if pixels.ndim > 3:
         parts = [_looked_up(pixels[..., part], origins, order) for part in range(pixels.shape[-1])]
         return np.stack(parts, axis=-1)
@@ -180,7 +186,7 @@ def _move_landmarks(
     file, name, n = load_points(path), Path(path).name, len(field.shape)
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
-    at[:, -n:] = moved_points(at[:, -n:], field.displacement, spacing=field.spacing)
+    at[:, -n:] += field.field.at(at[:, -n:]) / field.spacing
     return save_points(target, place.to_space(at), file.targets, names=file.names)
 
 

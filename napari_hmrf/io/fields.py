@@ -23,6 +23,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import as_field, inverse_displacement
 from napari_hmrf.field.units import unit_factor
@@ -47,23 +48,38 @@ class Field:
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
         Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
-        them.
+        them. If the file says where what is seen came from, it is inverted when first asked for.
+    residual : float
+        How far, in pixels, that is from the inverse of what the file says at the worst site; 0 if
+        the file says where tissue goes.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis, in mm; [z,] y, x.
+    field : DisplacementField
+        The same as it is stored, whichever way it leads; it can be asked at points.
     origin : tuple of float, shape (n,)
         Of the first pixel's middle, in mm, as ITK states it: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
         As ITK states it: its columns are the directions of the image's x, y[ and z].
-    residual : float
-        How far, in pixels, it is from the inverse of what the file says at the worst site; 0 if the
-        file says where tissue goes.
     """
 
-    displacement: npt.NDArray[np.float64]
-    spacing: tuple[float, ...]
+    field: DisplacementField
     origin: tuple[float, ...]
     direction: npt.NDArray[np.float64]
-    residual: float = 0.0
+
+    @property
+    def displacement(self) -> npt.NDArray[np.float64]:
+        """Material, at every site; inverted when first asked for, if it has to be."""
+        return self.field.displacement.astype(np.float64, copy=False)
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Size of a pixel along each axis, in mm; [z,] y, x."""
+        return tuple(self.field.spacing)
+
+    @property
+    def residual(self) -> float:
+        """How far, in pixels, `displacement` is from what the file says at the worst site."""
+        return self.field.residual
 
 
 def write_field(
@@ -194,15 +210,17 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
             "axis."
         )
     turn = np.array(image.GetDirection()).reshape(n, n)
-    vectors = sitk.GetArrayFromImage(image).astype(np.float64)
+    vectors = sitk.GetArrayFromImage(image)
+    if vectors.dtype != np.float32:
+        vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
         raise FileFormatError(f"{source.name}: it holds values that are not numbers.")
-    along = (vectors @ turn)[..., ::-1]
+    along = (vectors @ turn.astype(vectors.dtype))[..., ::-1]
     spacing = tuple(image.GetSpacing()[::-1])
     if image.HasMetaDataKey(_SLICER):
         forward = image.GetMetaData(_SLICER) == _FORTH
-    d, residual = (along, 0.0) if forward else inverse_displacement(along, spacing=spacing)
-    return Field(d, spacing, tuple(image.GetOrigin()), turn, residual)
+    field = DisplacementField(along, spacing, back=not forward)
+    return Field(field, tuple(image.GetOrigin()), turn)
 
 
 #: The axes of a volume's world by where in the patient they lead to, as layers carry them.

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from napari.utils.notifications import show_info
 
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.io.fields import saved_field
 from napari_hmrf.layers.label_colours import OBSERVED
@@ -17,8 +17,6 @@ from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.result_layers import ARROWS, LayerData
 from napari_hmrf.layers.result_lookup import result_of
 from napari_hmrf.layers.slice_view import frame_of
-
-Array = npt.NDArray[Any]
 
 
 def holds_field(layer: Any) -> bool:
@@ -33,26 +31,26 @@ def field_of(layer: Any) -> PixelField | None:
     answer, frame = result_of(layer), frame_of(layer)
     if answer is None:
         return PixelField(known_of(layer)["field"], frame)
-    pixels = answer.solution.displacement / answer.solution.spacing
-    return PixelField(answer.frame.put_field(pixels), replace(frame, index=answer.frame.index))
+    pixels = answer.frame.put_field(answer.solution.displacement / answer.solution.spacing)
+    return PixelField(DisplacementField.in_pixels(pixels), replace(frame, index=answer.frame.index))
 
 
 def field_layer(
-    pixels: Array, place: Mapping[str, Any], name: str, role: str | None = None
+    field: DisplacementField, place: Mapping[str, Any], name: str, role: str | None = None
 ) -> LayerData:
     """Have a layer hold a field, and draw some of its arrows.
 
     Parameters
     ----------
-    pixels : ndarray, shape (..., D)
-        Material displacement in pixels, along all axes.
+    field : DisplacementField
+        In pixels, along all axes.
     place : mapping
         Where the first pixel and the others lie, as a new layer takes it.
     name : str
     role : str, optional
         What the layer is for.
     """
-    shape = pixels.shape[:-1]
+    shape = field.shape
     step = max(1, round((shape[-2] * shape[-1] / ARROWS) ** 0.5))
     steps = (*(1 for _ in shape[:-2]), step, step)
     lines = [
@@ -60,8 +58,8 @@ def field_layer(
         for every, size in zip(steps, shape, strict=True)
     ]
     starts = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(shape))
-    arrows = np.stack([starts, pixels[tuple(starts.T)]], axis=1).astype(np.float32)
-    known = {"field": pixels, **({} if role is None else {"role": role})}
+    arrows = np.stack([starts, field.at(starts.astype(float))], axis=1).astype(np.float32)
+    known = {"field": field, **({} if role is None else {"role": role})}
     look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": step / 8}
     return LayerData(
         arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"

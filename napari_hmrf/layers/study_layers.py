@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from napari.layers import Image, Labels, Layer, Vectors
 
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.field_layer import field_layer
 from napari_hmrf.layers.label_colours import boundary_colours
@@ -64,8 +65,9 @@ def study_layers(study: Study) -> dict[str, Any]:
         steps = motion.observed[tuple(starts.T)] / study.grid.spacing
         known, title = {METADATA: {"role": BOUNDARY}}, name("boundary", "Observed")
         if len(starts) > _MANY:
-            pixels = frame.put_field(motion.observed / study.grid.spacing)
-            made["boundary"] = Layer.create(*field_layer(pixels, place, title, BOUNDARY))
+            steps = frame.put_field(motion.observed / study.grid.spacing)
+            field = DisplacementField.in_pixels(steps)
+            made["boundary"] = Layer.create(*field_layer(field, place, title, BOUNDARY))
         else:
             arrows = frame.put_vectors(np.stack([starts, steps], axis=1))
             made["boundary"] = Vectors(arrows, name=title, metadata=known, **frame.placement())
