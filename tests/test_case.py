@@ -202,6 +202,27 @@ def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
     assert 0.05 < counts.mean() < 0.15
 
 
+def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
+    folder, *_ = files
+    # A field on other voxels of the same place: it grows from slice to slice.
+    other = Place((2.0, 1.0, 1.0), PLACE.origin, PLACE.direction)
+    d = np.zeros((3, 18, 30, 3))
+    d[..., 1] = 0.5 * np.arange(3)[:, None, None]
+    place = {"spacing": other.spacing, "origin": other.origin, "direction": other.direction}
+    write_field(folder / "Warp.nii.gz", d, **place)
+    study = read_case(case(folder, boundary=folder / "Warp.nii.gz"))
+    known = study.motion.confidence > 0
+    assert known.mean() > 0.5
+    np.testing.assert_allclose(
+        study.motion.observed[known], np.full((known.sum(), 2), (0.5, 0)), atol=0.01
+    )
+    (folder / "far").mkdir()
+    away = {**place, "origin": (900.0, 0.0, 0.0)}
+    write_field(folder / "far" / "Warp.mha", d, **away)
+    with pytest.raises(ProblemError, match=r"Warp\.mha: lies elsewhere than the image"):
+        read_case(case(folder, boundary=folder / "far" / "Warp.mha"))
+
+
 def test_an_edge_is_where_the_image_is_steep():
     image = np.zeros((40, 40), np.uint8)
     image[:, 20:] = 100

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, place_of
@@ -239,14 +240,21 @@ def _motion(case: Case, grid: Grid, place: Place | None, image: npt.NDArray[Any]
     if case.rules is not None:
         labels = _pixels(case, path, grid.shape, whole=True)
         return Motion(labels=labels, rules=read_rules(case.rules))
-    field = load_field(path)
+    field, counts = load_field(path), _counts(case, grid, image)
+    if len(field.shape) == 3 and grid.place is not None:  # of the volume that the slice lies in
+        whole = PixelField(field.field.to_pixels(), field.place.frame())
+        try:
+            there = whole.on(grid.place, (image.shape[0], image.shape[1]))
+        except ProblemError as error:
+            raise ProblemError(path.name, error.message) from None
+        return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
     if field.shape != grid.shape:
         raise ProblemError(
             path.name,
             f"is {grid_in_words(field.shape)}, but the image {grid_in_words(grid.shape)}. Give a "
             "field on the same pixels, or --rules if it is an image of labels.",
         )
-    return Motion(observed=field.displacement, confidence=_counts(case, grid, image))
+    return Motion(observed=field.displacement, confidence=counts)
 
 
 def _counts(case: Case, grid: Grid, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
