@@ -19,6 +19,8 @@ _STYLE = (
     "font-weight: bold;"
 )
 _MARGIN = 6
+#: Below the line in which napari names what colours show.
+_TOP = 34
 #: Rows and columns of the canvas, in the order of `Sides`.
 _EDGES = ((0, 1), (2, 1), (1, 0), (1, 2))
 #: What happens to layers, of all that does, after which other letters may be seen.
@@ -57,7 +59,7 @@ class PatientSides:
         layout = canvas.layout()  # of a dock that was closed
         if layout is None:
             layout = QGridLayout(canvas)
-            layout.setContentsMargins(_MARGIN, _MARGIN, _MARGIN, _MARGIN)
+            layout.setContentsMargins(_MARGIN, _TOP, _MARGIN, _MARGIN)
             layout.setRowStretch(1, 1)
             layout.setColumnStretch(1, 1)
         for edge in _EDGES:
