@@ -95,7 +95,8 @@ def test_a_volume_is_no_field_of_a_slice_which_is_said_before_it_is_inverted(
     inverted.clear()
     options = ["--labels", str(labels), "--boundary", str(path), "--slice", "3"]
     assert main(["solve", str(labels), *options, "-o", str(tmp_path / "out")]) != 0
-    assert f"warp.mha: is {grid_in_words(case.shape)}, but" in capsys.readouterr().err
+    said = f"warp.mha: is {grid_in_words(case.shape)} in millimeter, but the image"
+    assert said in capsys.readouterr().err
     assert inverted == []
 
 
