@@ -129,6 +129,16 @@ def test_what_was_saved_comes_back(study, tmp_path):
     assert saved.solution.provenance.model == study.model_name
 
 
+def test_stiffness_may_be_a_picture_of_whole_numbers(tmp_path):
+    shades = np.arange(1, 481, dtype=np.uint16).reshape(20, 24)
+    for kind in (np.uint8, np.uint16, np.int32, np.float16):
+        study = Study(
+            Grid(shades.shape, (1.0, 1.0)), Tissue(stiffness=shades.astype(kind)), Motion(True)
+        )
+        saved = load_study(save_study(tmp_path / "case", study)).study
+        assert plain(saved.tissue.stiffness) == plain(study.tissue.stiffness)
+
+
 def test_a_study_needs_no_field(study, tmp_path):
     path = save_study(tmp_path / "case.study", study)
     assert path.name == "case.study"

@@ -82,8 +82,8 @@ def attempt(action: Callable[[], object], refuse: Callable[[str], object]) -> No
     """Do what somebody has asked for, or say why it cannot be done."""
     try:
         action()
-    except (HmrfError, OSError) as error:
-        refuse(str(error) if isinstance(error, OSError) else in_short(error))
+    except (HmrfError, OSError, ValueError) as error:  # the last of what cannot be saved
+        refuse(in_short(error) if isinstance(error, HmrfError) else str(error))
 
 
 def row(*widgets: Any) -> Container:

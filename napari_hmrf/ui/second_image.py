@@ -41,6 +41,8 @@ class SecondImage:
         self._pair = form.motion.boundary.landmarks
         # The layers that are drawn in another way, and how they were before.
         self._before: list[tuple[Any, dict[str, Any]]] = []
+        # The second image, and where it was among the layers.
+        self._place: tuple[Any, int] | None = None
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (live.followed, *(choice.changed for choice in choices))
         self._heard = Listening(*((change, self.look) for change in changes))
@@ -74,6 +76,13 @@ class SecondImage:
                 self._before.append((layer, {name: getattr(layer, name) for name in new}))
                 _set(layer, new)
         layers = self._viewer.layers
+        if self._place is not None and self._place[0] is not other:
+            before, at = self._place
+            self._place = None
+            if before in layers:  # else it would cover what moves
+                layers.move(layers.index(before), at)
+        if other is not None and self._place is None:
+            self._place = other, layers.index(other)
         for layer in wanted[1:]:
             if layer in layers and layers.index(layer) > layers.index(other):
                 layers.move(layers.index(other), layers.index(layer) + 1)
