@@ -163,6 +163,59 @@ def test_a_model_and_tissue_by_brightness_are_undone_step_by_step(widget, small_
     assert widget.model == "elastic"
 
 
+def test_what_goes_with_an_image_is_undone_step_by_step_in_whichever_image(widget, small_sample):
+    viewer = widget._viewer
+    image, tissue, boundary = small_sample(viewer)
+    other = viewer.add_image(image.data[::-1].copy(), name="other")
+    stiffness = viewer.add_image(np.ones_like(image.data), name="stiff")
+    widget.image = image
+    widget.hold_edge = True
+    widget.tissue = stiffness
+    widget.without_border = False
+    widget.boundary = None
+    widget.image = other
+    widget.hold_edge = True
+    widget.undo()
+    assert (widget.image, widget.hold_edge) == (other, False)
+    widget.undo()
+    assert (widget.image, widget.boundary) == (image, boundary), (
+        "of the other image, and goes there"
+    )
+    widget.undo()
+    assert widget.without_border
+    widget.undo()
+    assert widget.tissue is tissue
+    widget.undo()
+    assert not widget.hold_edge, "what came painted says all that is held"
+    for _ in range(4):
+        widget.redo()
+    chosen = widget.hold_edge, widget.tissue, widget.without_border, widget.boundary
+    assert chosen == (True, stiffness, False, None)
+
+
+def test_a_choice_of_a_layer_that_is_gone_is_undone_to_none(widget, small_sample):
+    viewer = widget._viewer
+    _, tissue, _ = small_sample(viewer)
+    stiffness = viewer.add_image(np.ones((8, 8)), name="stiff")
+    widget.tissue = stiffness
+    viewer.layers.remove(tissue)
+    widget.undo()
+    assert widget.tissue is None
+    widget.redo()
+    assert widget.tissue is stiffness
+
+
+def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_sample):
+    viewer = widget._viewer
+    small_sample(viewer)
+    viewer.add_image(np.zeros((12, 12)), name="other")
+    widget.image = viewer.layers["other"]
+    widget.make_layers()
+    viewer.layers.remove(viewer.layers["Tissue [1]"])
+    widget.undo()
+    assert widget.status == "There is nothing to take back."
+
+
 def test_landmarks_that_are_taken_are_seen_at_once(open_window, settle, click):
     person, widget = open_window()
     widget.stop()

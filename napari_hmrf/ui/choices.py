@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import weakref
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from napari.layers import Labels, Vectors
+from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import CURVE, DRAWING, Slot, steps_of
+from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, Slot, steps_of
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
@@ -28,32 +30,67 @@ class Choices:
     ----------
     viewer : napari.Viewer or ViewerModel
     form : DockForm
+
+    Attributes
+    ----------
+    fields : dict of str to ValueWidget
+        With what each image has of its own.
+    by_itself : bool
+        Whether what is chosen now is nobody's doing.
     """
+
+    #: What was chosen by itself is chosen.
+    settled = Signal()
 
     def __init__(self, viewer: Any, form: DockForm) -> None:
         self._viewer, self._form = viewer, form
+        self._edits = steps_of(viewer).edits
         motion = form.motion
-        self._fields: dict[str, Any] = {
+        self.fields: dict[str, Any] = {
             "tissue": form.tissue.choice,
-            "border": form.tissue.border,
             "boundary": motion.boundary.choice,
             "confidence": motion.boundary.confidence,
+            "border": form.tissue.border,
             "edge": motion.edge,
         }
-        self._beginning = {name: field.value for name, field in self._fields.items()}
-        self._kept: weakref.WeakKeyDictionary[Any, dict[str, Any]] = weakref.WeakKeyDictionary()
+        self._beginning = self.values
         self._image: Any = None
+        self.by_itself = False
         # Whether somebody chose an image, or something that goes with the one that is chosen.
         self._by_hand = self._begun = False
         # Whether the edge is let go because of what came painted.
         self._let_go = False
-        motion.edge.changed.connect(lambda _: setattr(self, "_let_go", False))
-        motion.boundary.choice.changed.connect(self._on_boundary)
         # Whether there is no image as the one that was worked on is gone.
         self._lost = False
+        motion.edge.changed.connect(lambda _: setattr(self, "_let_go", False))
+        motion.boundary.choice.changed.connect(self._on_boundary)
         for name in ("tissue", "boundary", "confidence"):
-            self._fields[name].changed.connect(self._on_chosen)
+            self.fields[name].changed.connect(self._on_chosen)
         form.image.changed.connect(self._on_image)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """What goes with the image, by name; to be set, too: a layer that is gone is none."""
+        return {name: field.value for name, field in self.fields.items()}
+
+    @values.setter
+    def values(self, values: Mapping[str, Any]) -> None:
+        with self.nobody_chooses():
+            for name, value in values.items():
+                field = self.fields[name]
+                layer = hasattr(field, "offered")
+                field.value = value if not layer or value in field.choices else None
+
+    @contextmanager
+    def nobody_chooses(self) -> Iterator[None]:
+        """What is chosen meanwhile is chosen by itself."""
+        before, self.by_itself = self.by_itself, True
+        try:
+            yield
+        finally:
+            self.by_itself = before
+            if not before:
+                self.settled.emit()
 
     @property
     def view(self) -> View:
@@ -92,18 +129,18 @@ class Choices:
 
     def look(self, *_: Any) -> None:
         """Look again at which layers there are; another image takes the place of one that left."""
-        form, before, by_hand = self._form, self._form.image.value, self._by_hand
-        for choice in form.choices:
-            choice.reset_choices()
-        self._by_hand = by_hand
-        form.motion.boundary.landmarks.look()
-        if before is not None and form.image.value is None:
-            others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
-            images = [layer for layer in form.image.offered if layer not in others]
-            self._by_hand = self._by_hand and bool(images)
-            self._lost = not images
-            if images:
-                self._choose(images[0])
+        form, before = self._form, self._form.image.value
+        with self.nobody_chooses():
+            for choice in form.choices:
+                choice.reset_choices()
+            form.motion.boundary.landmarks.look()
+            if before is not None and form.image.value is None:
+                others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
+                images = [layer for layer in form.image.offered if layer not in others]
+                self._by_hand = self._by_hand and bool(images)
+                self._lost = not images
+                if images:
+                    form.image.value = images[0]
 
     def choose_first(self) -> None:
         """Choose the image in front, or one that is worked on, and what is painted on it."""
@@ -111,11 +148,13 @@ class Choices:
         viewer, offered = self._viewer, self._form.image.offered
         worked_on = self._drawn_on or shared(viewer, ResultLayers).sources
         image, layers = image_in_front(viewer, offered, worked_on), list(viewer.layers)
-        if image is not None:
-            self._choose(image)
-            layers = painted_on(image, layers, self.view)
-        for layer in layers:
-            self._take_painted(layer)
+        with self.nobody_chooses():
+            if image is not None:
+                known = Slot(CHOICE, image) in self._edits.slots  # by a dock that was closed
+                self._form.image.value = image
+                layers = [] if known else painted_on(image, layers, self.view)
+            for layer in layers:
+                self._take_painted(layer)
 
     def begin(self) -> None:
         """Work has begun with the image that is chosen: no other takes its place by itself."""
@@ -129,66 +168,59 @@ class Choices:
         image = self._form.image
         free = not (self._by_hand or (self._begun and image.value is not None))
         stays = self._image is not None and bool(self._drawn_on)
-        if layer in image.offered and not stays and (free or role_of(layer) == IMAGE):
-            self._choose(layer)
-        self._take_painted(layer)
+        with self.nobody_chooses():
+            if layer in image.offered and not stays and (free or role_of(layer) == IMAGE):
+                image.value = layer
+            self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
-        begun = self._begun
-        role = role_of(layer)
+        role, boundary = role_of(layer), self._form.motion.boundary.choice
         if role == TISSUE and layer in self._form.tissue.choice.offered:
             self._form.tissue.choice.value = layer
         elif role == BOUNDARY:
-            self._form.motion.boundary.choice.value = layer
-            # What comes painted says all that is held.
-            if layer.data.any() and self._form.motion.edge.value:
-                self._form.motion.edge.value = False
-                self._let_go = True
-        self._begun = begun  # nobody has chosen it
+            if layer.data.any():  # what comes painted says all that is held
+                self._let_edge_go()
+            boundary.value = layer
 
-    def _choose(self, image: Any) -> None:
-        by_hand = self._by_hand
-        self._form.image.value = image
-        self._by_hand = by_hand
+    def _let_edge_go(self) -> None:
+        """Have the edge not be held, as a part of choosing a boundary."""
+        edge = self._form.motion.edge
+        self._let_go = self._let_go or edge.value
+        with edge.changed.blocked():
+            edge.value = False
 
     @property
     def _drawn_on(self) -> list[Any]:
         """The images on any slice of which something is drawn."""
-        edits = steps_of(self._viewer).edits
-        slots = [slot for slot in edits.slots if isinstance(slot, Slot) and slot.what == DRAWING]
-        return [slot.layer for slot in slots if edits.get(slot).marks]
+        slots = [each for each in self._edits.slots if each.what == DRAWING]
+        return [slot.layer for slot in slots if self._edits.get(slot).marks]
 
     def _on_boundary(self, layer: Any) -> None:
         """A field says how the edge moves; without a boundary it is held, unless somebody chose."""
-        if holds_field(layer) and self._form.motion.edge.value:
-            self._form.motion.edge.value = False
-            self._let_go = True
+        if holds_field(layer):
+            self._let_edge_go()
         if self._let_go and layer is None:
             self._form.motion.edge.value = True
 
     def _on_chosen(self, layer: Any) -> None:
-        self._begun = self._begun or layer is not None
+        self._begun = self._begun or (layer is not None and not self.by_itself)
 
     def _on_image(self, image: Any) -> None:
-        """Keep what was chosen for the image before, and choose what goes with this one."""
-        self._by_hand = True
+        """Choose what goes with an image: what was chosen for it before, if it was."""
+        self._by_hand = self._by_hand or not self.by_itself
         self._lost = self._lost and image is None
         before, self._image = self._image, image
         if before is image:
             return
-        if before is not None:
-            self._kept[before] = {name: field.value for name, field in self._fields.items()}
-        self._form.tissue.offer(steps_of(self._viewer).edits.get(Slot(CURVE, image)))
+        self._form.tissue.offer(self._edits.get(Slot(CURVE, image)))
         if image is None:
             return
-        known = self._kept.get(image)
+        known = self._edits.get(Slot(CHOICE, image))
         if known is None and before is None:  # what was chosen before an image stays with it
             return
-        for name, value in (known or self._beginning).items():
-            field = self._fields[name]
-            layer = hasattr(field, "offered")
-            field.value = value if not layer or value in field.choices else None
+        self.values = known or self._beginning
         if known is None:
-            for layer in painted_on(image, self._viewer.layers, self.view):
-                self._take_painted(layer)
+            with self.nobody_chooses():
+                for layer in painted_on(image, self._viewer.layers, self.view):
+                    self._take_painted(layer)
         self._begun = known is not None

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Owner, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.footer import StepKeys
 from napari_hmrf.ui.messages import WELCOME
-from napari_hmrf.ui.tissue_form import BRIGHTNESS
 
 #: Of the viewer, and no layer.
 _THE_MODEL = Slot(MODEL, "")
+#: What is done to the choices of an image, in words; the first that differs says it.
+_CHOSEN = {
+    "tissue": "chose what says how stiff tissue is",
+    "boundary": "chose another boundary",
+    "confidence": "chose what says how sure the boundary is",
+    "border": "changed whether the dark border is tissue",
+    "edge": "changed whether the edge is held",
+}
 
 
 class DockSteps:
@@ -29,24 +38,28 @@ class DockSteps:
         The dock.
     form : DockForm
         Of the dock.
+    choices : Choices
+        Likewise.
     steps : ViewerSteps
         Of the viewer.
     owner : Owner
         Who may be in the middle of something.
     """
 
-    def __init__(self, native: Any, form: DockForm, steps: ViewerSteps, owner: Owner) -> None:
-        self._form, self._steps, self._owner = form, steps, owner
+    def __init__(
+        self, native: Any, form: DockForm, choices: Choices, steps: ViewerSteps, owner: Owner
+    ) -> None:
+        self._form, self._choices, self._steps, self._owner = form, choices, steps, owner
         self._model = steps.edits
-        tissue = form.tissue
-        # Whether something is put back, which is no step.
-        self._going = False
+        form.model.values = self._model.get(_THE_MODEL, {})  # of a dock that was closed
         for table in form.tables:
             table.changed.connect(self.note)
-        for choice in (form.image, tissue.choice, form.model, form.model.in_detail):
-            choice.changed.connect(self.note, max_args=0)
-        tissue.editor.plot.edited.connect(self._take_curve)
-        tissue.editor.plot.settled.connect(lambda _: self._model.end())
+        fields = (form.image, *choices.fields.values(), form.model, form.model.in_detail)
+        for field in fields:
+            field.changed.connect(self.note, max_args=0)
+        choices.settled.connect(partial(self.note, by_itself=True))
+        form.tissue.editor.plot.edited.connect(self._take_curve)
+        form.tissue.editor.plot.settled.connect(lambda _: self._model.end())
         form.footer.undo.changed.connect(lambda _: steps.choose("undo"))
         form.footer.redo.changed.connect(lambda _: steps.choose("redo"))
         StepKeys(native, steps)
@@ -54,7 +67,7 @@ class DockSteps:
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
         )
         steps.bind_keys(owner)
-        self.note()
+        self.note(by_itself=True)
         self.show()
 
     def release(self) -> None:
@@ -68,7 +81,7 @@ class DockSteps:
 
     def note(self, by_itself: bool = False) -> None:
         """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
-        for slot, now in () if self._going else self._edited:
+        for slot, now in () if self._choices.by_itself else self._edited:
             if slot.layer is None or now == (before := self._model.open(slot, now)):
                 continue
             word = "" if by_itself else _step(slot, before, now)
@@ -81,7 +94,7 @@ class DockSteps:
     def _edited(self) -> list[tuple[Slot, Any]]:
         form = self._form
         tables = [(Slot(table.role, table.layer), table.contents) for table in form.tables]
-        choice = Slot(CHOICE, form.image.value), form.tissue.choice.value
+        choice = Slot(CHOICE, form.image.value), self._choices.values
         return [*tables, choice, (_THE_MODEL, form.model.values)]
 
     @property
@@ -116,23 +129,21 @@ class DockSteps:
 
     def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
         """Put back what is shown of it here, and choose the image it is of."""
-        form, tissue = self._form, self._form.tissue
+        form = self._form
         if slot.what == DRAWING and slot.layer is form.image.value:
             return
-        going, self._going = self._going, True
-        if slot.what in (DRAWING, CHOICE) and slot.layer in form.image.offered:
-            form.image.value = slot.layer
-        if slot == _THE_MODEL:
-            form.model.values = value
-        elif slot.what == CHOICE:
-            tissue.choice.value = value if value in tissue.choice.choices else None
-        elif slot == self._curve_slot:
-            tissue.go_by(value)
-        for table in form.tables:
-            if slot == Slot(table.role, table.layer):
-                table.contents = value
-        self._going = going
-        self.note(by_itself=True)
+        with self._choices.nobody_chooses():
+            if slot.what in (DRAWING, CHOICE) and slot.layer in form.image.offered:
+                form.image.value = slot.layer
+            if slot == _THE_MODEL:
+                form.model.values = value
+            elif slot.what == CHOICE:
+                self._choices.values = value
+            elif slot == self._curve_slot:
+                form.tissue.go_by(value)
+            for table in form.tables:
+                if slot == Slot(table.role, table.layer):
+                    table.contents = value
 
 
 def _step(slot: Slot, before: Any, now: Any) -> str:
@@ -141,5 +152,5 @@ def _step(slot: Slot, before: Any, now: Any) -> str:
         same = all(before[name] == now[name] for name in ("model", "plane"))
         return "" if same else "chose another model"
     if slot.what == CHOICE:
-        return "chose what says how stiff tissue is" if BRIGHTNESS in (before, now) else ""
+        return next(word for name, word in _CHOSEN.items() if before[name] != now[name])
     return change(before, now, slot.layer.name)

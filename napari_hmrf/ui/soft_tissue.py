@@ -178,15 +178,17 @@ class SoftTissue(Dock):
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
-        remember(viewer, form.model)
-        self._steps = DockSteps(self.native, form, steps, self._pointer)
+        remember(form.model.in_detail["device"])
+        self._steps = DockSteps(self.native, form, self._choices, steps, self._pointer)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
         )
         self._second = SecondImage(viewer, form, self._view, self._live_study)
         self._sides = PatientSides(viewer)
-        self._unsaved = Unsaved(self, viewer, self._pointer, self._live_study, self._try)
+        self._unsaved = Unsaved(
+            self, viewer, self._choices, self._pointer, self._live_study, self._try
+        )
         self._connect()
         self._choices.choose_first()
 
@@ -335,7 +337,9 @@ class SoftTissue(Dock):
         by_itself = self.curve is not None
         chosen = (self.image if by_itself else self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, View.of(self._viewer.dims))
-        self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
+        with self._choices.nobody_chooses():  # undo would not take the layers away
+            self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
+        self._choices.begin()
         self.say(messages.PAINT)
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:

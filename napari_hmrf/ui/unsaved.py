@@ -25,6 +25,7 @@ from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui import study_files
+from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
@@ -47,6 +48,7 @@ class Unsaved(QObject):
     ----------
     dock : SoftTissue
     viewer : napari.Viewer or ViewerModel
+    choices : Choices
     pointer : Pointer
     live : LiveStudy
     attempt : callable
@@ -58,11 +60,14 @@ class Unsaved(QObject):
         Given a question, answers "save", "discard" or "cancel"; by default a person does.
     """
 
-    def __init__(self, dock: Any, viewer: Any, pointer: Any, live: Any, attempt: Attempt) -> None:
+    def __init__(
+        self, dock: Any, viewer: Any, choices: Choices, pointer: Any, live: Any, attempt: Attempt
+    ) -> None:
         super().__init__(dock.native)
         self.ask: Callable[[str], Answer] = self._ask_person
         self._try = attempt
-        self._dock, self._viewer, self._pointer, self._live = dock, viewer, pointer, live
+        self._dock, self._viewer, self._choices = dock, viewer, choices
+        self._pointer, self._live = pointer, live
         self._steps, self._work = steps_of(viewer), shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
@@ -97,8 +102,14 @@ class Unsaved(QObject):
 
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study; what was drawn on others stays on them."""
-        study_files.open_into(self._dock, self._viewer, path)
+        self._add(path)
         self._settle(self._pointer.history.slot, Path(path))
+
+    def _add(self, path: str | Path) -> None:
+        """Have what a file holds be in the viewer; undo would not take its layers away."""
+        with self._choices.nobody_chooses():
+            study_files.open_into(self._dock, self._viewer, path)
+        self._choices.begin()
 
     def painted(self) -> None:
         """A layer that is read was painted on."""
@@ -214,7 +225,7 @@ class Unsaved(QObject):
 
     def _take_up(self, file: Path) -> None:
         """Open what was left behind; it is kept until somebody saves it."""
-        study_files.open_into(self._dock, self._viewer, file)
+        self._add(file)
         here = self._pointer.history.slot
         self._work.note(here)
         self._work.kept[here] = recovery.take_over(file)
