@@ -14,7 +14,7 @@ from napari.components import ViewerModel
 from napari.settings import get_settings
 from patience import LONG
 from person import CTRL, Person
-from qtpy.QtCore import QEvent, QObject, QSettings, Qt
+from qtpy.QtCore import QEvent, QFile, QObject, QSettings, Qt
 from qtpy.QtWidgets import QFileDialog, QMessageBox
 from screen import Screen
 
@@ -251,6 +251,22 @@ def test_a_person_is_asked_by_a_box_with_three_answers(window, close, monkeypatc
     assert close(dock)
 
 
+def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_path, monkeypatch):
+    _, dock = window()
+    dock.drawing = DRAWING
+    path = dock.save_study(tmp_path / "case")
+    dock.drawing = OTHER
+    offered = []
+    monkeypatch.setattr(
+        QFileDialog, "getSaveFileName", lambda *said: (offered.append(said[2]), ("", ""))[1]
+    )
+    Screen(dock).press("Save study ...")
+    assert offered == [str(path)]
+    asked = Asked(dock, "discard")
+    assert close(dock)
+    assert asked.questions[0].endswith("Save it before closing? That replaces 'case.study'.")
+
+
 def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_path):
     viewer, other = ViewerModel(), ViewerModel()
     other.add_image(np.full((40, 44), 90, np.uint8), name="saved")
@@ -361,15 +377,20 @@ def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
     assert not kept()
 
 
-def test_what_a_killed_process_left_is_discarded_also_if_it_cannot_be_read(killed, beside):
+def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(
+    killed, beside, monkeypatch
+):
     with killed():
         pass
     (file,) = kept()
     file.write_bytes(file.read_bytes()[:200])
     dock = beside(ViewerModel())
+    thrown = []
+    monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))
     Screen(dock).press("Open it")
     assert "damaged" in dock.status
     assert kept() == [file]
     Screen(dock).press("Discard")
+    assert thrown == [str(file)], "where it can be had back from, if there is such a place"
     assert not kept()
     assert LEFT not in Screen(dock).words

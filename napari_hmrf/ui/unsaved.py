@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
-from qtpy.QtCore import QEvent, QObject, Qt, QThread, QTimer
+from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QMainWindow, QMessageBox
 
 from napari_hmrf.errors import HmrfError
@@ -93,8 +93,9 @@ class Unsaved(QObject):
         here, name = self._pointer.history.slot, "study"
         if isinstance(here, Slot):
             name = f"{here.layer.name} {_slice(here)}".strip()
+        known = self._work.paths.get(here, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
-            self._dock.native, "Save the study", name + SUFFIX, f"Studies (*{SUFFIX})"
+            self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
         )
         if chosen:
             self.save(chosen)
@@ -168,12 +169,15 @@ class Unsaved(QObject):
 
     def may_close(self) -> bool:
         """Ask what to do with what no file holds; whether nothing of it is wanted any more."""
+        slices, paths = self._work.slices, self._work.paths
         names = [
             f"'{slot.layer.name}'" + (f" ({_slice(slot)})" if _slice(slot) else "")
-            for slot in self._work.slices
+            for slot in slices
         ]
+        replaced = [f"'{paths[slot].name}'" for slot in slices if slot in paths]
         answer = self.ask(
             f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
+            + (f" That replaces {' and '.join(replaced)}." if replaced else "")
         )
         if answer == "discard":
             self._discard()
@@ -273,7 +277,9 @@ class LeftBehind(Container):
 
 
 def _discard(file: Path) -> None:
-    file.unlink(missing_ok=True)
+    """Put a file where the system keeps what was thrown away, if it does."""
+    if not QFile(str(file)).moveToTrash():
+        file.unlink(missing_ok=True)
 
 
 def folder() -> Path:
