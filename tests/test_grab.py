@@ -452,6 +452,20 @@ def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     assert widget.drawing == drawn
 
 
+def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being_typed(pulling):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    drawn, field = widget.drawing, widget.fields.radius.native
+    field.setFocus()
+    QTest.keyClicks(field, "1")
+    QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == drawn, "that was of the field's own text"
+    QTest.keyClick(field, Qt.Key.Key_Return)
+    before = widget.drawing
+    QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
+    assert widget.drawing != before
+
+
 def test_an_image_that_is_removed_takes_its_steps_along(pulling, at_rest):
     person, widget = pulling
     person.drag((30, 30), (34, 34))

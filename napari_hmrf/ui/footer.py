@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import (
+    QAbstractSpinBox,
     QLabel,
     QProgressBar,
     QPushButton,
     QSizePolicy,
-    QToolTip,
     QVBoxLayout,
+    QWhatsThis,
     QWidget,
 )
 
@@ -120,8 +122,8 @@ class Footer(QWidget):
 
     def _show_help(self, *_: object) -> None:
         button = self.help.native
-        self.say(self.help.tooltip)
-        QToolTip.showText(button.mapToGlobal(button.rect().center()), self.help.tooltip, button)
+        middle = button.mapToGlobal(button.rect().center())
+        QWhatsThis.showText(middle, self.help.tooltip, button)  # there until a click or a key
 
     def _fit(self) -> None:
         label, words = self._status, self._sentence.split(" ")
@@ -226,10 +228,14 @@ class StepKeys(QObject):
         super().__init__(native)
         self._steps = steps
         native.installEventFilter(self)
+        for number in native.findChildren(QAbstractSpinBox):
+            number.installEventFilter(self)
+            number.editingFinished.connect(partial(number.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         """Answer a key that nothing within the dock has taken."""
-        if event.type() != QEvent.Type.KeyPress:
+        number = isinstance(watched, QAbstractSpinBox)
+        if event.type() != QEvent.Type.KeyPress or (number and watched.lineEdit().isModified()):
             return False
         edits, key = self._steps.edits, (event.modifiers(), event.key())
         if key == (_CTRL, Qt.Key.Key_Z) and edits.next_undo is not None:
