@@ -60,6 +60,21 @@ def test_taken_landmarks_are_where_they_belong_and_each_says_how_far_it_is(compa
     assert (viewer.layers["is"].features["residual (mm)"] < 0.01).all()
 
 
+def test_landmarks_that_are_taken_back_leave_no_numbers_and_nothing_to_compare_with(
+    compared, wait_for
+):
+    viewer, dock, _, _ = compared
+    Screen(dock).choose("is")
+    dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    dock.undo()
+    wait_for(lambda: not dock.residual and not dock.busy)
+    dock._form.result.reference.reset_choices()
+    assert dock._form.result.reference.offered == [], "the result is none any more"
+    dock.redo()
+    wait_for(lambda: "apart before" in dock.residual)
+
+
 def test_landmarks_that_the_field_does_not_know_test_it(compared, wait_for):
     viewer, dock, _, _ = compared
     Screen(dock).choose("is")

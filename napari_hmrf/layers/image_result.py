@@ -155,6 +155,9 @@ class Result:
                 self._put(part, made)
         for part, held in self._held.items():
             held.current = part in layers
+        arrows = self.layer("arrows")
+        if arrows is not None and not (moving or self.holds("arrows")):
+            add_known(arrows, answer=None, solution=None)  # tissue is at rest again
         self._set_eyes()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:

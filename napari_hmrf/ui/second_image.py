@@ -44,7 +44,7 @@ class SecondImage:
         # The second image, and where it was among the layers.
         self._place: tuple[Any, int] | None = None
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
-        changes = (live.followed, *(choice.changed for choice in choices))
+        changes = (view.looked, *(choice.changed for choice in choices))
         self._heard = Listening(*((change, self.look) for change in changes))
 
     def release(self) -> None:

@@ -54,6 +54,8 @@ class ResultView:
 
     #: What there is to say.
     said = Signal(str)
+    #: Another result is looked at, another state of it, or none.
+    looked = Signal()
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
@@ -166,6 +168,7 @@ class ResultView:
             before.layers.leave()
         self.shown = shown
         self._form.offer(self.arrows)
+        self.looked.emit()
         self._compare()
         self._say_how_far()
         if shown is None:
