@@ -72,6 +72,8 @@ def study_layers(study: Study) -> dict[str, Any]:
             arrows = frame.put_vectors(np.stack([starts, steps], axis=1))
             made["boundary"] = Vectors(arrows, name=title, metadata=known, **frame.placement())
         values, title = frame.put_image(counts), name("confidence", "How sure")
-        look = {"contrast_limits": (0, 1), "opacity": 0.3, "visible": False}
+        look = {"contrast_limits": (0, 1), "opacity": 0.3}
         made["confidence"] = Image(values, name=title, **look, **place)
+    for part, layer in made.items():  # paint would tint the picture that has moved
+        layer.visible = part == ("image" if "image" in made else "tissue")
     return made
