@@ -12,6 +12,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.deformation import jacobian_determinant
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
@@ -117,6 +118,20 @@ def test_a_ring_expands_or_shrinks(brushing, settle):
     widget.fields.amount.value = -2.0
     settle(widget)
     assert outward(widget) == pytest.approx(-2, abs=0.2)
+
+
+@pytest.mark.parametrize("amount", [2.0, -2.0])
+def test_a_patch_grows_without_a_tear(pulling, settle, amount):
+    person, widget = pulling
+    widget.fields.radius.value = 10.0
+    person.key(EXPAND)
+    widget.fields.amount.value = amount
+    person.paint((32, 32), (32, 33))
+    settle(widget)
+    area = jacobian_determinant(displacement(widget))
+    assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
+    assert not widget.warning
+    assert seen_paint(person)[32, 32], "all that was painted is seen"
 
 
 def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
