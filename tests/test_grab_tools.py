@@ -10,6 +10,7 @@ from patience import LONG_MS
 from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from screen import Screen
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
@@ -132,6 +133,31 @@ def test_a_patch_grows_without_a_tear(pulling, settle, amount):
     assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
     assert not widget.warning
     assert seen_paint(person)[32, 32], "all that was painted is seen"
+
+
+def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(pulling, settle):
+    person, widget = pulling
+    person.key(EXPAND)
+    amount = widget.fields.amount
+    amount.value = 2.0
+    person.paint((32, 32), (32, 33))
+    amount.value = -1.5
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert (only(widget).amount, amount.value) == (2.0, 2.0)
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert (only(widget).amount, amount.value) == (-1.5, -1.5)
+    for _ in range(2):
+        person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+    assert not Screen(widget).button("Remove").isEnabled()
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert Screen(widget).button("Remove").isEnabled(), "it is selected"
+    amount.value = 1.0
+    assert only(widget).amount == 1.0, "and the field changes it"
+    person.key(PIN)
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not Screen(widget).button("Remove").isEnabled(), "of another tool nothing is"
+    settle(widget)
 
 
 def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
