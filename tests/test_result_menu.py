@@ -209,8 +209,10 @@ def test_the_menu_offers_the_layers_that_can_be_moved(result, wait_for):
     assert [each.text() for each in along.actions()] == [
         "Tissue", "Boundary", "R&&D", "All of these"
     ]  # fmt: skip
+    viewer.layers["Tissue"].visible = False
     along.actions()[-1].trigger()
     wait_for(lambda: not dock.busy)
+    assert viewer.layers["Tissue, moved"].visible, "though what it was made of is hidden"
     assert {"Tissue, moved", "Boundary, moved", "R&D, moved"} <= {e.name for e in viewer.layers}
 
 
