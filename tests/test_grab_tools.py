@@ -205,6 +205,25 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     assert not seen_paint(person).any()
 
 
+def test_a_confidence_over_nothing_that_is_held_or_moved_says_so(pulling, settle):
+    person, widget = pulling
+    person.key(PIN)
+    widget.fields.radius.value = 3.0
+    person.paint((20, 20), (20, 26))
+    person.key(CONFIDENCE)
+    widget.fields.sure.value = 0.0
+    person.paint((20, 25), (20, 30))
+    settle(widget)
+    assert "Nothing is held" not in widget.status
+    person.paint((40, 40), (40, 44))
+    settle(widget)
+    assert widget.status.startswith("Nothing is held or moved where you painted")
+    person.key(PIN)
+    person.paint((40, 40), (40, 44))
+    settle(widget)
+    assert "Nothing is held" not in widget.status
+
+
 def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pulling, settle):
     person, widget = pulling
     viewer, fields = person.viewer, widget.fields

@@ -296,9 +296,12 @@ class Pointer:
             self.draw()
             return
         if held:
-            mark = self.hand.mark
-            if isinstance(mark, Stroke) and self.display.is_beside(mark):
-                self.refused.emit(motion_messages.BESIDE)
+            mark, number = self.hand.mark, self.hand.selected
+            if isinstance(mark, Stroke) and number is not None:
+                if self.display.is_beside(mark):
+                    self.refused.emit(motion_messages.BESIDE)
+                elif self.display.is_over_nothing(mark, self.drawing.without(number)):
+                    self.refused.emit(motion_messages.UNHELD)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if self.tool.name == "landmark" or pushed:  # nothing more is waited for
