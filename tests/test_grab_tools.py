@@ -256,6 +256,13 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     assert not confidence.colormap.map([0.0])[0, 3], "which the image shows through"
     names = [layer.name for layer in viewer.layers]
     assert names.index("Confidence") == names.index("Motion, painted") - 1
+    Screen(widget).choose("Jacobian")
+    settle(widget)
+    (overlay,) = (layer for layer in viewer.layers if "Jacobian" in layer.name)
+    assert overlay.colorbar.visible
+    assert overlay.colorbar.position != confidence.colorbar.position, "each scale has its corner"
+    if hasattr(overlay, "name_overlay"):  # of napari 0.9
+        assert confidence.name_overlay.position == confidence.colorbar.position
 
 
 def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(pulling, settle):
