@@ -159,7 +159,7 @@ MUTATIONS = (
         "Motion(solution, overlay=picture).at(0).overlay",
         "test_widgets_look.py",
     ),
-    Mutation("ui/messages.py", "_HANDFUL = 5", "_HANDFUL = 50", "test_widgets.py"),
+    Mutation("ui/messages.py", "HANDFUL = 5", "HANDFUL = 50", "test_widgets.py"),
     Mutation("ui/footer.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "test_live_mode.py"),
     Mutation(
         "ui/result/player.py",

@@ -10,8 +10,10 @@ from patience import LONG_MS
 from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from screen import Screen
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.deformation import jacobian_determinant
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
@@ -119,6 +121,45 @@ def test_a_ring_expands_or_shrinks(brushing, settle):
     assert outward(widget) == pytest.approx(-2, abs=0.2)
 
 
+@pytest.mark.parametrize("amount", [2.0, -2.0])
+def test_a_patch_grows_without_a_tear(pulling, settle, amount):
+    person, widget = pulling
+    widget.fields.radius.value = 10.0
+    person.key(EXPAND)
+    widget.fields.amount.value = amount
+    person.paint((32, 32), (32, 33))
+    settle(widget)
+    area = jacobian_determinant(displacement(widget))
+    assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
+    assert not widget.warning
+    assert seen_paint(person)[32, 32], "all that was painted is seen"
+
+
+def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(pulling, settle):
+    person, widget = pulling
+    person.key(EXPAND)
+    amount = widget.fields.amount
+    amount.value = 2.0
+    person.paint((32, 32), (32, 33))
+    amount.value = -1.5
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert (only(widget).amount, amount.value) == (2.0, 2.0)
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert (only(widget).amount, amount.value) == (-1.5, -1.5)
+    for _ in range(2):
+        person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+    assert not Screen(widget).button("Remove").isEnabled()
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert Screen(widget).button("Remove").isEnabled(), "it is selected"
+    amount.value = 1.0
+    assert only(widget).amount == 1.0, "and the field changes it"
+    person.key(PIN)
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not Screen(widget).button("Remove").isEnabled(), "of another tool nothing is"
+    settle(widget)
+
+
 def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
     person, widget = pulling
     person.key(EXPAND)
@@ -164,6 +205,25 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     assert not seen_paint(person).any()
 
 
+def test_a_confidence_over_nothing_that_is_held_or_moved_says_so(pulling, settle):
+    person, widget = pulling
+    person.key(PIN)
+    widget.fields.radius.value = 3.0
+    person.paint((20, 20), (20, 26))
+    person.key(CONFIDENCE)
+    widget.fields.sure.value = 0.0
+    person.paint((20, 25), (20, 30))
+    settle(widget)
+    assert "Nothing is held" not in widget.status
+    person.paint((40, 40), (40, 44))
+    settle(widget)
+    assert widget.status.startswith("Nothing is held or moved where you painted")
+    person.key(PIN)
+    person.paint((40, 40), (40, 44))
+    settle(widget)
+    assert "Nothing is held" not in widget.status
+
+
 def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pulling, settle):
     person, widget = pulling
     viewer, fields = person.viewer, widget.fields
@@ -196,6 +256,13 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     assert not confidence.colormap.map([0.0])[0, 3], "which the image shows through"
     names = [layer.name for layer in viewer.layers]
     assert names.index("Confidence") == names.index("Motion, painted") - 1
+    Screen(widget).choose("Jacobian")
+    settle(widget)
+    (overlay,) = (layer for layer in viewer.layers if "Jacobian" in layer.name)
+    assert overlay.colorbar.visible
+    assert overlay.colorbar.position != confidence.colorbar.position, "each scale has its corner"
+    if hasattr(overlay, "name_overlay"):  # of napari 0.9
+        assert confidence.name_overlay.position == confidence.colorbar.position
 
 
 def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(pulling, settle):

@@ -74,7 +74,7 @@ def spoiled(field, where, value):
 @pytest.mark.parametrize(
     ("arrays", "field", "says"),
     [
-        (spoiled("stiffness", (1, 2), np.nan), "stiffness", r"1 values that are NaN .* \(1, 2\)"),
+        (spoiled("stiffness", (1, 2), np.nan), "stiffness", r"at 1 pixel that are NaN .* \(1, 2\)"),
         (spoiled("stiffness", (1, 2), -np.inf), "stiffness", r"\(1, 2\)"),
         (
             spoiled("stiffness", (3, 0), -2),
@@ -91,19 +91,20 @@ def spoiled(field, where, value):
             r"is 1e-60 at \(1, 2\).*0 where there is no tissue",
         ),
         (spoiled("stiffness", ..., 3e38), "stiffness", r"is 3e\+38 at \(0, 0\).*choose a unit"),
-        (spoiled("confidence", (2, 1, 1), np.nan), "confidence", r"\(2, 1, 1\)"),
+        (spoiled("confidence", (2, 1, 1), np.nan), "confidence", r"at 1 pixel .* \(2, 1\)\."),
         (
             spoiled("confidence", (2, 1, 1), 1.5),
             "confidence",
-            r"outside 0 to 1, the first at \(2, 1, 1\)",
+            r"at 1 pixel outside 0 to 1, the first at \(2, 1\)\.",
         ),
+        (spoiled("confidence", (2, 1), 1.5), "confidence", r"at 1 pixel outside 0 to 1"),
         (spoiled("confidence", (2, 1, 0), -0.1), "confidence", "outside 0 to 1"),
         (spoiled("confidence", ..., 0), "confidence", "Mark at least one place"),
         (spoiled("stiffness", 0, 0), "confidence", "only where there is no tissue"),
         (
             spoiled("observed", (0, 3, 0), np.inf),
             "observed",
-            r"where confidence is above 0, the first at \(0, 3, 0\)",
+            r"where confidence is above 0, the first at \(0, 3\)\.",
         ),
     ],
 )

@@ -1,14 +1,17 @@
-"""Units of length by their names, as layers and files spell them."""
+"""Units of length by their names, as layers and files spell them; lengths as people see them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import pint
 
 #: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
+#: What is less than this part of a pixel, or of a per cent, is rounding, and nobody sees it.
+UNSEEN = 1e-3
 
 
 def unit_factor(unit: str, to: str) -> float:
@@ -40,6 +43,11 @@ def unit_symbol(unit: str) -> str:
         return f"{_units().Unit(unit):~}" or unit
     except (pint.errors.PintError, ValueError):
         return unit
+
+
+def as_seen(length: float, spacing: Iterable[float]) -> float:
+    """A length for people to read: 0 if it is too small a part of a pixel to be seen."""
+    return 0.0 if abs(length) < UNSEEN * min(spacing) else length
 
 
 def _units() -> Any:

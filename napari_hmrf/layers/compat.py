@@ -28,11 +28,11 @@ def text_of(viewer: Any) -> Any:
     return viewer.text_overlay if overlay is None else overlay
 
 
-def show_name(layer: Any) -> None:
-    """Have a layer's name be read on the canvas, above its bar; napari before 0.9 has no such."""
+def show_name(layer: Any, corner: str) -> None:
+    """Have a layer's name be read on the canvas, beside its bar; napari before 0.9 has no such."""
     title = getattr(layer, "name_overlay", None)
     if title is not None:
-        title.position, title.visible = "top_right", True
+        title.position, title.visible = corner, True
 
 
 def clear_middle(viewer: Any) -> None:

@@ -86,7 +86,7 @@ class ViewerSteps:
     edits : StudyModel
         By `Slot`.
     said : Signal(str, object)
-        What was taken back or done again, in words, and the `Slot` it was of, or None.
+        What was taken back or done again, in words, and the `Step`, or None if there was none.
     """
 
     said = Signal(str, object)
@@ -171,7 +171,7 @@ class ViewerSteps:
             return
         where = self.where(step.slot)
         self.go_to(step.slot)
-        self.said.emit(f"{what}{f', in {where}' if where else ''}: {step.word}.", step.slot)
+        self.said.emit(f"{what}{f', in {where}' if where else ''}: {step.word}.", step)
 
     def go_to(self, slot: Any) -> None:
         """Show the slice that something was drawn on, unless the viewer shows other axes."""

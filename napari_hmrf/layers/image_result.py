@@ -273,10 +273,12 @@ class Result:
                 held = self._held[part] = _Held(weakref.ref(layer), name, name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 held.name = layer.name
+                # Two bars in one corner would be read as one, under one title.
+                corner = "top_left" if part == CONFIDENCE else "top_right"
                 if is_scale:
-                    layer.colorbar.visible = True
-                if part == "overlay":
-                    show_name(layer)
+                    layer.colorbar.position, layer.colorbar.visible = corner, True
+                if part in ("overlay", CONFIDENCE):
+                    show_name(layer, corner)
             else:
                 update_layer(layer, made)
                 for look in _LOOKS if is_scale and part == "overlay" else ():

@@ -43,7 +43,7 @@ def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
     data, attributes, kind = layer.as_layer_data_tuple()
     known = {key: value for key, value in known_of(layer).items() if key != "role"}
     attributes["metadata"] = {METADATA: {**known, "kind": MOVED}}
-    attributes["name"] = f"{layer.name}, moved"
+    attributes["name"], attributes["visible"] = f"{layer.name}, moved", True
     if kind in ("image", "labels"):
         attributes["multiscale"], order = False, 0 if kind == "labels" else 1
         pixels = full_resolution(layer)

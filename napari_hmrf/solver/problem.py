@@ -257,6 +257,11 @@ def _check_grid(m: FloatArray) -> None:
         )
 
 
+def _how_many(bad: npt.NDArray[np.bool_]) -> str:
+    count = int(bad.sum())
+    return f"values at {count} pixel{'s' if count > 1 else ''}"
+
+
 def _first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
 
@@ -266,9 +271,11 @@ def _check_finite(
 ) -> None:
     bad = ~(np.isfinite(array) | but)
     if bad.any():
+        if field != "stiffness":
+            bad = np.asarray(bad.any(axis=-1))
         raise ProblemError(
             field,
-            f"has {int(bad.sum())} values that are NaN or infinite {where}".rstrip()
+            f"has {_how_many(bad)} that are NaN or infinite {where}".rstrip()
             + f", the first at {_first_index(bad)}. Replace them by numbers.",
         )
 
@@ -343,10 +350,10 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
 def _check_confidence(c: FloatArray) -> None:
     _check_finite("confidence", c)
     if c.min() < 0 or c.max() > 1:
-        outside = (c < 0) | (c > 1)
+        outside = np.asarray(((c < 0) | (c > 1)).any(axis=-1))
         raise ProblemError(
             "confidence",
-            f"has {int(outside.sum())} values outside 0 to 1, the first at "
+            f"has {_how_many(outside)} outside 0 to 1, the first at "
             f"{_first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
         )
     if not c.any():

@@ -133,6 +133,8 @@ class Ground:
         checkpoint()
         if study.motion.hold_edge:
             free = ~(base.confidence > 0).any(axis=-1)
+            if study.motion.labels is not None:  # the inside of a patch that expands is meant free
+                free &= study.motion.labels == 0
             for part in (there, tissue.body):
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1

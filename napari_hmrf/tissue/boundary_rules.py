@@ -92,7 +92,7 @@ class BoundaryRule:
         Its value in the label image, above 0: what is unpainted is not observed.
     action : {"fixed", "move", "expand"}
         The tissue under the label stays where it is, moves by `vector`, or moves outward by
-        `amount` (inward where negative).
+        `amount` (inward where negative): all of a ring, but only the rim of a patch.
     vector : (float, float)
         Displacement in (row, col) direction, in the unit of the pixel spacing.
     amount : float
@@ -221,8 +221,8 @@ def boundary_images(
     """Give every painted pixel the displacement and the confidence of its rule.
 
     Each connected part of a label that expands moves along the outward normal of the outline that
-    encloses it (its holes filled): a painted rim of a tumour, or the tumour painted full, moves
-    radially.
+    encloses it (its holes filled): a painted rim of a tumour moves radially, and so does the rim of
+    a tumour painted full, whose inside follows as tissue does.
 
     Parameters
     ----------
@@ -238,8 +238,8 @@ def boundary_images(
     observed : ndarray, shape (H, W, 2), float32
         Material displacement in (row, col) order, in the unit of `spacing`.
     confidence : ndarray, shape (H, W, 2), float32
-        Confidence per component; 0 where nothing is painted, and on an expanding spot so small
-        that it has no direction.
+        Confidence per component; 0 where nothing is painted, inside a patch that expands, and on
+        an expanding spot so small that it has no direction.
 
     Raises
     ------

@@ -20,12 +20,20 @@ _LINE = 8.0
 _EIGHT = np.ones((3, 3), dtype=bool)
 #: A part in a box of so few pixels has no hole that matters.
 _SPECK = 25
+#: A part whose holes take up less than this of what it encloses is a patch, and no ring.
+_HOLES = 0.1
+#: Pixels of a patch that move with its outline: with one the paper's schedule would lose sight of
+#: the outline on its coarse levels.
+_RIM = 2
 
 
 def outward_normals(
     mask: npt.NDArray[np.bool_], spacing: Sequence[float], name: str
 ) -> npt.NDArray[np.float32]:
     """Unit normals of each part's enclosing outline, at the outline's nearest pixel.
+
+    All of a ring has one. Of a patch only the rim along its outline has: what is deeper inside
+    would be torn if it moved as far.
 
     The outline is that of the filled part, and its normal the slope of the filled part blurred:
     pixel steps average out, and a rim of one pixel needs no inside of its own. Deeper inside, many
@@ -42,8 +50,8 @@ def outward_normals(
     Returns
     -------
     ndarray, shape (H, W, 2), float32
-        In (row, col) order; 0 outside the mask, and where a part is so small that it has no
-        direction.
+        In (row, col) order; 0 outside the mask, inside a patch, and where a part is so small that
+        it has no direction.
 
     Raises
     ------
@@ -67,7 +75,10 @@ def outward_normals(
         normal = _unit(slope[tuple(nearest)])
         normal = _unit(scipy.ndimage.gaussian_filter(normal, (*sigma, 0.0), mode="nearest"))
         inside = tuple(slice(size, -size) for size in margin)
-        normals[box][part] = normal[inside][part]
+        is_patch = part.sum() > (1 - _HOLES) * filled.sum()
+        rim = filled & ~scipy.ndimage.binary_erosion(filled, iterations=_RIM)
+        moves = part & rim[inside] if is_patch else part
+        normals[box][moves] = normal[inside][moves]
     return normals
 
 

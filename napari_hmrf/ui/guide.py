@@ -7,9 +7,11 @@ from typing import Any
 
 from napari.layers import Labels
 
-from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.study.study_model import Step
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
@@ -163,9 +165,9 @@ class Guide:
         if self._why in (_Said.STEP, _Said.REFUSED):
             self._why = _Said.NEWS
 
-    def _on_step(self, sentence: str, slot: object) -> None:
+    def _on_step(self, sentence: str, step: Step | None) -> None:
         """Say what was taken back, on another slice, too; and that the mouse draws no more."""
-        drawn = isinstance(slot, Slot) and slot.what == DRAWING
+        drawn = step is not None and isinstance(step.value, Drawing)
         self.say(f"{sentence} {self._paused if drawn else ''}".rstrip(), _Said.STEP)
 
     def _on_doing(self, sentence: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.field.deformation import magnitude
-from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
 from napari_hmrf.solver.optimizers import Monitor
@@ -68,12 +68,10 @@ ABOUT_POISSON = (
 )
 ELASTIC = "Take the elastic model"
 
-#: What moves by less than this part of a pixel has not moved, but for rounding.
-_UNSEEN = 1e-3
 #: What people can do something about, or have to wait for.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
-_HANDFUL = 5
+HANDFUL = 5
 
 
 def when_to_take(model: ModelName, plane: Plane) -> str:
@@ -99,7 +97,7 @@ def report(done: Done) -> str:
     seen = place.slice_seen.replace("slice", "Slice")
     where = f"{seen}: tissue" if seen else "Tissue"
     solution = done.outputs.solution
-    if np.abs(solution.displacement).max() < _UNSEEN * min(solution.spacing):
+    if not as_seen(float(np.abs(solution.displacement).max()), solution.spacing):
         return STILL
     return f"{where} moved up to {_farthest(done)}."
 
@@ -107,14 +105,14 @@ def report(done: Done) -> str:
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
     outputs, parts, short = done.outputs, list[str](), ""
-    if outputs.folds > _HANDFUL and outputs.worst is not None:
+    if outputs.folds > HANDFUL and outputs.worst is not None:
         row, col = outputs.worst
         short = f"Folds at {outputs.folds} pixels: show where"
         parts.append(
             f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
             f"pushed through itself (it folds), which no tissue does. {_less(done.moved.study)}."
         )
-    if outputs.overlaps > _HANDFUL:
+    if outputs.overlaps > HANDFUL:
         short = short or f"Overlaps at {outputs.overlaps} pixels"
         parts.append(
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
@@ -194,7 +192,10 @@ def painting(layer: Any) -> str:
 def progress(monitor: Monitor, seconds: float, what: str = "Deforming") -> str:
     """How far the work is after so many seconds, in words for all; `monitor` has the others."""
     if monitor.message.startswith(_WAITS):
-        return f"{what}: {monitor.message}."
+        waits, _, stage = monitor.message.partition(" (")
+        # How far a solve is that others wait for means nothing to them; a compiler does.
+        technical = waits.startswith("waiting for") and not stage.startswith("compiling")
+        return f"{what}: {waits if technical else monitor.message}."
     if monitor.message.startswith("preparing") and seconds >= 1:
         return f"{what}: {COMPILING}"
     percent = round(100 * monitor.fraction)
@@ -204,7 +205,7 @@ def progress(monitor: Monitor, seconds: float, what: str = "Deforming") -> str:
 def _farthest(done: Done) -> str:
     """The longest displacement, in the unit of the image; in pixels, too, if they are square."""
     solution = done.outputs.solution
-    length = float(magnitude(solution.displacement).max())
+    length = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     unit, size = unit_symbol(done.moved.study.grid.place.unit), solution.spacing[0]
     if any(other != size for other in solution.spacing):
         return f"{length:.3g} {unit}"

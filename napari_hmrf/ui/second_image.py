@@ -8,6 +8,7 @@ import numpy as np
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.landmarks import LandmarkPairs, landmark_pairs
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
@@ -103,7 +104,8 @@ class SecondImage:
             column = np.full(len(where.data), np.nan)
             column[pairs.numbers] = left
             where.features = where.features.assign(**{f"residual ({unit})": column})
-        before, after = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
+        both = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
+        before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
 
     def _pairs(self, answer: Answer) -> LandmarkPairs | None:

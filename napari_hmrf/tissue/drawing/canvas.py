@@ -141,8 +141,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         y[where], c[where] = 0, 0
     elif mark.action == "expand":
         moved, sure = _expanded(mark, canvas.spacing, canvas.shape, box)
-        where &= sure.any(axis=-1)
-        y[where], c[where] = moved[where][:, which], mark.confidence
+        # The inside of a patch is free, whatever is beneath.
+        y[where], c[where] = (each[where][:, which] for each in (moved, mark.confidence * sure))
     elif mark.action == "confidence":
         soft = mark.softness * reach
         share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)

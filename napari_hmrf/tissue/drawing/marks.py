@@ -169,8 +169,9 @@ class Stroke(_Checked):
     ----------
     action : {"pin", "free", "move", "expand", "confidence", "tissue"}
         The tissue under the brush stays where it is; is not observed, whatever is beneath; moves
-        by `by`; moves by `amount` along the outward normal of the painted region; is observed as
-        it is beneath, with another confidence; or becomes tissue of `label`.
+        by `by`; moves by `amount` along the outward normal of the painted region (all of a ring,
+        but only the rim of a patch, whose inside is not observed); is observed as it is beneath,
+        with another confidence; or becomes tissue of `label`.
     lines : tuple of tuple of (float, float)
         The ways of the brush, (row, col) in pixels; of one point, where it touched only. All of
         them are one painted region.

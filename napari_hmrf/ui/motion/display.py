@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, Result, ResultLayers
@@ -115,6 +117,13 @@ class Display:
         if ground is None or stroke.action == "tissue":
             return False
         return not touches(stroke, ground.base, ground.body)
+
+    def is_over_nothing(self, stroke: Stroke, beneath: Drawing) -> bool:
+        """Whether a stroke says how sure that is where nothing beneath is held or moved."""
+        if (ground := self.ground) is None or stroke.action != "confidence":
+            return False
+        known = (beneath.render(ground.base).confidence > 0).any(axis=-1)
+        return not touches(stroke, ground.base, np.asarray(known))
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""

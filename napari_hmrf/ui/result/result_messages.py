@@ -8,6 +8,7 @@ from pathlib import Path
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.overlay import Name
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.screen_directions import Directions
@@ -88,17 +89,21 @@ def how_far(
     compared: Comparison | None = None,
 ) -> str:
     """How much of the deformation is seen; or that it is of another slice; how far from others."""
-    moved = f"{percent} %: tissue moved up to {longest * percent / FULL:.3g} {result.unit}"
+    spacing = result.solution.spacing
+    far = as_seen(longest * percent / FULL, spacing)
+    moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}"
     if apart is not None:
         return f"{moved}. Of {apart[0]}; you look at {apart[1]}."
-    return moved if compared is None else f"{moved}. {_compared(compared, result.unit)}"
+    if compared is None:
+        return moved
+    return f"{moved}. {_compared(compared, as_seen(compared.rmsd, spacing), result.unit)}"
 
 
-def _compared(found: Comparison, unit: str) -> str:
+def _compared(found: Comparison, rmsd: float, unit: str) -> str:
     if not found.part:
         return f"'{found.reference}' reaches none of this tissue."
     where = "" if found.part > 0.995 else f" over {found.part:.0%} of the tissue"
-    return f"RMSD from '{found.reference}'{where}: {found.rmsd:.3g} {unit}."
+    return f"RMSD from '{found.reference}'{where}: {rmsd:.3g} {unit}."
 
 
 def at_point(

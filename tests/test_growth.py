@@ -1,0 +1,83 @@
+"""A patch that grows or shrinks: its outline goes where it is told, its inside as tissue does."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    BoundaryRule,
+    Drawing,
+    ElasticPrior,
+    Grid,
+    Motion,
+    SeilerPrior,
+    Stroke,
+    Study,
+    Tissue,
+    folds,
+    jacobian_determinant,
+    solve_study,
+    statement_of,
+)
+from napari_hmrf.solver.optimizers import ICM, Multigrid
+
+SHAPE, RADIUS = (121, 121), 30.0
+
+
+def away(middle):
+    return np.hypot(*np.indices(SHAPE) - np.array(middle)[:, None, None])
+
+
+def by_brush(middle, amount):
+    """A touch of a brush."""
+    stroke = Stroke("expand", ((middle,),), radius=RADIUS, amount=amount)
+    return Motion(hold_edge=True, drawing=Drawing((stroke,)))
+
+
+def by_label(middle, amount):
+    """The same, painted in a layer."""
+    rule = BoundaryRule(1, "expand", amount=amount)
+    return Motion(hold_edge=True, labels=(away(middle) <= RADIUS).astype(int), rules=(rule,))
+
+
+def study_of(motion, stiffness=None, **how):
+    m = np.ones(SHAPE) if stiffness is None else stiffness
+    return Study(Grid(SHAPE, (1, 1)), Tissue(stiffness=m), motion, **how)
+
+
+@pytest.mark.parametrize("paint", [by_brush, by_label])
+@pytest.mark.parametrize("amount", [1.0, 6.0, -6.0])
+@pytest.mark.parametrize("middle", [(60, 60), (60, 42)], ids=["in the middle", "near the edge"])
+@pytest.mark.parametrize(
+    ("model", "even"),
+    [
+        ({"prior": ElasticPrior(), "optimizer": Multigrid()}, 0.06),
+        ({"prior": SeilerPrior(), "optimizer": ICM()}, 0.15),
+    ],
+    ids=["elastic", "paper"],
+)
+def test_the_inside_of_a_patch_grows_evenly(paint, amount, middle, model, even):
+    """Moved pixel by pixel its middle was torn apart, or pushed through itself."""
+    field = solve_study(study_of(paint(middle, amount), **model)).displacement
+    area, far = jacobian_determinant(field), away(middle)
+    assert not folds(field).any()
+    assert area[far < RADIUS - 3] == pytest.approx((1 + amount / RADIUS) ** 2, rel=even)
+    outline = field[(far <= RADIUS) & (far > RADIUS - 1)]
+    assert np.linalg.norm(outline, axis=-1) == pytest.approx(abs(amount), rel=0.01)
+
+
+def test_a_brush_and_a_layer_say_the_same():
+    brushed, painted = (
+        statement_of(study_of(paint((60, 60), 6.0))).problem for paint in (by_brush, by_label)
+    )
+    np.testing.assert_array_equal(brushed.confidence, painted.confidence)
+    np.testing.assert_allclose(brushed.observed, painted.observed, atol=1e-5)
+
+
+@pytest.mark.parametrize("paint", [by_brush, by_label])
+def test_the_inside_of_a_patch_is_free_though_the_edge_of_the_tissue_is_held(paint):
+    air_above = np.ones(SHAPE)
+    air_above[:60] = 0
+    known = statement_of(study_of(paint((60, 60), 2.0), air_above)).problem.known.any(axis=-1)
+    assert known[60, :31].all(), "the edge beside it, and its rim"
+    assert not known[60, 33:88].any()
+    assert known[60, 89:].all()
