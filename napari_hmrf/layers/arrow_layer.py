@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
-from napari_hmrf.layers.result_layers import LayerData, vector_layer
+from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 
@@ -88,12 +88,13 @@ def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     """A Vectors layer to show arrows in, still without any."""
     look = {
         "vector_style": "line",
+        "opacity": 1.0,
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
         "ndim": frame.ndim,  # napari cannot tell how many axes no arrows have
     }
     known = {"kind": "drawing", "slice": frame.slice_name}
-    return vector_layer(frame, np.zeros((0, 2, 2)), NAME, known, look)
+    return layer_on(frame, np.zeros((0, 2, 2)), NAME, known, look, "vectors")
 
 
 def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:
@@ -151,30 +152,6 @@ def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.floa
     return np.concatenate(
         [np.stack([at - arm, np.broadcast_to(2 * arm, at.shape)], axis=1) for arm in arms]
     )
-
-
-def spread(where: npt.NDArray[np.bool_], apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
-    """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
-
-    Parameters
-    ----------
-    where : ndarray of bool, shape (H, W)
-    apart : float or array_like, shape (2,)
-        Rows and columns of a cell, in pixels.
-
-    Returns
-    -------
-    ndarray of int, shape (N, 2)
-    """
-    pixels = np.argwhere(where)
-    if not len(pixels):
-        return pixels
-    cells = (pixels / np.asarray(apart)).astype(np.int64)
-    off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
-    order = np.argsort(off, kind="stable")
-    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    _, first = np.unique(key[order], return_index=True)
-    return pixels[order[first]]
 
 
 def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:

@@ -15,14 +15,15 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
+from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows, spread
+from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
-from napari_hmrf.layers.result_layers import LayerData, pixel_layer
+from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
-from napari_hmrf.tissue.palette import Palette
+from napari_hmrf.tissue.material_presets import Palette
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -139,13 +140,13 @@ def painted_layer(
     """A Labels layer of what was painted."""
     known = {"kind": "painted", "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
-    return pixel_layer(frame, picture, NAME, known, look, "labels")
+    return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
     """An Image layer of how sure is what is held or moved."""
     known = {"kind": "painted confidence", "slice": frame.slice_name}
-    return pixel_layer(frame, confidence, "Confidence", known, confidence_look())
+    return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
 
 def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:

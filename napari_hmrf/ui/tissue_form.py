@@ -16,10 +16,8 @@ from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.label_table import LabelTable
-from napari_hmrf.ui.label_table_view import LabelTableView
-from napari_hmrf.ui.landmark_choice import LandmarkChoice
-from napari_hmrf.ui.layer_choice import LayerChoice
+from napari_hmrf.ui.label_table import LabelTable, LabelTableView
+from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
 from napari_hmrf.ui.material_menu import MaterialMenu
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 

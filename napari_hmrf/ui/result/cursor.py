@@ -10,9 +10,8 @@ from napari.layers import Image
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.tissue_point import Points, Probe
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
-from napari_hmrf.layers.patient_axes import step_in_patient
 from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import Directions, step_in_patient
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.layer_names import full_resolution

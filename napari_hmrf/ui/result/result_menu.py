@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 from psygnal import Signal
-from qtpy.QtWidgets import QFileDialog
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import (
+    QDialog,
+    QFileDialog,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
@@ -19,13 +28,11 @@ from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
-from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
 from napari_hmrf.layers.result_layers import LayerData
-from napari_hmrf.layers.result_lookup import picture_of, tissue_of
+from napari_hmrf.layers.result_lookup import MOVED, can_move, mover, picture_of, tissue_of
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
-from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, saved
@@ -39,6 +46,18 @@ _WITH_IT = (
     "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
     "of a film, of channels, and of a stack without units all slices do"
 )
+#: What is above each column, and what of a `Measurement` is in it.
+_COLUMNS = {
+    "tissue": "name",
+    "label": "label",
+    "area ({unit}²)": "area",
+    "area change (%)": "area_change",
+    "moved, mean ({unit})": "mean_displacement",
+    "moved, most ({unit})": "largest_displacement",
+    "strain, mean (%)": "mean_strain",
+    "strain, most (%)": "largest_strain",
+    "folds (px)": "folds",
+}
 
 
 class ResultMenu:
@@ -219,3 +238,46 @@ class ResultMenu:
         path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
         if path:
             attempt(partial(save, path), self._say)
+
+
+class MeasurementTable(QDialog):
+    """A table that stays as it was when it was opened.
+
+    Parameters
+    ----------
+    parent : QWidget
+    rows : sequence of Measurement
+    unit : str
+        Of lengths.
+
+    Attributes
+    ----------
+    save : QPushButton
+    """
+
+    def __init__(self, parent: QWidget, rows: Sequence[Measurement], unit: str) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("What happened to each tissue")
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        table = QTableWidget(len(rows), len(_COLUMNS))
+        table.setObjectName("measurements")
+        table.setHorizontalHeaderLabels([title.format(unit=unit) for title in _COLUMNS])
+        table.verticalHeader().hide()
+        table.setEditTriggers(table.EditTrigger.NoEditTriggers)
+        for number, row in enumerate(rows):
+            for column, name in enumerate(_COLUMNS.values()):
+                value = getattr(row, name)
+                table.setItem(number, column, QTableWidgetItem(_in_words(value)))
+        table.resizeColumnsToContents()
+        self.save = QPushButton("Save .csv ...")
+        layout = QVBoxLayout(self)
+        layout.addWidget(table)
+        layout.addWidget(self.save, alignment=Qt.AlignmentFlag.AlignRight)
+        self.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
+
+
+def _in_words(value: float | int | str) -> str:
+    """Four digits; of large areas all before the point."""
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+    return str(value)

@@ -8,8 +8,7 @@ from pathlib import Path
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Probe
-from napari_hmrf.layers.overlay import Name
-from napari_hmrf.layers.result_layers import Answer
+from napari_hmrf.layers.result_layers import Answer, Name
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 

@@ -14,7 +14,7 @@ from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import field_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
-from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
+from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.result_lookup import (
     can_be_source,
     result_of,
@@ -28,8 +28,7 @@ from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
-from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.player import Player
+from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
 
