@@ -9,6 +9,7 @@ is selected has another colour.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ def arrow_lines(
     selected: int | None = None,
     pending: Point | None = None,
     radius: float = 1.0,
-) -> tuple[FloatArray, FloatArray]:
+) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
 
     Parameters
@@ -65,23 +66,28 @@ def arrow_lines(
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
     """
-    lines, colours = [np.zeros((0, 2, 2))], [np.zeros((0, 4))]
-    marks = list(enumerate(drawing.marks))
+    marks = [
+        (mark, number == selected and pending is None)
+        for number, mark in enumerate(drawing.marks)
+        if not isinstance(mark, Stroke)
+    ]
     if pending is not None:
-        marks.append((-1, Arrow(pending, (0.0, 0.0), radius)))
-        selected = -1
-    for number, mark in marks:
-        if isinstance(mark, Stroke):
-            continue
-        drawn = _lines_of(mark, spacing)
-        colour = np.array(SELECTED if number == selected else DRAWN)
-        colour[3] = _PALEST + (1 - _PALEST) * mark.confidence
+        marks.append((Arrow(pending, (0.0, 0.0), radius), True))
+    parts = []
+    for mark, chosen in marks:
+        red, green, blue, _ = SELECTED if chosen else DRAWN
+        opacity = _PALEST + (1 - _PALEST) * mark.confidence
+        parts.append((_lines_of(mark, spacing), (red, green, blue, opacity)))
+    return coloured(parts)
+
+
+def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]]) -> Lines:
+    """Lines of several colours together: (start, step) of some, and their colour."""
+    lines, colours = [np.zeros((0, 2, 2))], [np.zeros((0, 4))]
+    for drawn, colour in parts:
         lines.append(drawn)
         colours.append(np.tile(colour, (len(drawn), 1)))
-    return (
-        np.concatenate(lines).astype(np.float32),
-        np.concatenate(colours).astype(np.float32),
-    )
+    return np.concatenate(lines).astype(np.float32), np.concatenate(colours).astype(np.float32)
 
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
@@ -118,10 +124,7 @@ def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[
     barbs = [
         (end * along, _TIP * (side * across - end * along)) for end in (-1, 1) for side in (-1, 1)
     ]
-    lines = [(-along, 2 * along), *barbs]
-    return np.concatenate(
-        [np.stack([at + start, np.broadcast_to(step, at.shape)], axis=1) for start, step in lines]
-    )
+    return _at_each(at, [(-along, 2 * along), *barbs])
 
 
 def barbed(
@@ -149,8 +152,13 @@ def barbed(
 
 def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """(start, step) of two lines through each of some places, (N, 2), along two `arms`, (2, 2)."""
+    return _at_each(at, [(-arm, 2 * arm) for arm in arms])
+
+
+def _at_each(at: npt.NDArray[Any], lines: Iterable[Any]) -> npt.NDArray[np.float64]:
+    """The same lines, (start, step) each, at each of some places."""
     return np.concatenate(
-        [np.stack([at - arm, np.broadcast_to(2 * arm, at.shape)], axis=1) for arm in arms]
+        [np.stack([at + start, np.broadcast_to(step, at.shape)], axis=1) for start, step in lines]
     )
 
 
