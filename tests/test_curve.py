@@ -679,7 +679,7 @@ def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample
     before = table.contents
     widget.take_materials(PRESETS[1])
     assert said == [table.contents]
-    Cell(widget._form.tissue.seen, 1, 2).write("3")
+    Cell(widget._form.tissue.table, 1, 2).write("3")
     assert said[1:] == [table.contents]
     table.contents = before
     assert said[2:] == [before]

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
@@ -25,55 +23,55 @@ from napari_hmrf.tissue.boundary_rules import (
 from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
-_STIFFNESS, _POISSON = range(2, 4)
-
 
 class MaterialTable(LabelTable):
     """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
 
-    def __init__(self, view: Callable[[], View | None]) -> None:
-        super().__init__(
-            TISSUE,
-            view,
-            "Tissue",
-            [
-                Column(
-                    "",
-                    "Young's modulus, in any unit as long as it is the same for all tissues: only "
-                    "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as "
-                    "bone or an implant; the elastic model has that, the paper's has not.",
-                    lambda row: stiffness_in_words(row.stiffness),
-                    _stiffness,
-                    _about,
-                ),
-                Column(
-                    "Poisson's\nratio",
-                    ABOUT_POISSON,
-                    lambda row: f"{row.poisson:g}" if row.is_deformable else "",
-                    _poisson,
-                    _about,
-                ),
-            ],
-            default=lambda label: default_material(label, self.rows),
-            words=_in_words,
-            about=_of_unpainted,
-        )
-        self._show(self.contents)
+    role, title = TISSUE, "Tissue"
+    _elastic = True
 
-    def _show(self, contents: Table) -> None:
-        unit = contents.unit  # shown only, for ratios are what matters
-        title = f"Stiffness ({unit})" if unit else "Relative\nstiffness"
-        self.set_column(_STIFFNESS, title=title)
-        super()._show(contents)
+    @property
+    def columns(self) -> list[Column]:
+        """Poisson's ratios, too, of elastic tissue."""
+        unit = self.contents.unit  # shown only, for ratios are what matters
+        return [
+            *super().columns,
+            Column(
+                f"Stiffness ({unit})" if unit else "Relative\nstiffness",
+                "Young's modulus, in any unit as long as it is the same for all tissues: only "
+                "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone "
+                "or an implant; the elastic model has that, the paper's has not.",
+                lambda row: stiffness_in_words(row.stiffness),
+                _stiffness,
+                _about,
+            ),
+            Column(
+                "Poisson's\nratio",
+                ABOUT_POISSON,
+                lambda row: f"{row.poisson:g}" if row.is_deformable else "",
+                _poisson,
+                _about,
+                applies=self._elastic,
+            ),
+        ]
 
     def show_poisson(self, elastic: bool) -> None:
         """Show Poisson's ratios, or not: only elastic tissue has them."""
-        self.set_column(_POISSON, applies=elastic)
+        self._elastic = elastic
+        self._fill()
 
+    def default(self, label: int) -> Material:
+        """Tissue like the first."""
+        return default_material(label, self.rows)
 
-def _in_words(material: Material) -> str:
-    amount = stiffness_in_words(material.stiffness)
-    return amount if material.is_rigid else f"stiffness {amount}"
+    def words(self, row: Material) -> str:
+        """How stiff it is."""
+        amount = stiffness_in_words(row.stiffness)
+        return amount if row.is_rigid else f"stiffness {amount}"
+
+    def about(self, row: Material) -> str:
+        """What is unpainted is of a tissue, too."""
+        return _of_unpainted(row)
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -106,83 +104,98 @@ def _about(material: Material) -> str:
 #: How the table calls what a boundary does.
 _ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
-_ROWS, _COLS, _OUTWARD = range(3, 6)
-#: Columns, and the only action that they say something of.
-_AMOUNTS: dict[int, Action] = {_ROWS: "move", _COLS: "move", _OUTWARD: "expand"}
 
 
 class BoundaryTable(LabelTable):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
-    def __init__(self, view: Callable[[], View | None]) -> None:
-        super().__init__(
-            BOUNDARY,
-            view,
-            "Boundary",
-            [
-                Column(
-                    "Action",
-                    "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                    "Expands: so far outward, along the normal of its outline",
-                    lambda row: _ACTIONS[row.action],
-                    lambda row, text: replace(row, action=_BY_WORD[text]),
-                    lambda row: (
-                        "Expanding regions must be closed rings or filled: they move along the "
-                        "outward normal of their outline"
-                    ),
-                    tuple(_BY_WORD),
+    role, title = BOUNDARY, "Boundary"
+    _place = "px", Directions()
+
+    @property
+    def columns(self) -> list[Column]:
+        """Distances in the unit of the image, along the ways of the screen."""
+        unit, ways = self._place
+        return [
+            *super().columns,
+            Column(
+                "Action",
+                "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
+                "Expands: so far outward, along the normal of its outline",
+                self.words,
+                lambda row, text: replace(row, action=_BY_WORD[text]),
+                lambda row: (
+                    "Expanding regions must be closed rings or filled: they move along the outward "
+                    "normal of their outline"
                 ),
-                *(
-                    Column(
-                        "",
-                        "",
-                        partial(self._amount, column),
-                        partial(self._typed, column),
-                        lambda row: f"in {self._unit}",
-                    )
-                    for column in _AMOUNTS
-                ),
-                Column(
-                    "confi-\ndence",
-                    "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
-                    "1 / 0.5, for rows and columns apart",
-                    lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
-                    _sure,
-                ),
-            ],
-            default=default_rule,
-            words=lambda row: _ACTIONS[row.action],
-        )
-        self.show_place("px", Directions())
+                tuple(_BY_WORD),
+            ),
+            *(_along(axis, unit, ways) for axis in (0, 1)),
+            _distance(
+                "out",
+                "How far outward; negative: inward",
+                unit,
+                lambda row: row.amount if row.action == "expand" else None,
+                lambda row, amount: replace(row, amount=amount),
+            ),
+            Column(
+                "confi-\ndence",
+                "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
+                "1 / 0.5, for rows and columns apart",
+                lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
+                _sure,
+            ),
+        ]
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit amounts are, and which way rows and columns run on the screen."""
-        self._unit, self._ways = unit, ways
-        for column, title, about in (
-            (_ROWS, ways.label(0), ways.about(0)),
-            (_COLS, ways.label(1), ways.about(1)),
-            (_OUTWARD, "out", "How far outward; negative: inward"),
-        ):
-            words = title.replace(" ", "\n")  # the dock is narrow
-            self.set_column(column, title=f"{words}\n{unit}", about=f"{about}, in {unit}")
-        self._show(self.contents)
+        if (unit, ways) != self._place:
+            self._place = unit, ways
+            self._fill()
 
-    def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
-        amount = _number(text)
-        if not math.isfinite(amount):
-            raise ValueError(f"A distance must be a number, in {self._unit}")
-        if column == _OUTWARD:
-            return replace(rule, amount=amount)
-        down, along = self._ways.seen(rule.vector)
-        seen = (amount, along) if column == _ROWS else (down, amount)
-        return replace(rule, vector=self._ways.along(seen))
+    def default(self, label: int) -> BoundaryRule:
+        """What stays where it is."""
+        return default_rule(label)
 
-    def _amount(self, column: int, rule: BoundaryRule) -> str:
-        if rule.action != _AMOUNTS[column]:
-            return ""
-        if column == _OUTWARD:
-            return f"{rule.amount:g}"
-        return f"{round(self._ways.seen(rule.vector)[column - _ROWS], 9) + 0.0:g}"
+    def words(self, row: BoundaryRule) -> str:
+        """What it does."""
+        return _ACTIONS[row.action]
+
+
+def _along(axis: int, unit: str, ways: Directions) -> Column:
+    """How far what moves does, along the rows or the columns."""
+
+    def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
+        down, along = ways.seen(rule.vector)
+        seen = (down, amount) if axis else (amount, along)
+        return replace(rule, vector=ways.along(seen))
+
+    def seen(rule: BoundaryRule) -> float | None:
+        return ways.seen(rule.vector)[axis] if rule.action == "move" else None
+
+    return _distance(ways.label(axis), ways.about(axis), unit, seen, typed)
+
+
+def _distance(
+    title: str,
+    about: str,
+    unit: str,
+    amount: Callable[[BoundaryRule], float | None],
+    changed: Callable[[BoundaryRule, float], BoundaryRule],
+) -> Column:
+    """A column of distances, which rules of one action have."""
+
+    def shown(rule: BoundaryRule) -> str:
+        found = amount(rule)
+        return "" if found is None else f"{round(found, 9) + 0.0:g}"
+
+    def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
+        if not math.isfinite(far := _number(text)):
+            raise ValueError(f"A distance must be a number, in {unit}")
+        return changed(rule, far)
+
+    words = title.replace(" ", "\n")  # the dock is narrow
+    return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed, lambda _: f"in {unit}")
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
