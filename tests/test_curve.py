@@ -19,7 +19,8 @@ from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.surroundings import luminance
 from napari_hmrf.ui.curve.editor import CurveEditor
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")

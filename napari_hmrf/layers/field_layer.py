@@ -7,11 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from napari.utils.notifications import show_info
 
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.observation import PixelField
-from napari_hmrf.io.fields import saved_field
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.result_layers import ARROWS, LayerData
@@ -52,20 +50,12 @@ def field_layer(
     """
     shape = field.shape
     step = max(1, round((shape[-2] * shape[-1] / ARROWS) ** 0.5))
-    steps = (*(1 for _ in shape[:-2]), step, step)
-    lines = [
-        np.arange(min(every // 2, size - 1), size, every)
-        for every, size in zip(steps, shape, strict=True)
-    ]
-    starts = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(shape))
+    lines = [slice(size) for size in shape[:-2]]
+    lines += [slice(min(step // 2, size - 1), size, step) for size in shape[-2:]]
+    starts = np.mgrid[tuple(lines)].reshape(len(shape), -1).T
     arrows = np.stack([starts, field.at(starts.astype(float))], axis=1).astype(np.float32)
     known = {"field": field, **({} if role is None else {"role": role})}
     look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": step / 8}
     return LayerData(
         arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"
     )
-
-
-def tell_saved(path: str, residual: float) -> None:
-    """Have napari tell that a field was written, and how."""
-    show_info(saved_field(path, residual))

@@ -36,9 +36,9 @@ from napari_hmrf.study.layer_names import LayerError, Named, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
-from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.surroundings import at_edges
 
 #: What is observed is sure where the image has edges.
 EDGES = "edges"

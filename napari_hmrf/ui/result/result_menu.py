@@ -18,7 +18,6 @@ from qtpy.QtWidgets import (
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
-    QWidget,
 )
 
 from napari_hmrf.errors import HmrfError
@@ -228,11 +227,20 @@ class ResultMenu:
 
     def _show_measurements(self) -> None:
         rows, unit = self.measure(), self._shown.answer.unit
-        table = MeasurementTable(self._button.window(), rows, unit)
+        seen = QDialog(self._button.window(), windowTitle="What happened to each tissue")
+        seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        table, button, layout = (
+            _table_of(rows, unit),
+            QPushButton("Save .csv ..."),
+            QVBoxLayout(seen),
+        )
+        layout.addWidget(table)
+        layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
+        seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
         save = partial(save_measurements, rows=rows, unit=unit)
         ask = partial(self._ask, save, "measurements.csv", "Tables (*.csv)")
-        table.save.clicked.connect(lambda _: ask())
-        table.show()
+        button.clicked.connect(lambda _: ask())
+        seen.show()
 
     def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
         path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
@@ -240,40 +248,18 @@ class ResultMenu:
             attempt(partial(save, path), self._say)
 
 
-class MeasurementTable(QDialog):
-    """A table that stays as it was when it was opened.
-
-    Parameters
-    ----------
-    parent : QWidget
-    rows : sequence of Measurement
-    unit : str
-        Of lengths.
-
-    Attributes
-    ----------
-    save : QPushButton
-    """
-
-    def __init__(self, parent: QWidget, rows: Sequence[Measurement], unit: str) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("What happened to each tissue")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        table = QTableWidget(len(rows), len(_COLUMNS))
-        table.setObjectName("measurements")
-        table.setHorizontalHeaderLabels([title.format(unit=unit) for title in _COLUMNS])
-        table.verticalHeader().hide()
-        table.setEditTriggers(table.EditTrigger.NoEditTriggers)
-        for number, row in enumerate(rows):
-            for column, name in enumerate(_COLUMNS.values()):
-                value = getattr(row, name)
-                table.setItem(number, column, QTableWidgetItem(_in_words(value)))
-        table.resizeColumnsToContents()
-        self.save = QPushButton("Save .csv ...")
-        layout = QVBoxLayout(self)
-        layout.addWidget(table)
-        layout.addWidget(self.save, alignment=Qt.AlignmentFlag.AlignRight)
-        self.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
+def _table_of(rows: Sequence[Measurement], unit: str) -> QTableWidget:
+    """Measurements in a table that stays as it is."""
+    table = QTableWidget(len(rows), len(_COLUMNS))
+    table.setObjectName("measurements")
+    table.setHorizontalHeaderLabels([title.format(unit=unit) for title in _COLUMNS])
+    table.verticalHeader().hide()
+    table.setEditTriggers(table.EditTrigger.NoEditTriggers)
+    for number, row in enumerate(rows):
+        for column, name in enumerate(_COLUMNS.values()):
+            table.setItem(number, column, QTableWidgetItem(_in_words(getattr(row, name))))
+    table.resizeColumnsToContents()
+    return table
 
 
 def _in_words(value: float | int | str) -> str:
