@@ -128,7 +128,7 @@ def landmark_pairs(
             f"has {what} {numbers[outside[0]]}{', which begins' if what == 'line' else ''} outside "
             "the image. Move it, or remove it.",
         )
-    _refuse_contradiction(where, at, to, numbers)
+    _refuse_contradiction(where, what, at, to, numbers)
     return LandmarkPairs(numbers, at, to)
 
 
@@ -137,20 +137,18 @@ def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_
 
 
 def _refuse_contradiction(
-    where: Any, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
+    where: Any, what: str, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
 ) -> None:
     """Refuse landmarks of one pixel that should go to different places."""
     first: dict[tuple[float, ...], int] = {}
     for each, pixel in enumerate(np.rint(at).tolist()):
         earlier = first.setdefault(tuple(pixel), each)
         if not np.allclose(to[each] - at[each], to[earlier] - at[earlier], atol=1e-3):
+            one, other = numbers[[earlier, each]]
             raise LayerError(
                 where,
-                f"has lines {numbers[earlier]} and {numbers[each]}, which begin in one pixel "
-                "and lead to different places. Remove one of them."
-                if isinstance(where, Shapes)
-                else f"has points {numbers[earlier]} and {numbers[each]} in one pixel, which "
-                "should go to different places. Remove one of them, and its partner.",
+                f"has {what}s {one} and {other} in one pixel, which lead to different places. "
+                "Remove one of them.",
             )
 
 
