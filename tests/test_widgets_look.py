@@ -26,7 +26,8 @@ from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
+from napari_hmrf.ui.result.cursor import at_point, stiffness_of
+from napari_hmrf.ui.result.result_messages import how_far
 
 
 def names(viewer):

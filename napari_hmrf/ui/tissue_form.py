@@ -18,8 +18,7 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
-from napari_hmrf.ui.material_menu import MaterialMenu
-from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
+from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTable
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
