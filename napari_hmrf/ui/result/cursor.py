@@ -11,9 +11,9 @@ from napari.layers import Image
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Points, Probe
+from napari_hmrf.layers.field_layer import frame_in, place_at, tissue_of
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.result_layers import Name
-from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
 from napari_hmrf.layers.screen_directions import Directions, step_in_patient
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.problem import Problem

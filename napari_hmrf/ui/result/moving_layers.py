@@ -14,10 +14,10 @@ from psygnal import Signal
 from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.quantities import QUANTITIES
+from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.read import look_of
 from napari_hmrf.layers.result_layers import Answer, Overlay, picture_layer
-from napari_hmrf.layers.result_lookup import picture_of, source_of
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands

@@ -26,9 +26,9 @@ from napari_hmrf.io.fields import export_field, saved_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
+from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_of
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData
-from napari_hmrf.layers.result_lookup import MOVED, can_move, mover, picture_of, tissue_of
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
