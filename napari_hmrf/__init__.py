@@ -67,8 +67,8 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
 )
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.tissue.image_edges import at_edges
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.surroundings import at_edges, luminance
 
 __version__ = "0.1.0"
 

@@ -176,7 +176,7 @@ def tumour(_: dict[str, Path]) -> None:
     wait_until(lambda: not dock.busy)
     keep(person, "tumour-jacobian")
     person.choose(form.result.overlay, "nothing")
-    table = form.motion.boundary.seen
+    table = form.motion.boundary.table
     person.show(table)
     person.write(table, 1, 5, "12")
     wait(0.5)
@@ -282,14 +282,14 @@ def own(images: dict[str, Path]) -> None:
     person.click(form.make)
     wait_until(lambda: not dock.busy)
     keep(person, "own-layers")
-    painting(person, form.tissue.seen, 3)
+    painting(person, form.tissue.table, 3)
     person.viewer.layers["Tissue"].brush_size = 24
     person.drag((110, 98), (112, 98), (116, 96), (108, 102))
     wait_until(lambda: not dock.busy)
     keep(person, "own-tissue")
-    painting(person, form.motion.boundary.seen, 1)
+    painting(person, form.motion.boundary.table, 1)
     ring(person, (112, 98), (21, 22))
-    painting(person, form.motion.boundary.seen, 0)
+    painting(person, form.motion.boundary.table, 0)
     person.drag((204, 150), (204, 170), (204, 190))
     wait_until(lambda: not dock.busy)
     person.viewer.layers.selection = {dock.image}

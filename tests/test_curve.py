@@ -19,7 +19,8 @@ from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.surroundings import luminance
 from napari_hmrf.ui.curve.editor import CurveEditor
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
@@ -679,7 +680,7 @@ def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample
     before = table.contents
     widget.take_materials(PRESETS[1])
     assert said == [table.contents]
-    Cell(widget._form.tissue.seen, 1, 2).write("3")
+    Cell(widget._form.tissue.table, 1, 2).write("3")
     assert said[1:] == [table.contents]
     table.contents = before
     assert said[2:] == [before]

@@ -77,7 +77,7 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     viewer = widget._viewer
     place = {"scale": (-1, -1)}
     viewer.add_image(np.zeros((20, 30)), name="t1", **place)
-    table = widget._form.motion.boundary.seen
+    table = widget._form.motion.boundary.table
     boundary = np.zeros((20, 30), np.uint8)
     boundary[10, 10] = 1
     rule = BoundaryRule(1, "move", vector=(0.0, 10.0))
@@ -128,9 +128,9 @@ def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_window
     table.layer = widget._viewer.add_labels(np.zeros(layer.data.shape, int), name="walls", **place)
     table.rows = (BoundaryRule(1, "move"),)
     for column, text in ((3, "7"), (4, "-2")):
-        assert head(widget._form.motion.boundary.seen, column)
-        assert table.setData(table.index(0, column), text)
-    shown = [table.index(0, column).data() for column in (3, 4)]
+        assert head(widget._form.motion.boundary.table, column)
+        assert table.model().setData(table.model().index(0, column), text)
+    shown = [table.item(0, column).text() for column in (3, 4)]
     assert shown == ["7", "-2"], "as it was typed"
     to = {"down": (7, -2), "up": (-7, 2)}[down]
     np.testing.assert_allclose(goes(table.rows[0].vector), to, atol=1e-6)

@@ -11,9 +11,9 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.stiffness_curve import (
     StiffnessCurve,
     first_curve,
-    luminance,
     with_point,
 )
+from napari_hmrf.tissue.surroundings import luminance
 
 RAMP = StiffnessCurve(((0, 1), (100, 100)))
 

@@ -1,9 +1,9 @@
-"""Large label images are looked up without sorting, whatever their type and values."""
+"""Labels are looked up whatever their type and values."""
 
 import numpy as np
 import pytest
 
-from napari_hmrf.tissue.labels import labels_present, values_at
+from napari_hmrf.tissue.boundary_rules import Material, stiffness_image, unlisted
 
 IMAGES = [
     np.array([[0, 3], [3, 250]], np.uint8),
@@ -20,12 +20,16 @@ IMAGES = [
 
 
 @pytest.mark.parametrize("image", IMAGES, ids=lambda image: f"{image.dtype}-{image.max(initial=0)}")
-def test_labels_and_their_values_are_those_that_sorting_finds(image):
-    expected, where = np.unique(image, return_inverse=True)
-    present = labels_present(image)
-    np.testing.assert_array_equal(present, expected)
-    assert present.dtype == expected.dtype
-    values = np.arange(len(expected), dtype=np.float32) + 10
-    found = values_at(image, present, values)
-    np.testing.assert_array_equal(found, values[where].reshape(image.shape))
+def test_each_pixel_gets_the_stiffness_of_its_label(image):
+    labels = sorted({int(label) for label in image.flat})
+    materials = [Material(label, "", 10 + number) for number, label in enumerate(labels)]
+    found = stiffness_image(image, materials)
     assert found.dtype == np.float32
+    wanted = [10 + labels.index(int(label)) for label in image.flat]
+    np.testing.assert_array_equal(found.ravel(), wanted)
+
+
+@pytest.mark.parametrize("image", IMAGES, ids=lambda image: f"{image.dtype}-{image.max(initial=0)}")
+def test_labels_without_a_row_are_listed(image):
+    labels = sorted({int(label) for label in image.flat})
+    assert unlisted(image, [Material(label, "", 1) for label in labels[1:]]) == labels[:1]

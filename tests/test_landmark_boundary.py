@@ -267,7 +267,7 @@ def test_a_line_leads_tissue_from_its_start_to_its_end_and_a_path_to_its_last_pl
         ([("line", [(20, 60), (22, 20)])], "'drawn' has line 0, which begins outside the image"),
         (
             [("line", [(20, 20), (22, 20)]), ("line", [(20, 20), (25, 20)])],
-            "lines 0 and 1, which begin in one pixel",
+            "lines 0 and 1 in one pixel",
         ),
     ],
 )

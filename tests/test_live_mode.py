@@ -411,7 +411,7 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     person, dock = at_work
     viewer = person.viewer
     boundary = viewer.layers["Boundary"]
-    Cell(dock._form.motion.boundary.seen, 0).click()
+    Cell(dock._form.motion.boundary.table, 0).click()
     assert viewer.layers.selection.active is boundary
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
@@ -452,11 +452,11 @@ def test_tables_are_undone_and_followed(living, settle):
     footer = widget._form.footer
     assert not footer.undo.enabled
     rules, materials = widget.rules, widget.materials
-    Cell(widget._form.motion.boundary.seen, 1, 4).write("5")
+    Cell(widget._form.motion.boundary.table, 1, 4).write("5")
     assert footer.undo.tooltip == (
         "Take back: changed the motion of label 2 in 'Boundary' (Ctrl+Z)"
     )
-    Cell(widget._form.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.table, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.undo.native.click()
@@ -489,7 +489,7 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
 
 def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
     widget, (_, _, boundary) = living
-    table = widget._form.motion.boundary.seen
+    table = widget._form.motion.boundary.table
     before = widget.rules
     Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
@@ -504,7 +504,7 @@ def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edi
     widget, (_, tissue, _) = living
     widget.boundary = tissue
     before = widget.materials, widget.rules
-    Cell(widget._form.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.table, 1, 2).write("33")
     widget.undo()
     assert (widget.materials, widget.rules) == before
 
@@ -512,7 +512,7 @@ def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edi
 def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
-    Cell(widget._form.tissue.seen, 1, 2).write("33")
+    Cell(widget._form.tissue.table, 1, 2).write("33")
     widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness

@@ -13,7 +13,7 @@ from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import open_scan
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, save_image
-from napari_hmrf.layers.patient_axes import Sides, step_in_patient
+from napari_hmrf.layers.screen_directions import Sides, step_in_patient
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.ui.soft_tissue import SoftTissue
 

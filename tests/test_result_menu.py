@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from PIL import Image as Picture
-from qtpy.QtWidgets import QFileDialog, QLabel, QTableWidget, QWidget
+from qtpy.QtWidgets import QFileDialog, QLabel, QTableWidget
 from screen import Screen
 
 from napari_hmrf import HmrfError, measure, read_field, warp
@@ -15,7 +15,6 @@ from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.ui.result.measurement_table import MeasurementTable
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 MM = {"units": ("mm", "mm"), "scale": (0.5, 0.8)}
@@ -245,18 +244,20 @@ def test_measurements_are_shown_and_saved_in_the_image_s_unit(result, asked, tmp
     assert float(row["mean_displacement"]) == gel.mean_displacement
 
 
-def test_in_the_table_what_nobody_sees_is_nothing_and_few_folds_are_explained(qtbot):
+def test_in_the_table_what_nobody_sees_is_nothing_and_few_folds_are_explained(result, monkeypatch):
     """In micrometres: a pixel is 0.5 of them wide."""
     still = Measurement(1, "gel", 100, 25.0, 3.4e-7, -2e-8, 3.4e-7, 1e-9, 2e-5, folds=3)
-    parent = QWidget()
-    qtbot.addWidget(parent)
+    dock, _ = result()
     for rows, said in (([still], True), ([still] * 2, False), ([still._replace(folds=0)], False)):
-        shown = MeasurementTable(parent, rows, "um")
-        table = shown.findChild(QTableWidget)
+        monkeypatch.setattr(dock.more, "measure", lambda rows=rows: rows)
+        Screen(dock).entry("More", "Measurements").trigger()
+        (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+        shown = table.window()
         cells = [table.item(0, at).text() for at in range(table.columnCount())]
         assert cells[:8] == ["gel", "1", "25", "0", "0", "0", "0", "0"]
         words = " ".join(label.text() for label in shown.findChildren(QLabel))
         assert ("taken for rounding" in words) == said
+        shown.setParent(None)
     assert as_seen(6e-4, (0.5, 2.0)) == 6e-4
 
 

@@ -217,7 +217,7 @@ def test_tables_stay_with_their_layer(widget, small_sample):
 
 def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._form.tissue.seen
+    table = widget._form.tissue.table
     Cell(table, 1, 2).write("12,5")
     assert widget.materials[1].stiffness == 12.5
     for nonsense in ("stiff", "-3", "nan", "-inf", "1e400", "1e39", ""):
@@ -233,7 +233,7 @@ def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
 @pytest.mark.parametrize("typed", ["rigid", " Rigid", "inf"])
 def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_sample, typed):
     small_sample(viewer_of(widget))
-    table = widget._form.tissue.seen
+    table = widget._form.tissue.table
 
     def shown():
         """Stiffness and Poisson's ratio, and whether the latter can be typed."""
@@ -253,7 +253,7 @@ def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_
 
 def test_boundary_cells_follow_the_action(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._form.motion.boundary.seen
+    table = widget._form.motion.boundary.table
     assert [Cell(table, 1, column).text() for column in (3, 4)] == ["0", "3"]
     action = Cell(table, 1, 2)
     action.choose("expands")
@@ -284,7 +284,7 @@ def highlighted(table):
 def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
-    tissues, boundaries = widget._form.tissue.seen, widget._form.motion.boundary.seen
+    tissues, boundaries = widget._form.tissue.table, widget._form.motion.boundary.table
     for table, layer, row, label in [
         (tissues, tissue, 1, 1),
         (boundaries, boundary, 1, 2),
@@ -306,7 +306,7 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
 def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, small_sample):
     viewer = viewer_of(widget)
     image, tissue, _ = small_sample(viewer)
-    table = widget._form.tissue.seen
+    table = widget._form.tissue.table
     viewer.layers.selection.active = tissue
     tissue.selected_label = 0
     assert highlighted(table) == [0]
@@ -318,7 +318,7 @@ def test_choosing_a_label_finds_its_row_and_other_layers_leave_none(widget, smal
 
 def test_rows_wear_the_colour_of_their_label(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
-    label = Cell(widget._form.tissue.seen, 1, 0)
+    label = Cell(widget._form.tissue.table, 1, 0)
     for selected in (False, True):
         shown = label.colour(selected)
         np.testing.assert_allclose(shown, tissue.get_color(1)[:3], atol=0.01)
@@ -333,7 +333,7 @@ def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sampl
     assert by_label[0].stiffness == 0  # void stays void
     assert by_label[1] == preset.materials[0]
     assert by_label[9].stiffness == preset.materials[0].stiffness  # units are never mixed
-    assert preset.unit in head(widget._form.tissue.seen, 2)
+    assert preset.unit in head(widget._form.tissue.table, 2)
 
 
 def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
@@ -354,7 +354,7 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, 
     boundary.data[10:20, 20:25] = 2
     boundary.refresh()
     assert run(widget) is not None
-    assert "mm" in head(widget._form.motion.boundary.seen, 3)
+    assert "mm" in head(widget._form.motion.boundary.table, 3)
 
 
 @pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
@@ -885,7 +885,7 @@ def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_r
     small_sample(viewer)
     points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
     points.selected_data = {0, 1}
-    table = widget._form.tissue.seen
+    table = widget._form.tissue.table
     table.selectRow(0)
     QTest.keyClick(table, Qt.Key.Key_Delete)
     at_rest()

@@ -23,11 +23,11 @@ from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.overlay import quantity_layer
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.result.result_messages import at_point, how_far, stiffness_of
+from napari_hmrf.ui.result.cursor import at_point, stiffness_of
+from napari_hmrf.ui.result.result_messages import how_far
 
 
 def names(viewer):
@@ -159,8 +159,8 @@ def test_labels_and_grid_move_along(look, set_to):
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
     # A clock that goes on by a tenth of the way whenever it is looked at, however slow the machine.
     clock = SimpleNamespace(monotonic=partial(next, count(0.0, 0.1)))
-    monkeypatch.setattr("napari_hmrf.ui.result.player.time", clock)
-    monkeypatch.setattr("napari_hmrf.ui.result.player.SECONDS", 1.0)
+    monkeypatch.setattr("napari_hmrf.ui.result.moving_layers.time", clock)
+    monkeypatch.setattr("napari_hmrf.ui.result.moving_layers.SECONDS", 1.0)
     seen = []
     look._view.player.moved.connect(seen.append)
     look._form.result.play.native.click()
@@ -693,7 +693,7 @@ def test_a_picture_has_the_scale_that_the_viewer_shows(look):
         ("magnitude", magnitude_picture),
     ):
         (map_, *_) = drawn(result.solution).axes[0].images
-        seen = quantity_layer(result, quantity).attributes["contrast_limits"]
+        seen = coloured(result.solution, quantity).limits
         assert map_.get_clim() == pytest.approx(seen)
 
 

@@ -129,7 +129,7 @@ RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model cannot have"
 
 
 def be_rigid(widget):
-    Cell(widget._form.tissue.seen, 1, 2).write("rigid")
+    Cell(widget._form.tissue.table, 1, 2).write("rigid")
 
 
 def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
@@ -146,7 +146,7 @@ def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sa
     wait_for(lambda: widget.status == READY)
     widget.model = "paper"
     wait_for(lambda: RIGID in widget.status)
-    Cell(widget._form.tissue.seen, 1, 2).write("900")
+    Cell(widget._form.tissue.table, 1, 2).write("900")
     assert not model.objection
     wait_for(lambda: widget.status == READY)
 
@@ -264,7 +264,7 @@ def test_the_two_planes_differ_by_as_much_as_is_said():
 
 def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sample):
     small_sample(viewer_of(widget))
-    table = widget._form.tissue.seen
+    table = widget._form.tissue.table
     assert table.isColumnHidden(POISSON)
     elastic(widget)
     assert not table.isColumnHidden(POISSON)
@@ -276,7 +276,7 @@ def test_the_table_has_a_poisson_ratio_only_for_elastic_tissue(widget, small_sam
 def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     elastic(widget)
-    table = widget._form.tissue.seen
+    table = widget._form.tissue.table
     Cell(table, 1, POISSON).write("0,3")
     assert widget.materials[1].poisson == 0.3
     assert tissue.metadata[METADATA]["materials"][1]["poisson"] == 0.3

@@ -257,6 +257,30 @@ def arrows_apart(
     return chosen
 
 
+def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
+    """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
+
+    Parameters
+    ----------
+    where : ndarray of bool, shape (H, W)
+    apart : float or array_like, shape (2,)
+        Rows and columns of a cell, in pixels.
+
+    Returns
+    -------
+    ndarray of int, shape (N, 2)
+    """
+    pixels = np.argwhere(where)
+    if not len(pixels):
+        return pixels
+    cells = (pixels / np.asarray(apart)).astype(np.int64)
+    off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
+    order = np.argsort(off, kind="stable")
+    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    _, first = np.unique(key[order], return_index=True)
+    return pixels[order[first]]
+
+
 def _apart(arrows: FloatArray, gap: float, spacing: Sequence[float]) -> npt.NDArray[np.intp]:
     """Choose arrows with a gap, in the unit of `spacing`, between them; the longest stay."""
     if not len(arrows):

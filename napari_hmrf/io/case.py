@@ -33,7 +33,7 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
-from napari_hmrf.tissue.image_edges import at_edges
+from napari_hmrf.tissue.surroundings import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 

@@ -9,6 +9,7 @@ is selected has another colour.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
-from napari_hmrf.layers.result_layers import LayerData, vector_layer
+from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 
@@ -43,7 +44,7 @@ def arrow_lines(
     selected: int | None = None,
     pending: Point | None = None,
     radius: float = 1.0,
-) -> tuple[FloatArray, FloatArray]:
+) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
 
     Parameters
@@ -65,35 +66,41 @@ def arrow_lines(
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
     """
-    lines, colours = [np.zeros((0, 2, 2))], [np.zeros((0, 4))]
-    marks = list(enumerate(drawing.marks))
+    marks = [
+        (mark, number == selected and pending is None)
+        for number, mark in enumerate(drawing.marks)
+        if not isinstance(mark, Stroke)
+    ]
     if pending is not None:
-        marks.append((-1, Arrow(pending, (0.0, 0.0), radius)))
-        selected = -1
-    for number, mark in marks:
-        if isinstance(mark, Stroke):
-            continue
-        drawn = _lines_of(mark, spacing)
-        colour = np.array(SELECTED if number == selected else DRAWN)
-        colour[3] = _PALEST + (1 - _PALEST) * mark.confidence
+        marks.append((Arrow(pending, (0.0, 0.0), radius), True))
+    parts = []
+    for mark, chosen in marks:
+        red, green, blue, _ = SELECTED if chosen else DRAWN
+        opacity = _PALEST + (1 - _PALEST) * mark.confidence
+        parts.append((_lines_of(mark, spacing), (red, green, blue, opacity)))
+    return coloured(parts)
+
+
+def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]]) -> Lines:
+    """Lines of several colours together: (start, step) of some, and their colour."""
+    lines, colours = [np.zeros((0, 2, 2))], [np.zeros((0, 4))]
+    for drawn, colour in parts:
         lines.append(drawn)
         colours.append(np.tile(colour, (len(drawn), 1)))
-    return (
-        np.concatenate(lines).astype(np.float32),
-        np.concatenate(colours).astype(np.float32),
-    )
+    return np.concatenate(lines).astype(np.float32), np.concatenate(colours).astype(np.float32)
 
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     """A Vectors layer to show arrows in, still without any."""
     look = {
         "vector_style": "line",
+        "opacity": 1.0,
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
         "ndim": frame.ndim,  # napari cannot tell how many axes no arrows have
     }
     known = {"kind": "drawing", "slice": frame.slice_name}
-    return vector_layer(frame, np.zeros((0, 2, 2)), NAME, known, look)
+    return layer_on(frame, np.zeros((0, 2, 2)), NAME, known, look, "vectors")
 
 
 def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:
@@ -117,10 +124,7 @@ def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[
     barbs = [
         (end * along, _TIP * (side * across - end * along)) for end in (-1, 1) for side in (-1, 1)
     ]
-    lines = [(-along, 2 * along), *barbs]
-    return np.concatenate(
-        [np.stack([at + start, np.broadcast_to(step, at.shape)], axis=1) for start, step in lines]
-    )
+    return _at_each(at, [(-along, 2 * along), *barbs])
 
 
 def barbed(
@@ -148,33 +152,14 @@ def barbed(
 
 def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """(start, step) of two lines through each of some places, (N, 2), along two `arms`, (2, 2)."""
+    return _at_each(at, [(-arm, 2 * arm) for arm in arms])
+
+
+def _at_each(at: npt.NDArray[Any], lines: Iterable[Any]) -> npt.NDArray[np.float64]:
+    """The same lines, (start, step) each, at each of some places."""
     return np.concatenate(
-        [np.stack([at - arm, np.broadcast_to(2 * arm, at.shape)], axis=1) for arm in arms]
+        [np.stack([at + start, np.broadcast_to(step, at.shape)], axis=1) for start, step in lines]
     )
-
-
-def spread(where: npt.NDArray[np.bool_], apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
-    """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
-
-    Parameters
-    ----------
-    where : ndarray of bool, shape (H, W)
-    apart : float or array_like, shape (2,)
-        Rows and columns of a cell, in pixels.
-
-    Returns
-    -------
-    ndarray of int, shape (N, 2)
-    """
-    pixels = np.argwhere(where)
-    if not len(pixels):
-        return pixels
-    cells = (pixels / np.asarray(apart)).astype(np.int64)
-    off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
-    order = np.argsort(off, kind="stable")
-    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    _, first = np.unique(key[order], return_index=True)
-    return pixels[order[first]]
 
 
 def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:

@@ -1,22 +1,43 @@
-"""A displacement field as a layer: a few of its arrows are drawn, and the layer holds all of it."""
+"""Layers that hold a field, of a result or of a file, and what else lies where a result does.
+
+Of a field a few arrows are drawn, and the layer holds all of it. A result is found by what its
+layer's metadata say; images, labels, points and shapes on the same tissue can be moved with it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from napari.utils.notifications import show_info
+import numpy.typing as npt
+from napari.layers import Image, Labels, Points, Shapes
 
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
-from napari_hmrf.io.fields import saved_field
+from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
-from napari_hmrf.layers.metadata import METADATA, known_of
-from napari_hmrf.layers.result_layers import ARROWS, LayerData
-from napari_hmrf.layers.result_lookup import result_of
-from napari_hmrf.layers.slice_view import frame_of
+from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
+from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
+from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
+from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
+from napari_hmrf.study.layer_names import full_resolution, naming
+
+Array = npt.NDArray[Any]
+#: What the metadata of a layer say that was moved.
+MOVED = "moved"
+#: Pieces of a side of a rectangle, and of an ellipse, which are bent.
+_PIECES, _ROUND = 8, 64
+
+
+def result_of(layer: Any) -> Answer | None:
+    """The result that a layer of arrows holds; None if it holds none."""
+    known = known_of(layer)
+    answer = known.get("answer")
+    return answer if isinstance(answer, Answer) and known.get("kind") == "arrows" else None
 
 
 def holds_field(layer: Any) -> bool:
@@ -52,12 +73,9 @@ def field_layer(
     """
     shape = field.shape
     step = max(1, round((shape[-2] * shape[-1] / ARROWS) ** 0.5))
-    steps = (*(1 for _ in shape[:-2]), step, step)
-    lines = [
-        np.arange(min(every // 2, size - 1), size, every)
-        for every, size in zip(steps, shape, strict=True)
-    ]
-    starts = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(shape))
+    lines = [slice(size) for size in shape[:-2]]
+    lines += [slice(min(step // 2, size - 1), size, step) for size in shape[-2:]]
+    starts = np.mgrid[tuple(lines)].reshape(len(shape), -1).T
     arrows = np.stack([starts, field.at(starts.astype(float))], axis=1).astype(np.float32)
     known = {"field": field, **({} if role is None else {"role": role})}
     look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": step / 8}
@@ -66,6 +84,158 @@ def field_layer(
     )
 
 
-def tell_saved(path: str, residual: float) -> None:
-    """Have napari tell that a field was written, and how."""
-    show_info(saved_field(path, residual))
+def source_of(layers: Iterable[Any], result: Answer) -> Any:
+    """Find the image that a result deforms: by its name, else one that lies where it does."""
+    images = [layer for layer in layers if can_be_source(layer, result)]
+    named = [layer for layer in images if layer.name == result.source]
+    meant = [layer for layer in images if role_of(layer) == IMAGE]
+    return next(iter([*named, *meant, *images]), None)
+
+
+def can_be_source(layer: Any, result: Answer) -> bool:
+    """Whether a layer is an image on the pixels of a result, and not itself made of one."""
+    own = isinstance(layer, Image) and "kind" not in known_of(layer)
+    return own and frame_in(layer, result) is not None
+
+
+def tissue_of(layers: Iterable[Any], result: Answer) -> Any:
+    """Find the layer that says how stiff the tissue of a result is, or None.
+
+    That is one of labels with a table, or one of stiffness.
+    """
+    tissues = [layer for layer in layers if role_of(layer) == TISSUE]
+    described = [each for each in tissues if isinstance(each, Image) or rows_of(each, TISSUE)]
+    return next((each for each in reversed(described) if frame_in(each, result)), None)
+
+
+def frame_in(layer: Any, result: Answer) -> Frame | None:
+    """The frame of the slice of a layer that lies on a result's pixels; None if none does."""
+    try:
+        own = frame_of(layer)
+        more = own.ndim - result.frame.ndim
+        plane = tuple(axis + more for axis in result.frame.plane)
+        index = ((0,) * more + result.frame.index)[-own.ndim :]
+        if min(plane) < 0:
+            return None
+        # A layer may be of that one slice alone.
+        sizes = layer_extents(layer)
+        index = tuple(min(at, size - 1) for at, size in zip(index, sizes, strict=True))
+        own = replace(own, plane=(plane[0], plane[1]), index=index)
+        fits = plane_shape(layer, own) == result.shape
+        return own if fits and result.frame.same_place(own, result.shape) else None
+    except (ProblemError, ValueError, IndexError):
+        return None
+
+
+def picture_of(layer: Any, result: Answer) -> npt.NDArray[Any] | None:
+    """Copy what a layer shows on a result's pixels, rows first; None if it lies elsewhere.
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be read.
+    """
+    own = frame_in(layer, result)
+    return None if own is None else copy_slice(layer, own)
+
+
+def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[float, float] | None:
+    """Where a point of the world lies on the pixels of a result; None beside it or its slice.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        That holds the result.
+    result : Answer
+    position : sequence of float
+        World coordinates, as of a viewer's cursor.
+    view : View
+        What the viewer shows.
+
+    Returns
+    -------
+    (float, float) or None
+        (row, col), whole numbers at the middle of a pixel.
+    """
+    point = np.asarray(position, dtype=float)[-layer.ndim :]
+    if len(point) < layer.ndim:
+        return None
+    seen = layer.world_to_data(np.nan_to_num(point * view.factors(layer)))
+    found = np.asarray(seen, dtype=float)
+    index = np.floor(np.nan_to_num(found) + 0.5)
+    frame = result.frame
+    if any(index[axis] != frame.index[axis] for axis in frame.others):
+        return None
+    rows, cols = frame.plane
+    inside = 0 <= index[rows] < result.shape[0] and 0 <= index[cols] < result.shape[1]
+    return (float(found[rows]), float(found[cols])) if inside else None
+
+
+def slices_apart(layer: Any, result: Answer, view: View) -> tuple[str, str] | None:
+    """The names of the slice of a result and of the one that is shown, if they are two.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        That holds the result.
+    result : Answer
+    view : View
+        What the viewer shows.
+    """
+    if result.frame.ndim < 3 or len(view.displayed) != 2:
+        return None
+    try:
+        shown = frame_of(layer, view)
+    except (ProblemError, ValueError):
+        return None
+    frame = result.frame
+    if shown.plane != frame.plane or shown.index == frame.index:
+        return None
+    return replace(frame, sliders=shown.sliders).slice_seen, shown.slice_seen
+
+
+def can_move(layer: Any) -> bool:
+    """Whether a layer can be moved with a result, and is not itself made of one."""
+    return isinstance(layer, Image | Labels | Points | Shapes) and "kind" not in known_of(layer)
+
+
+def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
+    """Get ready to move a layer with a result: what is returned does, on any thread.
+
+    The layer may have other pixels than the result, and more axes, as of `OtherGrid.of`. Labels get
+    no new values.
+
+    Raises
+    ------
+    LayerError
+        As of `OtherGrid.of`.
+    """
+    with naming(observed=layer):
+        grid = OtherGrid.of(answer.solution, answer.frame, frame_of(layer))
+    data, attributes, kind = layer.as_layer_data_tuple()
+    known = {key: value for key, value in known_of(layer).items() if key != "role"}
+    attributes["metadata"] = {METADATA: {**known, "kind": MOVED}}
+    attributes["name"], attributes["visible"] = f"{layer.name}, moved", True
+    if kind in ("image", "labels"):
+        attributes["multiscale"], order = False, 0 if kind == "labels" else 1
+        pixels = full_resolution(layer)
+        return lambda: LayerData(grid.moved_pixels(pixels, order=order), attributes, kind)
+    if kind == "points":
+        return lambda: LayerData(grid.moved_points(data), attributes, kind)
+    bent = [_bent(corners, each) for corners, each in zip(data, layer.shape_type, strict=True)]
+    attributes["shape_type"] = [each for _, each in bent]
+    return lambda: LayerData([grid.moved_points(each) for each, _ in bent], attributes, kind)
+
+
+def _bent(corners: Array, kind: str) -> tuple[Array, str]:
+    """A shape as one that can be bent: of rectangles and ellipses, a polygon."""
+    if kind == "rectangle":
+        part = np.linspace(0, 1, _PIECES, endpoint=False)[:, None]
+        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        return np.concatenate([begin + part * (end - begin) for begin, end in ends]), "polygon"
+    if kind == "ellipse":
+        angles = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)[:, None]
+        along, across = (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
+        middle = corners.mean(axis=0)
+        return middle + np.cos(angles) * along + np.sin(angles) * across, "polygon"
+    return corners, kind

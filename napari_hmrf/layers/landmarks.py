@@ -104,9 +104,8 @@ def landmark_pairs(
     what: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
     begins, ends = _ends_of_lines(where) if what == "line" else _paired(where, should)
     should = where if what == "line" else should
-    sources, targets = _in_pixels(where, begins, what, frame), _in_pixels(should, ends, what, frame)
-    here = _on_slice(where, begins, sources, frame, view)
-    there = _on_slice(should, ends, targets, frame, view)
+    sources, here = _placed(where, begins, what, frame, view)
+    targets, there = _placed(should, ends, what, frame, view)
     numbers = np.flatnonzero(here)
     if not len(numbers):
         here_said = frame.slice_seen or "this slice"
@@ -129,7 +128,7 @@ def landmark_pairs(
             f"has {what} {numbers[outside[0]]}{', which begins' if what == 'line' else ''} outside "
             "the image. Move it, or remove it.",
         )
-    _refuse_contradiction(where, at, to, numbers)
+    _refuse_contradiction(where, what, at, to, numbers)
     return LandmarkPairs(numbers, at, to)
 
 
@@ -138,20 +137,18 @@ def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_
 
 
 def _refuse_contradiction(
-    where: Any, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
+    where: Any, what: str, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
 ) -> None:
     """Refuse landmarks of one pixel that should go to different places."""
     first: dict[tuple[float, ...], int] = {}
     for each, pixel in enumerate(np.rint(at).tolist()):
         earlier = first.setdefault(tuple(pixel), each)
         if not np.allclose(to[each] - at[each], to[earlier] - at[earlier], atol=1e-3):
+            one, other = numbers[[earlier, each]]
             raise LayerError(
                 where,
-                f"has lines {numbers[earlier]} and {numbers[each]}, which begin in one pixel "
-                "and lead to different places. Remove one of them."
-                if isinstance(where, Shapes)
-                else f"has points {numbers[earlier]} and {numbers[each]} in one pixel, which "
-                "should go to different places. Remove one of them, and its partner.",
+                f"has {what}s {one} and {other} in one pixel, which lead to different places. "
+                "Remove one of them.",
             )
 
 
@@ -174,8 +171,10 @@ def _radii(
 _LINES = ("line", "path")
 
 
-def _in_pixels(layer: Any, places: FloatArray, what: str, frame: Frame) -> FloatArray:
-    """Where places in a layer's own coordinates lie in the pixels of the image, shape (N, D)."""
+def _placed(
+    layer: Any, places: FloatArray, what: str, frame: Frame, view: View | None
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Places of a layer in the pixels of the image, (N, D), and which of them lie on its slice."""
     bad = np.flatnonzero(~np.isfinite(places).all(axis=1))
     if len(bad):
         raise LayerError(layer, f"has NaN or infinity in {what} {bad[0]}. Remove it.")
@@ -184,22 +183,14 @@ def _in_pixels(layer: Any, places: FloatArray, what: str, frame: Frame) -> Float
         raise LayerError(
             layer, "is measured in other units than the image. Give both a unit of length."
         )
-    placed: FloatArray = places @ to[:, :-1].T + to[:, -1]
-    return placed
-
-
-def _on_slice(
-    layer: Any, places: FloatArray, pixels: FloatArray, frame: Frame, view: View | None
-) -> npt.NDArray[np.bool_]:
-    """Which places lie on the slice of the image; and on that shown, on axes it has not."""
+    pixels = places @ to[:, :-1].T + to[:, -1]
     others = list(frame.others)
-    here: npt.NDArray[np.bool_]
     here = (np.rint(pixels[:, others]) == np.array(frame.index)[others]).all(axis=1)
     extra = layer.ndim - frame.ndim
-    if extra > 0 and view is not None:
+    if extra > 0 and view is not None:  # and on that shown, on axes that the image has not
         shown = np.array(frame_of(layer, view).index)[:extra]
-        here = here & (np.rint(places[:, :extra]) == shown).all(axis=1)
-    return here
+        here &= (np.rint(places[:, :extra]) == shown).all(axis=1)
+    return pixels, here
 
 
 def _paired(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:

@@ -8,21 +8,22 @@ direction is spoken of.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
 
+from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import Lines, barbed, crosses, double_arrows, spread
+from napari_hmrf.layers.arrow_layer import Lines, barbed, coloured, crosses, double_arrows
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
-from napari_hmrf.layers.result_layers import LayerData, pixel_layer
+from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Canvas, Stroke
 from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
-from napari_hmrf.tissue.palette import Palette
+from napari_hmrf.tissue.material_presets import Palette
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -139,16 +140,16 @@ def painted_layer(
     """A Labels layer of what was painted."""
     known = {"kind": "painted", "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
-    return pixel_layer(frame, picture, NAME, known, look, "labels")
+    return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
     """An Image layer of how sure is what is held or moved."""
     known = {"kind": "painted confidence", "slice": frame.slice_name}
-    return pixel_layer(frame, confidence, "Confidence", known, confidence_look())
+    return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
 
-def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
+def painted_marks(canvas: Canvas) -> Lines:
     """Crosses where tissue is pinned, arrows where it is moved; thin strokes have some, too.
 
     Where one direction alone is spoken of there is a double arrow along that instead of a cross.
@@ -172,8 +173,7 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
         axis=-1
     )
     places = spread(counts, apart / size)
-    lines: list[npt.NDArray[np.float64]] = []
-    colours: list[npt.NDArray[np.float64]] = []
+    parts: list[tuple[npt.NDArray[Any], Sequence[float]]] = []
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
@@ -183,13 +183,9 @@ def painted_marks(canvas: Canvas) -> tuple[FloatArray, FloatArray]:
         back = 0.35 * np.linalg.norm(by[moves], axis=-1, keepdims=True)
         drawn = [barbed(at[moves], by[moves], back), crosses(at[both & ~moves], 0.2 * apart * _X)]
         drawn += [double_arrows(at[sure[:, way] & ~both], way, 0.35 * apart) for way in (0, 1)]
-        for part in drawn:
-            lines.append(part / size)
-            colours.append(np.tile([*(0.6 + 0.4 * np.array(COLOURS[action])), 1.0], (len(part), 1)))
-    return (
-        np.concatenate(lines).astype(np.float32).reshape(-1, 2, 2),
-        np.concatenate(colours).astype(np.float32).reshape(-1, 4),
-    )
+        colour = (*(0.6 + 0.4 * part for part in COLOURS[action]), 1.0)
+        parts += [(part / size, colour) for part in drawn]
+    return coloured(parts)
 
 
 #: What has marks beside its colour.
@@ -218,7 +214,7 @@ def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) ->
     from skimage.measure import find_contours
 
     box = box_of(stroke, canvas.spacing, canvas.whole)
-    lines = [np.zeros((0, 2, 2), np.float32)]
+    lines = []
     if not is_empty(box):
         distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
         reach = max(stroke.radius, 0.5 * max(canvas.spacing))
@@ -228,6 +224,5 @@ def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) ->
             places = contour[:: max(1, len(contour) // 400)]
             seen = goes_to(places + np.array([box[0].start - 1, box[1].start - 1]))
             seen = np.concatenate([seen, seen[:1]])
-            lines.append(np.stack([seen[:-1], np.diff(seen, axis=0)], axis=1).astype(np.float32))
-    drawn = np.concatenate(lines)
-    return drawn, np.tile(np.array(SELECTED, np.float32), (len(drawn), 1))
+            lines.append(np.stack([seen[:-1], np.diff(seen, axis=0)], axis=1))
+    return coloured((each, SELECTED) for each in lines)

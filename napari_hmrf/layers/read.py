@@ -1,7 +1,8 @@
-"""From layers to a study: the only reader there is."""
+"""From layers to a study, and from a study to layers: the only reader there is, and its inverse."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,13 +10,25 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
+from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
-from napari_hmrf.layers.field_layer import field_of, holds_field
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, rows_of, tissue_record
+from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
+from napari_hmrf.layers.label_colours import boundary_colours
+from napari_hmrf.layers.metadata import (
+    BOUNDARY,
+    IMAGE,
+    METADATA,
+    TISSUE,
+    described,
+    known_of,
+    rows_of,
+    tissue_record,
+)
 from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
+from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
@@ -23,9 +36,9 @@ from napari_hmrf.study.layer_names import LayerError, Named, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
-from napari_hmrf.tissue.image_edges import at_edges
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.surroundings import at_edges
 
 #: What is observed is sure where the image has edges.
 EDGES = "edges"
@@ -33,6 +46,8 @@ EDGES = "edges"
 _RIGHT_ANGLE = 0.1
 #: A field that leads out of its slice by less than this part of a pixel leads along it.
 _OUT = 0.1
+#: More arrows than this are a field, of which some are drawn.
+_MANY = 2000
 
 
 @dataclass(frozen=True)
@@ -318,3 +333,60 @@ def look_of(layer: Any) -> dict[str, Any]:
         "contrast_limits": tuple(layer.contrast_limits),
         "gamma": layer.gamma,
     }
+
+
+def study_layers(study: Study) -> dict[str, Any]:
+    """Make the layers that are read as a study, where it lies, or from the origin on.
+
+    Parameters
+    ----------
+    study : Study
+        Of which all but its drawing, its model and what holds the edge becomes layers.
+
+    Returns
+    -------
+    dict of str to napari.layers.Layer
+        By "image", "tissue", "boundary" and "confidence", those there are; in the order in which
+        they lie above each other.
+    """
+    grid, tissue, motion, pictures = study.grid, study.tissue, study.motion, study.pictures
+    frame = grid.place or Frame.at(grid.spacing, (grid.unit,) * 2)
+    made: dict[str, Any] = {}
+
+    def add(
+        part: str, name: str, data: Any, look: Mapping[str, Any], sort: str = "image", **what: Any
+    ) -> None:
+        """Make a layer, by the name that it had."""
+        name = study.names[part].name if part in study.names else name
+        known = described(**what)[METADATA] if what else {}
+        made[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
+
+    if pictures.image is not None:
+        add("image", pictures.name or "image", pictures.image, pictures.look, role=IMAGE)
+    known = {"role": TISSUE, "unit": tissue.unit}
+    if tissue.labels is not None:
+        look = {"opacity": 0.3, **pictures.labels_look}
+        add("tissue", "Tissue", tissue.labels, look, "labels", rows=tissue.materials, **known)
+    elif tissue.stiffness is not None:
+        add("tissue", "Stiffness", tissue.stiffness, {"opacity": 0.3}, **known)
+    if motion.labels is not None:
+        look, rules = {"colormap": boundary_colours()}, motion.rules
+        add("boundary", "Boundary", motion.labels, look, "labels", role=BOUNDARY, rows=rules)
+    elif motion.observed is not None and motion.confidence is not None:
+        counts = (
+            motion.confidence if motion.confidence.ndim == 2 else motion.confidence.max(axis=-1)
+        )
+        starts, steps = np.argwhere(counts > 0), motion.observed / grid.spacing
+        if len(starts) > _MANY:
+            field = DisplacementField.in_pixels(frame.put_field(steps))
+            name = study.names["boundary"].name if "boundary" in study.names else "Observed"
+            place = frame.placement(image=True)
+            made["boundary"] = Layer.create(*field_layer(field, place, name, BOUNDARY))
+        else:
+            arrows = np.stack([starts, steps[tuple(starts.T)]], axis=1)
+            add("boundary", "Observed", arrows, {}, "vectors", role=BOUNDARY)
+        look = {"contrast_limits": (0, 1), "opacity": 0.3}
+        add("confidence", "How sure", counts, look)
+    for part, layer in made.items():  # paint would tint the picture that has moved
+        layer.visible = part == ("image" if "image" in made else "tissue")
+    return made

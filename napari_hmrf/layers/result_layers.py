@@ -1,4 +1,7 @@
-"""A solution becomes layers: the image, moved, and arrows, which hold the result."""
+"""A solution becomes layers: the image, moved, and arrows, which hold the result.
+
+Over the image lies one thing at a time, such as the strain as colours.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,25 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.deformation import arrows_apart, smallest_determinant
+from napari_hmrf.field.animation import Motion, moved_grid
+from napari_hmrf.field.colormaps import reach_of
+from napari_hmrf.field.comparison import Comparison
+from napari_hmrf.field.deformation import arrows_apart, pixels_between, smallest_determinant, spread
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
+from napari_hmrf.layers.label_colours import (
+    OBSERVED,
+    OVER,
+    confidence_look,
+    fold_colours,
+    quantity_colours,
+    stiffness_colours,
+)
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.solver.model_names import in_words, model_name
 from napari_hmrf.solver.problem import Problem
@@ -30,6 +46,15 @@ Kind = Literal["image", "arrows"]
 
 #: Arrows enough to see the motion, few enough to see the image and each of them.
 ARROWS = 250
+#: What there is to lie over the image.
+Name = (
+    Quantity
+    | Literal["grid", "labels", "difference", "folds", "stiffness", "observed", "confidence"]
+)
+#: Arrows of what is given that fit beside each other across the image.
+_ACROSS = 40
+#: Of what does not move with the tissue.
+_BEFORE = "{} where tissue was"
 
 
 class LayerData(NamedTuple):
@@ -80,42 +105,29 @@ class Answer:
         """The name that the deformed image's layer had; empty for a result from a file."""
         return self.pictures.name
 
-    def pixels(
-        self,
-        kind: str,
-        pixels: Array,
-        what: str,
-        look: Facts,
-        sort: str = "image",
-        source: str = "",
+    def layer(
+        self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
     ) -> LayerData:
-        """Pixels as a layer that lies where the tissue does.
+        """Something of the result as a layer that lies where its tissue does.
 
         Parameters
         ----------
         kind : str
             Of the layer, in its metadata.
-        pixels : ndarray, shape (H, W)
+        data, look, sort
+            As of `layer_on`.
         what : str
             What the layer shows; it is named after that and its source.
-        look : mapping
-            How it is drawn, as a new layer takes it.
-        sort : {"image", "labels"}
         source : str
             By default what was deformed.
         """
-        name = self._name(what, source or self.source)
-        return pixel_layer(self.frame, pixels, name, {"kind": kind, **self.facts}, look, sort)
-
-    def vectors(self, kind: str, segments: Array, what: str, look: Facts) -> LayerData:
-        """Segments, (N, 2, 2) in pixels, as a layer; the other parameters are as of `pixels`."""
-        known = {"kind": kind, **self.facts, "solution": self.solution}
-        name = self._name(what, self.source)
-        return vector_layer(self.frame, segments, name, known, {**look, "length": 1.0})
-
-    def _name(self, what: str, source: str) -> str:
-        parameters = self.solution.provenance.parameters
-        return _result_name(source, what, parameters, self.frame.slice_seen)
+        known = {"kind": kind, **self.facts}
+        if sort == "vectors":
+            known = {**known, "solution": self.solution}
+            look = {**look, "length": 1.0, "opacity": 1.0}
+        run = self.solution.provenance.parameters
+        name = _result_name(source or self.source, what, run, self.frame.slice_seen)
+        return layer_on(self.frame, data, name, known, look, sort)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +228,7 @@ def _arrow_layer(answer: Answer) -> LayerData:
     found = arrows_apart(d, spacing=spacing, tissue=tissue, about=ARROWS)
     width = max(1.0, math.sqrt(tissue.sum() / ARROWS)) / 8
     look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": width}
-    made = answer.vectors("arrows", found, "arrows", look)
+    made = answer.layer("arrows", found, "arrows", look, "vectors")
     made.attributes["metadata"][METADATA]["answer"] = answer
     return made
 
@@ -244,37 +256,33 @@ def picture_layer(
     """
     known = {**(facts or _whence(frame, pictures)), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
-    return pixel_layer(frame, picture, name, known, pictures.look)
+    return layer_on(frame, picture, name, known, pictures.look)
 
 
-def pixel_layer(
-    frame: Frame, pixels: Array, name: str, known: Facts, look: Facts, sort: str = "image"
+def layer_on(
+    frame: Frame, data: Array, name: str, known: Facts, look: Facts, sort: str = "image"
 ) -> LayerData:
-    """Pixels of a slice as a layer that lies there, with what it is to know of itself.
+    """What lies on the pixels of a slice as a layer, with what it is to know of itself.
 
     Parameters
     ----------
     frame : Frame
-    pixels : ndarray, shape (H, W) or (H, W, 3 or 4)
+    data : ndarray
+        Pixels, shape (H, W) or (H, W, 3 or 4); or segments in pixels, shape (N, 2, 2).
     name : str
     known : mapping
         For its metadata.
     look : mapping
         How it is drawn, as a new layer takes it.
-    sort : {"image", "labels"}
+    sort : {"image", "labels", "vectors"}
     """
-    attributes = {**look, **frame.placement(image=True), "name": name}
+    lines = sort == "vectors"
+    attributes = {**look, **frame.placement(image=not lines), "name": name}
     attributes["metadata"] = {METADATA: dict(known)}
     if sort == "image":
-        attributes["rgb"] = pixels.ndim == 3
-    return LayerData(frame.put_image(pixels), attributes, sort)
-
-
-def vector_layer(frame: Frame, segments: Array, name: str, known: Facts, look: Facts) -> LayerData:
-    """Segments, (N, 2, 2) in pixels of a slice, as a layer; as of `pixel_layer`."""
-    attributes = {**look, **frame.placement(), "name": name, "opacity": 1.0}
-    attributes["metadata"] = {METADATA: dict(known)}
-    return LayerData(frame.put_vectors(segments), attributes, "vectors")
+        attributes["rgb"] = data.ndim == 3
+    placed = frame.put_vectors(data) if lines else frame.put_image(data)
+    return LayerData(placed, attributes, sort)
 
 
 def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
@@ -293,3 +301,108 @@ def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
     model = model_name(parameters).removeprefix("paper").removeprefix(", ")
     name = f"{source} {what}".strip() + (f", {model}" if model else "")
     return name + (f" ({where})" if where else "")
+
+
+class Overlay(NamedTuple):
+    """What lies over the image of a result.
+
+    Attributes
+    ----------
+    name : Name
+    layer : LayerData
+        When all of the deformation is seen.
+    picture : ndarray, shape (H, W), optional
+        Its pixels before they move with the tissue; None if they do not, or if it is of lines.
+    """
+
+    name: Name
+    layer: LayerData
+    picture: Array | None = None
+
+
+def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:
+    """Make what is to lie over the image of a result; on the compute thread only.
+
+    All moves with the tissue, the difference to what it was `compared` with, too. Folds, and arrows
+    of the motion that was given, begin where tissue was, as their names say.
+
+    What has two directions is drawn from purple (less) to orange (more), the rest from dark to
+    light, and where hardly anything happens the image is seen. Folds are yellow, which is the
+    colour of whatever is at the lower limit.
+
+    Returns
+    -------
+    Overlay or None
+        None if the result has nothing of that name: no folds, no labels, no reference, or no
+        problem.
+    """
+    made: LayerData | None
+    if name == "grid":
+        look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
+        made = answer.layer(name, moved_grid(answer.solution), name, look, "vectors")
+    elif name == "folds":
+        made = _fold_layer(answer)
+    elif name == "observed":
+        made = None if answer.problem is None else _motion_layer(answer, answer.problem)
+    elif (pixels := _pixels_of(answer, name, compared)) is not None:
+        picture, *shown = pixels
+        moved = np.asarray(Motion(answer.solution, overlay=picture).at(1).overlay)
+        return Overlay(name, answer.layer(name, moved, *shown), picture)
+    else:
+        made = None
+    return None if made is None else Overlay(name, made)
+
+
+def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple[Any, ...] | None:
+    """Pixels before they move, and what else `Answer.layer` takes; None if there are none."""
+    pictures, problem = answer.pictures, answer.problem
+    if name in QUANTITIES:
+        title, unit = QUANTITIES[name]
+        shown = coloured(answer.solution, name)
+        return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
+    if name == "labels" and pictures.labels is not None:
+        look, source = pictures.labels_look, pictures.labels_name
+        return pictures.labels, "deformed", look, "labels", source
+    if name == "difference" and compared is not None:
+        far = compared.difference
+        shown = Coloured(far, (0.0, reach_of(far)), signed=False)
+        return far, f"difference from {compared.reference} ({answer.unit})", _colours(shown)
+    if name == "confidence" and problem is not None:
+        c = problem.confidence.max(axis=-1)
+        return c, "confidence (0 to 1)", confidence_look()
+    if name == "stiffness" and problem is not None:
+        m = problem.stiffness
+        most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
+        tissue = answer.solution.provenance.parameters.get("tissue", {})
+        unit = tissue.get("unit") or tissue.get("curve", {}).get("unit") or "relative"
+        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **OVER}
+        return m, f"stiffness ({unit})", look
+    return None
+
+
+def _colours(shown: Coloured) -> dict[str, Any]:
+    """How every pixel of tissue is coloured."""
+    colours = quantity_colours(shown.signed, shown.folded)
+    return {"colormap": colours, "contrast_limits": shown.limits, **OVER}
+
+
+def _fold_layer(answer: Answer) -> LayerData | None:
+    """Where the tissue folds over itself, before it moved; None if it does not."""
+    solution = answer.solution
+    folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    if not folded.any():
+        return None
+    look = {"colormap": fold_colours(), "opacity": 1.0}
+    return answer.layer("folds", folded.astype(np.uint8), _BEFORE.format("folds"), look, "labels")
+
+
+def _motion_layer(answer: Answer, problem: Problem) -> LayerData:
+    """How tissue was to move (y), as arrows."""
+    y, known = problem.observed, problem.known  # what was held has a dot
+    apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
+    starts = spread(np.asarray(known.any(axis=-1)), apart)
+    steps = np.where(known, y, 0)[tuple(starts.T)] / problem.spacing
+    arrows = np.stack([starts, steps], axis=1).astype(np.float32)
+    width = max(answer.shape) / 300
+    look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": width}
+    return answer.layer("observed", arrows, _BEFORE.format("motion given"), look, "vectors")

@@ -32,11 +32,11 @@ from napari_hmrf.tissue.boundary_rules import (
     default_rule,
     poisson_image,
     stiffness_image,
+    unlisted,
 )
 from napari_hmrf.tissue.drawing import Canvas
-from napari_hmrf.tissue.labels import unlisted
+from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
-from napari_hmrf.tissue.palette import OTHER, Palette
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 FloatArray = npt.NDArray[np.float32]

@@ -22,7 +22,8 @@ from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, luminance
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.surroundings import luminance
 
 Array = npt.NDArray[Any]
 

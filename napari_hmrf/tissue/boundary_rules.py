@@ -19,7 +19,6 @@ from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unles
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import as_numbers
-from napari_hmrf.tissue.labels import labels_present, values_at
 from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
@@ -172,8 +171,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
                 f"number above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or "
                 "'rigid' for what moves as one.",
             )
-    values = np.array([table[int(label)].stiffness for label in present], dtype=np.float32)
-    return values_at(image, present, values)
+    return _at_labels(image, present, [table[int(label)].stiffness for label in present])
 
 
 def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float | FloatArray:
@@ -209,7 +207,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     if len({material.poisson for material in tissues}) <= 1:
         return float(tissues[0].poisson) if tissues else USUAL_POISSON
     values = [material.poisson if material.is_deformable else 0.0 for material in there]
-    return values_at(image, present, np.array(values, dtype=np.float32))
+    return _at_labels(image, present, values)
 
 
 def boundary_images(
@@ -286,7 +284,7 @@ def _read(
         if row.label in table:
             raise ProblemError(field, f"has two {what} for label {row.label}. Remove one.")
         table[row.label] = row
-    present = labels_present(image)
+    present = np.unique(image)
     if kind is BoundaryRule:
         present = present[present != 0]
     missing = [str(label) for label in present if int(label) not in table]
@@ -329,3 +327,15 @@ def _check_rule(rule: BoundaryRule) -> None:
 
 def _quoted(row: Material | BoundaryRule) -> str:
     return f"label {row.label} ({row.name})" if row.name else f"label {row.label}"
+
+
+def unlisted(labels: npt.ArrayLike, rows: Iterable[Any]) -> list[int]:
+    """List the labels that are somewhere, and in no row of a table."""
+    return sorted({*np.unique(labels).tolist()} - {row.label for row in rows})
+
+
+def _at_labels(
+    image: npt.NDArray[Any], present: npt.NDArray[Any], values: Sequence[float]
+) -> FloatArray:
+    """Give every pixel the value of its label, one of those `present`, which are in order."""
+    return np.asarray(values, dtype=np.float32)[np.searchsorted(present, image)]

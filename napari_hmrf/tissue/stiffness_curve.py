@@ -38,8 +38,6 @@ _TABLE = 2**16
 _TOO_LARGE = 2**62
 #: So far above what surrounds it tissue begins, on the way to its usual intensity.
 _ABOVE = 0.01
-#: Of red, green and blue: how bright they look (ITU-R BT.709).
-_LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))
 
 
 @dataclass(frozen=True)
@@ -230,34 +228,6 @@ class StiffnessCurve:
             ends = (float(values.min()), float(values.max()))
             points = dict(zip(ends, (stiffnesses[0], stiffnesses[-1]), strict=True))
         return cls(tuple(sorted(points.items())), void_below=void_below, unit=unit)
-
-
-def luminance(colours: npt.NDArray[Any]) -> FloatArray:
-    """How bright colours are, from 0 to the largest value of their type.
-
-    Parameters
-    ----------
-    colours : ndarray, shape (..., 3 or 4)
-        Red, green and blue; how opaque they are does not count.
-
-    Returns
-    -------
-    ndarray, shape (...), float32
-
-    Raises
-    ------
-    ProblemError
-        If these are no colours.
-    """
-    colours = as_numbers("colours", colours)
-    if colours.ndim == 0 or colours.shape[-1] not in (3, 4):
-        raise ProblemError(
-            "colours", f"has shape {colours.shape}. Give (..., 3 or 4): red, green, blue."
-        )
-    bright = np.zeros(colours.shape[:-1], dtype=np.float32)
-    for number, share in enumerate(_LUMINANCE):
-        bright += share * colours[..., number].astype(np.float32)
-    return bright
 
 
 def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:

@@ -8,15 +8,17 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from napari.layers import Labels
-from qtpy.QtCore import QAbstractTableModel, Qt, Signal
+from qtpy.QtCore import QModelIndex, QSignalBlocker, QSize, Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
+from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import BOUNDARY, Role, Table
 from napari_hmrf.layers.pixel_copy import CHANGES, copy_slice
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.tissue.labels import unlisted
+from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.forms import WholeEntries
 
 #: The columns that every table has.
 LABEL, NAME = range(2)
@@ -24,7 +26,9 @@ LABEL, NAME = range(2)
 _PAUSE = 150
 #: The layer's events after which there may be new labels, or other colours.
 _EVENTS = (*CHANGES, "colormap")
-_ROLE = Qt.ItemDataRole
+#: Rows that are seen without scrolling.
+_ROWS_SHOWN = 5
+_ROW_HEIGHT = 26
 
 
 class Column(NamedTuple):
@@ -55,55 +59,68 @@ class Column(NamedTuple):
     applies: bool = True
 
 
-class LabelTable(QAbstractTableModel):
+class LabelTable(QTableWidget):
     """Rows by label, with its colour and its name; what the other columns hold is up to subclasses.
 
     A layer carries its table in its metadata, so that it goes where the layer goes. New labels that
-    are painted get rows, and a row that is picked is painted with.
+    are painted get rows, and a row that is clicked, or gone to by the keys, is painted with.
 
     Parameters
     ----------
-    role : "tissue" or "boundary"
     view : callable
         Which slice is shown.
+
+    Attributes
+    ----------
+    role : "tissue" or "boundary"
     title : str
         Of the column of names.
-    columns : sequence of Column
-        Those beyond label and name.
-    default : callable
-        The row of a label that was not there before.
-    words : callable
-        What a row says, in words.
-    about : callable
-        What there is to say of a row beside its name.
 
     Signals
     -------
     changed : bool, the paint or the table changed; whether by nobody's hand, as for new paint
     picked : the layer, a row of which is to be painted with
-    marked : int or None, the label whose row is to be selected, without painting with it
     found : str, what new labels were painted
     refused : str, why something typed was not taken
     """
 
+    role: Role
+    title: str
     changed = Signal(bool)
     picked = Signal(object)
-    marked = Signal(object)
     found = Signal(str)
     refused = Signal(str)
 
-    def __init__(
-        self,
-        role: Role,
-        view: Callable[[], View | None],
-        title: str,
-        columns: Sequence[Column],
-        default: Callable[[int], Any],
-        words: Callable[[Any], str],
-        about: Callable[[Any], str] = lambda row: "",
-    ) -> None:
+    def __init__(self, view: Callable[[], View | None]) -> None:
         super().__init__()
-        self.columns = [
+        self._view = view
+        self._contents = Table(())
+        self._layer: Any = None
+        self._active = False
+        self._heard = Listening()
+        self._timer = single_shot(self, _PAUSE, self.look)
+        self._fill()
+        self.verticalHeader().hide()
+        self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
+        self.setWordWrap(False)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSelectionBehavior(self.SelectionBehavior.SelectRows)
+        self.setSelectionMode(self.SelectionMode.SingleSelection)
+        header = self.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
+        header.setMinimumSectionSize(30)
+        header.geometriesChanged.connect(self.updateGeometry)
+        self.cellClicked.connect(self._on_click)
+        self.itemChanged.connect(self._on_typed)
+
+    # What a row says
+
+    @property
+    def columns(self) -> list[Column]:
+        """What the columns are now; subclasses have more."""
+        return [
             Column(
                 "",
                 "Label and colour; click a row to paint with it",
@@ -111,21 +128,25 @@ class LabelTable(QAbstractTableModel):
                 tip=lambda row: "Click to paint with this label",
             ),
             Column(
-                title,
+                self.title,
                 "Any name",
                 lambda row: row.name,
                 lambda row, text: replace(row, name=text),
-                lambda row: about(row) or row.name,
+                lambda row: self.about(row) or row.name,
             ),
-            *columns,
         ]
-        self.role, self._view = role, view
-        self._default, self._words = default, words
-        self._contents = Table(())
-        self._layer: Any = None
-        self._active = False
-        self._heard = Listening()
-        self._timer = single_shot(self, _PAUSE, self.look)
+
+    def default(self, label: int) -> Any:
+        """The row of a label that was not there before."""
+        raise NotImplementedError
+
+    def words(self, row: Any) -> str:
+        """What a row says, in words."""
+        raise NotImplementedError
+
+    def about(self, row: Any) -> str:
+        """What there is to say of a row beside its name."""
+        return ""
 
     # What is in it
 
@@ -158,7 +179,7 @@ class LabelTable(QAbstractTableModel):
     def add(self, row: Callable[[int], Any] | None = None) -> int:
         """Add what `row` makes of the next free label; by default what a new label gets."""
         label = max([0, *self.labels]) + 1
-        self.rows = [*self.rows, (row or self._default)(label)]
+        self.rows = [*self.rows, (row or self.default)(label)]
         self.pick(label)
         return label
 
@@ -198,9 +219,9 @@ class LabelTable(QAbstractTableModel):
             return
         self._timer.stop()
         if new := self._list_painted():
-            said = " and ".join(f"label {row.label} ({self._words(row)})" for row in new[:3])
+            said = " and ".join(f"label {row.label} ({self.words(row)})" for row in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
-        self.dataChanged.emit(self.index(0, LABEL), self.index(len(self.rows) - 1, LABEL))
+        self._fill()
         self._tell(by_itself=True)
 
     def pick(self, label: int) -> None:
@@ -215,7 +236,12 @@ class LabelTable(QAbstractTableModel):
         self._mark()
 
     def _mark(self, *_: Any) -> None:
-        self.marked.emit(int(self._layer.selected_label) if self._active else None)
+        label = int(self._layer.selected_label) if self._active else None
+        if label not in self.labels:
+            self.setCurrentIndex(QModelIndex())
+            self.clearSelection()
+        elif not self.selectionModel().isRowSelected(row := self.labels.index(label)):
+            self.selectRow(row)
 
     def _list_painted(self) -> list[Any]:
         """Give each label of the slice a row; those that are new, none if it cannot be read."""
@@ -224,23 +250,15 @@ class LabelTable(QAbstractTableModel):
         except ProblemError:
             return []
         labels = unlisted(picture, self.rows)
-        new = [self._default(each) for each in labels if each > 0 or self.role != BOUNDARY]
+        new = [self.default(each) for each in labels if each > 0 or self.role != BOUNDARY]
         if new:
             self._show(self._contents._replace(rows=(*self.rows, *new)))
         return new
 
     def _show(self, contents: Table) -> None:
         rows = tuple(sorted(contents.rows, key=lambda row: int(row.label)))
-        others = tuple(row.label for row in rows) != self.labels
-        if others:
-            self.beginResetModel()
         self._contents = contents._replace(rows=rows)
-        if others:
-            self.endResetModel()
-        else:
-            self.dataChanged.emit(
-                self.index(0, 0), self.index(len(rows) - 1, len(self.columns) - 1)
-            )
+        self._fill()
 
     def _tell(self, by_itself: bool) -> None:
         """Have the layer carry the table, and say what changed."""
@@ -252,58 +270,61 @@ class LabelTable(QAbstractTableModel):
         # Restarted at every stroke: looking at a large image takes longer than a stroke.
         self._timer.start()
 
-    # What Qt asks
+    # How it is seen
 
-    def set_column(self, column: int, **parts: Any) -> None:
-        """Give a column another head, or say whether it applies."""
-        head = self.columns[column]._replace(**parts)
-        if head != self.columns[column]:  # Qt measures the columns anew
-            self.columns[column] = head
-            self.headerDataChanged.emit(Qt.Orientation.Horizontal, column, column)
+    def sizeHint(self) -> QSize:
+        """As high as a few rows: the dock is shared."""
+        rows = min(max(2, self.rowCount()), _ROWS_SHOWN)
+        height = self.horizontalHeader().sizeHint().height() + rows * _ROW_HEIGHT
+        return QSize(super().sizeHint().width(), height + 2 * self.frameWidth() + 2)
 
-    def rowCount(self, parent: Any = None) -> int:
-        """How many rows there are."""
-        return len(self.rows)
+    def _fill(self) -> None:
+        """Have the cells say what the rows do; columns are seen that say something of any row."""
+        blocked, columns = QSignalBlocker(self), self.columns  # nobody has typed it
+        self.setRowCount(len(self.rows))
+        self.setColumnCount(len(columns))
+        for column, about in enumerate(columns):
+            head = QTableWidgetItem(about.title)
+            head.setToolTip(about.about)
+            self.setHorizontalHeaderItem(column, head)
+            for row in range(len(self.rows)):
+                self._write(row, column, about)
+            said = about.applies and any(about.shown(row) for row in self.rows)
+            self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
+        blocked.unblock()
+        self.updateGeometry()
+        self._mark()
 
-    def columnCount(self, parent: Any = None) -> int:
-        """How many columns there are."""
-        return len(self.columns)
+    def _write(self, row: int, column: int, about: Column) -> None:
+        """Have a cell say what its row does; one that is typed in is left alone."""
+        value, item = self.rows[row], self.item(row, column)
+        text = about.shown(value)
+        if item is None:
+            item = QTableWidgetItem()
+            self.setItem(row, column, item)
+            if column > NAME:
+                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+            if about.choices:
+                self.setCellWidget(row, column, self._box(item, about.choices))
+        item.setText(text)
+        item.setToolTip(about.tip(value))
+        typing = Qt.ItemFlag.ItemIsEditable
+        typed = column == NAME or (column > NAME and text)
+        flags = item.flags() | typing if typed else item.flags() & ~typing
+        if flags != item.flags():
+            item.setFlags(flags)
+        if column == LABEL:
+            item.setIcon(self._swatch(int(value.label)))
+        if about.choices:
+            self.cellWidget(row, column).setCurrentText(text)
 
-    def headerData(self, section: int, orientation: Any, role: int = _ROLE.DisplayRole) -> Any:
-        """What the head of a column says."""
-        head = self.columns[section]
-        return {_ROLE.DisplayRole: head.title, _ROLE.ToolTipRole: head.about}.get(role)
-
-    def data(self, index: Any, role: int = _ROLE.DisplayRole) -> Any:
-        """What a cell says, and how it looks."""
-        row, column = self.rows[index.row()], self.columns[index.column()]
-        if role in (_ROLE.DisplayRole, _ROLE.EditRole):
-            return column.shown(row)
-        if role == _ROLE.ToolTipRole:
-            return column.tip(row)
-        if role == _ROLE.TextAlignmentRole and index.column() > NAME:
-            return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        if role == _ROLE.DecorationRole and index.column() == LABEL:
-            return self._swatch(int(row.label))
-        return None
-
-    def flags(self, index: Any) -> Any:
-        """Whether a cell can be typed in."""
-        column, flags = index.column(), super().flags(index)
-        typed = column == NAME or (column > NAME and self.data(index))
-        return flags | Qt.ItemFlag.ItemIsEditable if typed else flags
-
-    def setData(self, index: Any, value: Any, role: int = _ROLE.EditRole) -> bool:
-        """Take over what was typed into a cell, or say why not."""
-        row, column = self.rows[index.row()], self.columns[index.column()]
-        try:
-            after = column.typed(row, str(value).strip())
-        except ValueError as error:
-            self.refused.emit(f"{error}; kept {column.shown(row)}.")
-            return False
-        if after != row:
-            self.rows = [after if each is row else each for each in self.rows]
-        return True
+    def _box(self, item: QTableWidgetItem, choices: Sequence[str]) -> QComboBox:
+        """What a cell is chosen by, rather than typed."""
+        box = QComboBox()
+        box.addItems(choices)
+        box.installEventFilter(WholeEntries(box))
+        box.textActivated.connect(item.setText)
+        return box
 
     def _swatch(self, label: int) -> QIcon:
         rgba = self._layer.get_color(label) if label and self._layer is not None else None
@@ -313,3 +334,33 @@ class LabelTable(QAbstractTableModel):
         # Qt would tint the colour of the row that is selected.
         icon.addPixmap(pixels, QIcon.Mode.Selected)
         return icon
+
+    # What is done with it
+
+    def keyPressEvent(self, event: Any) -> None:
+        """The arrow keys pick rows as the mouse does; Delete goes no further."""
+        if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
+            # The window would give it to the active layer, which would lose its selected points.
+            event.accept()
+            return
+        before = self.currentRow()
+        super().keyPressEvent(event)
+        if self.currentRow() not in (-1, before):
+            self.pick(self.labels[self.currentRow()])
+
+    def _on_click(self, row: int, column: int) -> None:
+        if column <= NAME:  # in the others somebody may want to type
+            self.pick(self.labels[row])
+
+    def _on_typed(self, item: QTableWidgetItem) -> None:
+        """Take over what was typed into a cell, or say why not."""
+        row, column = self.rows[item.row()], self.columns[item.column()]
+        try:
+            after = column.typed(row, item.text().strip())
+        except ValueError as error:
+            self.refused.emit(f"{error}; kept {column.shown(row)}.")
+            after = row
+        if after == row:
+            self._fill()
+        else:
+            self.rows = [after if each is row else each for each in self.rows]

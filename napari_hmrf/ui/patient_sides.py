@@ -10,7 +10,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
-from napari_hmrf.layers.patient_axes import Sides
+from napari_hmrf.layers.screen_directions import Sides
 from napari_hmrf.ui.events import Listening
 
 #: Read on dark tissue and on bright.

@@ -16,7 +16,7 @@ from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.patient_axes import Sides
+from napari_hmrf.layers.screen_directions import Sides
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.io.study_file import load_study, save_study
-from napari_hmrf.layers.study_layers import study_layers
+from napari_hmrf.layers.read import study_layers
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.models import details_of, family_of
 from napari_hmrf.ui import messages

@@ -17,11 +17,8 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.label_table import LabelTable
-from napari_hmrf.ui.label_table_view import LabelTableView
-from napari_hmrf.ui.landmark_choice import LandmarkChoice
-from napari_hmrf.ui.layer_choice import LayerChoice
-from napari_hmrf.ui.material_menu import MaterialMenu
-from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
+from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
+from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTable
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View | None]
@@ -43,7 +40,7 @@ class _PaintedSection(Container, Generic[Table]):
 
     def __init__(self, choice: LayerChoice, others: list[LayerChoice], table: Table) -> None:
         super().__init__(widgets=[choice, *others], labels=True)
-        self.choice, self.table, self.seen = choice, table, LabelTableView(table)
+        self.choice, self.table = choice, table
         self._below = QWidget()
         self.choice.changed.connect(self._on_choice)
         self.table.changed.connect(lambda _: self.edited.emit())
@@ -58,7 +55,7 @@ class _PaintedSection(Container, Generic[Table]):
         for widget in (add, *others):
             row.addWidget(widget)
         row.addStretch()
-        rows.addWidget(self.seen)
+        rows.addWidget(self.table)
         rows.addLayout(row)
         self.native.layout().addWidget(self._below)
         self._on_choice(None)

@@ -1,4 +1,7 @@
-"""The tables of tissues and of boundaries: what each label means."""
+"""The tables of tissues and of boundaries: what each label means.
+
+Materials come from a menu, too: published ones, those of other layers and of files.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,18 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
 
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table
+from psygnal import Signal
+from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
+
+from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
     RIGID,
@@ -18,62 +28,70 @@ from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     default_material,
+    default_rigid,
     default_rule,
     read_stiffness,
     stiffness_in_words,
 )
+from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
+from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
-_STIFFNESS, _POISSON = range(2, 4)
+#: How the table calls what a boundary does.
+_ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
+_BY_WORD = {word: action for action, word in _ACTIONS.items()}
+_FILES = f"Materials (*{ENDING})"
 
 
 class MaterialTable(LabelTable):
     """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
 
-    def __init__(self, view: Callable[[], View | None]) -> None:
-        super().__init__(
-            TISSUE,
-            view,
-            "Tissue",
-            [
-                Column(
-                    "",
-                    "Young's modulus, in any unit as long as it is the same for all tissues: only "
-                    "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as "
-                    "bone or an implant; the elastic model has that, the paper's has not.",
-                    lambda row: stiffness_in_words(row.stiffness),
-                    _stiffness,
-                    _about,
-                ),
-                Column(
-                    "Poisson's\nratio",
-                    ABOUT_POISSON,
-                    lambda row: f"{row.poisson:g}" if row.is_deformable else "",
-                    _poisson,
-                    _about,
-                ),
-            ],
-            default=lambda label: default_material(label, self.rows),
-            words=_in_words,
-            about=_of_unpainted,
-        )
-        self._show(self.contents)
+    role, title = TISSUE, "Tissue"
+    _elastic = True
 
-    def _show(self, contents: Table) -> None:
-        unit = contents.unit  # shown only, for ratios are what matters
-        title = f"Stiffness ({unit})" if unit else "Relative\nstiffness"
-        self.set_column(_STIFFNESS, title=title)
-        super()._show(contents)
+    @property
+    def columns(self) -> list[Column]:
+        """Poisson's ratios, too, of elastic tissue."""
+        unit = self.contents.unit  # shown only, for ratios are what matters
+        return [
+            *super().columns,
+            Column(
+                f"Stiffness ({unit})" if unit else "Relative\nstiffness",
+                "Young's modulus, in any unit as long as it is the same for all tissues: only "
+                "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone "
+                "or an implant; the elastic model has that, the paper's has not.",
+                lambda row: stiffness_in_words(row.stiffness),
+                _stiffness,
+                _about,
+            ),
+            Column(
+                "Poisson's\nratio",
+                ABOUT_POISSON,
+                lambda row: f"{row.poisson:g}" if row.is_deformable else "",
+                _poisson,
+                _about,
+                applies=self._elastic,
+            ),
+        ]
 
     def show_poisson(self, elastic: bool) -> None:
         """Show Poisson's ratios, or not: only elastic tissue has them."""
-        self.set_column(_POISSON, applies=elastic)
+        self._elastic = elastic
+        self._fill()
 
+    def default(self, label: int) -> Material:
+        """Tissue like the first."""
+        return default_material(label, self.rows)
 
-def _in_words(material: Material) -> str:
-    amount = stiffness_in_words(material.stiffness)
-    return amount if material.is_rigid else f"stiffness {amount}"
+    def words(self, row: Material) -> str:
+        """How stiff it is."""
+        amount = stiffness_in_words(row.stiffness)
+        return amount if row.is_rigid else f"stiffness {amount}"
+
+    def about(self, row: Material) -> str:
+        """What is unpainted is of a tissue, too."""
+        return _of_unpainted(row)
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -103,86 +121,96 @@ def _about(material: Material) -> str:
     return _of_unpainted(material) if material.is_deformable else "No tissue, such as air"
 
 
-#: How the table calls what a boundary does.
-_ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
-_BY_WORD = {word: action for action, word in _ACTIONS.items()}
-_ROWS, _COLS, _OUTWARD = range(3, 6)
-#: Columns, and the only action that they say something of.
-_AMOUNTS: dict[int, Action] = {_ROWS: "move", _COLS: "move", _OUTWARD: "expand"}
-
-
 class BoundaryTable(LabelTable):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
-    def __init__(self, view: Callable[[], View | None]) -> None:
-        super().__init__(
-            BOUNDARY,
-            view,
-            "Boundary",
-            [
-                Column(
-                    "Action",
-                    "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                    "Expands: so far outward, along the normal of its outline",
-                    lambda row: _ACTIONS[row.action],
-                    lambda row, text: replace(row, action=_BY_WORD[text]),
-                    lambda row: (
-                        "Expanding regions must be closed rings or filled: they move along the "
-                        "outward normal of their outline"
-                    ),
-                    tuple(_BY_WORD),
+    role, title = BOUNDARY, "Boundary"
+    _place = "px", Directions()
+
+    @property
+    def columns(self) -> list[Column]:
+        """Distances in the unit of the image, along the ways of the screen."""
+        unit, ways = self._place
+        return [
+            *super().columns,
+            Column(
+                "Action",
+                "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
+                "Expands: so far outward, along the normal of its outline",
+                self.words,
+                lambda row, text: replace(row, action=_BY_WORD[text]),
+                lambda row: (
+                    "Expanding regions must be closed rings or filled: they move along the outward "
+                    "normal of their outline"
                 ),
-                *(
-                    Column(
-                        "",
-                        "",
-                        partial(self._amount, column),
-                        partial(self._typed, column),
-                        lambda row: f"in {self._unit}",
-                    )
-                    for column in _AMOUNTS
-                ),
-                Column(
-                    "confi-\ndence",
-                    "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
-                    "1 / 0.5, for rows and columns apart",
-                    lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
-                    _sure,
-                ),
-            ],
-            default=default_rule,
-            words=lambda row: _ACTIONS[row.action],
-        )
-        self.show_place("px", Directions())
+                tuple(_BY_WORD),
+            ),
+            *(_along(axis, unit, ways) for axis in (0, 1)),
+            _distance(
+                "out",
+                "How far outward; negative: inward",
+                unit,
+                lambda row: row.amount if row.action == "expand" else None,
+                lambda row, amount: replace(row, amount=amount),
+            ),
+            Column(
+                "confi-\ndence",
+                "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
+                "1 / 0.5, for rows and columns apart",
+                lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
+                _sure,
+            ),
+        ]
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Say in which unit amounts are, and which way rows and columns run on the screen."""
-        self._unit, self._ways = unit, ways
-        for column, title, about in (
-            (_ROWS, ways.label(0), ways.about(0)),
-            (_COLS, ways.label(1), ways.about(1)),
-            (_OUTWARD, "out", "How far outward; negative: inward"),
-        ):
-            words = title.replace(" ", "\n")  # the dock is narrow
-            self.set_column(column, title=f"{words}\n{unit}", about=f"{about}, in {unit}")
-        self._show(self.contents)
+        if (unit, ways) != self._place:
+            self._place = unit, ways
+            self._fill()
 
-    def _typed(self, column: int, rule: BoundaryRule, text: str) -> BoundaryRule:
-        amount = _number(text)
-        if not math.isfinite(amount):
-            raise ValueError(f"A distance must be a number, in {self._unit}")
-        if column == _OUTWARD:
-            return replace(rule, amount=amount)
-        down, along = self._ways.seen(rule.vector)
-        seen = (amount, along) if column == _ROWS else (down, amount)
-        return replace(rule, vector=self._ways.along(seen))
+    def default(self, label: int) -> BoundaryRule:
+        """What stays where it is."""
+        return default_rule(label)
 
-    def _amount(self, column: int, rule: BoundaryRule) -> str:
-        if rule.action != _AMOUNTS[column]:
-            return ""
-        if column == _OUTWARD:
-            return f"{rule.amount:g}"
-        return f"{round(self._ways.seen(rule.vector)[column - _ROWS], 9) + 0.0:g}"
+    def words(self, row: BoundaryRule) -> str:
+        """What it does."""
+        return _ACTIONS[row.action]
+
+
+def _along(axis: int, unit: str, ways: Directions) -> Column:
+    """How far what moves does, along the rows or the columns."""
+
+    def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
+        down, along = ways.seen(rule.vector)
+        seen = (down, amount) if axis else (amount, along)
+        return replace(rule, vector=ways.along(seen))
+
+    def seen(rule: BoundaryRule) -> float | None:
+        return ways.seen(rule.vector)[axis] if rule.action == "move" else None
+
+    return _distance(ways.label(axis), ways.about(axis), unit, seen, typed)
+
+
+def _distance(
+    title: str,
+    about: str,
+    unit: str,
+    amount: Callable[[BoundaryRule], float | None],
+    changed: Callable[[BoundaryRule, float], BoundaryRule],
+) -> Column:
+    """A column of distances, which rules of one action have."""
+
+    def shown(rule: BoundaryRule) -> str:
+        found = amount(rule)
+        return "" if found is None else f"{round(found, 9) + 0.0:g}"
+
+    def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
+        if not math.isfinite(far := _number(text)):
+            raise ValueError(f"A distance must be a number, in {unit}")
+        return changed(rule, far)
+
+    words = title.replace(" ", "\n")  # the dock is narrow
+    return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed, lambda _: f"in {unit}")
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
@@ -198,3 +226,121 @@ def _number(text: str) -> float:
         return float(text.replace(",", "."))
     except ValueError:
         return math.nan
+
+
+def materials_of(layer: Any) -> Preset | None:
+    """The table of a layer of tissue labels, or of a result, as a preset; None if it has none."""
+    table = Table.of(layer, TISSUE)
+    rows, unit = table[:2] if table.rows else tissue_recorded(layer)
+    if not rows or not any(row.stiffness > 0 for row in rows):
+        return None
+    return Preset(str(layer.name), unit, f"the layer '{layer.name}'", rows)
+
+
+class MaterialMenu(QPushButton):
+    """A button with all there is to take materials from, and to keep them.
+
+    Parameters
+    ----------
+    table : MaterialTable
+    layers : callable
+        The viewer's layers.
+
+    Attributes
+    ----------
+    said : Signal(str)
+        What was done, or why not.
+    taken : Signal(str)
+        What was put into the table, and what became of what it called otherwise.
+    """
+
+    said = Signal(str)
+    taken = Signal(str)
+
+    def __init__(self, table: MaterialTable, layers: Callable[[], list[Any]]) -> None:
+        super().__init__("Materials")
+        self._table, self._layers = table, layers
+        self.setToolTip(
+            "Published stiffnesses with their sources, and those of other layers and of files, in "
+            "place of the table; or keep the table in a file, for other images"
+        )
+        give_menu(self, self.fill)
+
+    def fill(self) -> None:
+        """Fill the menu with what there is now."""
+        menu = self.menu()
+        menu.clear()
+        _head(menu, "Published, each with its source")
+        for preset in PRESETS:
+            self._offer(menu, preset)
+        _head(menu, "In addition")
+        about = (
+            "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
+            "model has that, the paper's has not"
+        )
+        add_entry(menu, "Bone or implant (rigid)", about, lambda: self._table.add(default_rigid))
+        _head(menu, "Share and keep")
+        taken = menu.addMenu("Take from layer")
+        taken.setToolTipsVisible(True)
+        for layer in self._layers():
+            if layer is not self._table.layer and (found := materials_of(layer)):
+                self._offer(taken, found)
+        taken.setEnabled(bool(taken.actions()))
+        about = "A file that was saved here, or written by hand"
+        add_entry(menu, "Load from file ...", about, self._load)
+        add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
+
+    def take(self, materials: Preset | Any) -> None:
+        """Put materials into the table: a preset, those of a layer, or those of a file.
+
+        Raises
+        ------
+        LayerError
+            If the layer has none.
+        FileFormatError, OSError
+            As `load_materials`.
+        """
+        preset: Preset | None = materials
+        if isinstance(materials, str | Path):
+            preset = load_materials(materials)
+        elif not isinstance(materials, Preset):
+            preset = materials_of(materials)
+        if preset is None:
+            raise LayerError(materials, "has no table of materials. Choose another layer.")
+        rows, words = take_over(preset, self._table.rows)
+        self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
+        self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
+
+    def save(self, path: str | Path) -> Path:
+        """Save the table to a file; as `save_materials`."""
+        table = self._table.contents
+        file = save_materials(path, Preset(table.preset, table.unit, table.whose, table.rows))
+        self.said.emit(f"Saved {file.name}.")
+        return file
+
+    def _offer(self, menu: QMenu, preset: Preset) -> None:
+        rows = "\n".join(
+            f"{row.label}  {row.name}: {stiffness_in_words(row.stiffness, preset.unit)}"
+            + (f", Poisson's ratio {row.poisson:g}" if row.is_deformable else "")
+            for row in preset.materials
+        )
+        source = f"\nSource: {preset.source}" if preset.source else ""
+        about = f"<p style='white-space:pre-wrap'>{escape(rows + source, quote=False)}</p>"
+        title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
+        add_entry(menu, title, about, lambda _=False: self.take(preset))
+
+    def _load(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)
+        if path:
+            attempt(partial(self.take, path), self.said.emit)
+
+    def _save(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
+        if path:
+            attempt(partial(self.save, path), self.said.emit)
+
+
+def _head(menu: QMenu, title: str) -> None:
+    """A line of words between entries; styles with colours of their own draw no section's."""
+    menu.addSeparator()
+    menu.addAction(title).setEnabled(False)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from napari.layers import Image
+from napari.layers import Layer
 
 from napari_hmrf.layers.label_colours import stiffness_colours
-from napari_hmrf.layers.metadata import METADATA, TISSUE
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.metadata import TISSUE
+from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.viewer_layers import same_selection, still_there, update_layer
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.curve.editor import CurveEditor
@@ -53,14 +53,13 @@ class CurveLayer:
             return
         place, (softest, stiffest) = study.grid.place, curve.range
         known = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
-        looks = {"metadata": {METADATA: known}, **place.placement(image=True)}
-        made = LayerData(place.put_image(curve(intensities)), looks, "image")
+        name = f"{image.name} stiffness ({curve.unit or 'relative'})"
+        look = {"colormap": stiffness_colours(), "opacity": 0.5}
+        made = layer_on(place, curve(intensities), name, known, look)
         if still_there(self._viewer, self.layer):
             update_layer(self.layer, made)
         else:
-            unit = curve.unit or "relative"
-            look = {"colormap": stiffness_colours(), "opacity": 0.5}
-            self.layer = Image(made.data, name=f"{image.name} stiffness ({unit})", **looks, **look)
+            self.layer = Layer.create(*made)
             with same_selection(self._viewer):
                 self._viewer.layers.insert(self._viewer.layers.index(image) + 1, self.layer)
         # From less than the softest, so that only what is void lies below.

@@ -162,15 +162,11 @@ class CurvePlot(QWidget):
     def _axes(self) -> Any:
         return self.canvas.figure.axes[0]
 
-    @property
-    def _places(self) -> Any:
-        """From intensities and stiffnesses to fractions of the axes."""
-        return self._axes.transScale + self._axes.transLimits
-
-    def _point_at(self, across: float, up: float) -> Point:
-        """What lies at fractions of the axes, or at the nearest on them; to four digits."""
-        axes, within = self._axes, np.clip((across, up), 0, 1)
-        intensity, stiffness = self._places.inverted().transform(within).tolist()
+    def _point_at(self, pixel: npt.ArrayLike) -> Point:
+        """What lies at a pixel of the canvas, or at the nearest on the axes; to four digits."""
+        axes = self._axes
+        within = np.clip(pixel, axes.bbox.min, axes.bbox.max)
+        intensity, stiffness = axes.transData.inverted().transform(within).tolist()
         step = 10 ** math.floor(math.log10(np.ptp(axes.get_xlim())) - 3)
         if not self._curve.logarithmic:
             stiffness = max(stiffness, axes.get_ylim()[1] / 1000)
@@ -190,15 +186,12 @@ class CurvePlot(QWidget):
 
     # What is heard
 
-    def _pointed(self, event: Any) -> Point:
-        return self._point_at(*self._axes.transAxes.inverted().transform((event.x, event.y)))
-
     def _on_press(self, event: Any) -> None:
         under = self._under(event)
         point = under if isinstance(under, int) else None
         if event.dblclick:
             if point is None and event.inaxes:
-                self.add(self._pointed(event))
+                self.add(self._point_at((event.x, event.y)))
             return
         self.select(point)
         if event.button == 1:
@@ -208,7 +201,7 @@ class CurvePlot(QWidget):
 
     def _on_motion(self, event: Any) -> None:
         """Drag what is held, or show what could be."""
-        point = self._pointed(event)
+        point = self._point_at((event.x, event.y))
         if isinstance(self._held, int):
             self.move(point)
         elif self._held is not None:
@@ -240,11 +233,10 @@ class CurvePlot(QWidget):
             self.remove()
         elif key in _ARROWS:
             far = event.modifiers() & Qt.KeyboardModifier.ShiftModifier
-            (right, up), step = _ARROWS[key], _NUDGE * (10 if far else 1)
-            across, high = self._places.transform(points[selected])
-            moved = self._point_at(across + right * step, high + up * step)
-            old = points[selected]
-            self.move((moved[0] if right else old[0], moved[1] if up else old[1]))
+            way, old, axes = np.array(_ARROWS[key]), points[selected], self._axes
+            step = way * _NUDGE * (10 if far else 1) * axes.bbox.size
+            moved = self._point_at(axes.transData.transform(old) + step)
+            self.move((moved[0] if way[0] else old[0], moved[1] if way[1] else old[1]))
         else:
             super().keyPressEvent(event)
 

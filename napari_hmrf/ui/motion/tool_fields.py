@@ -10,8 +10,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
-from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.tissue.palette import Palette
+from napari_hmrf.tissue.material_presets import PRESETS, Palette
 from napari_hmrf.ui.forms import length, narrow, share
 from napari_hmrf.ui.motion.tools import BY_NAME, Tool
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from napari.layers import Image
 
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Points, Probe
+from napari_hmrf.layers.field_layer import frame_in, place_at, tissue_of
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
-from napari_hmrf.layers.patient_axes import step_in_patient
-from napari_hmrf.layers.result_lookup import frame_in, place_at, tissue_of
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.result_layers import Name
+from napari_hmrf.layers.screen_directions import Directions, step_in_patient
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.layer_names import full_resolution
-from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.boundary_rules import RIGID, Material, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.result_messages import FULL, at_point, stiffness_of, strain_of
+from napari_hmrf.ui.result.result_messages import FULL
 
 
 class UnderCursor:
@@ -134,3 +136,48 @@ class UnderCursor:
 
 def _words(status: Any) -> str:
     return str(status.get("coordinates", "") if isinstance(status, dict) else status)
+
+
+def at_point(
+    unit: str,
+    found: Probe,
+    ways: Directions,
+    more: Sequence[str] = (),
+    percent: int = FULL,
+    patient: str = "",
+) -> str:
+    """What is under the cursor, in a line short enough for the status bar.
+
+    It is of the whole deformation, however much (`percent`) of it is seen. Where the sides of the
+    `patient` are known the step is said by them, as "left" could be either's.
+    """
+    down, along = (_rounded(part) for part in ways.seen(found.displacement))
+    length = _rounded(found.length)
+    parts = [
+        f"moves {length:g} {unit}"
+        + (f" ({patient or ways.step((down, along))})" if length else ""),
+        f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
+    ]
+    line = ", ".join([*parts, *filter(None, more)])
+    return line if percent == FULL else f"at {FULL} %: {line}"
+
+
+def strain_of(name: Name, value: float) -> str:
+    """The strain that colours show; of what is in each line anyway, nothing."""
+    if name not in QUANTITIES:
+        return ""
+    title, unit = QUANTITIES[name]
+    return f"{title} {_rounded(value):g} {unit}" if unit == "%" else ""
+
+
+def _rounded(length: float) -> float:
+    """To what matters: three digits, and no more than two decimals."""
+    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0
+
+
+def stiffness_of(name: str, stiffness: float, unit: str) -> str:
+    """The tissue and how stiff it is."""
+    amount = stiffness_in_words(stiffness, unit)
+    if stiffness != RIGID:
+        amount = f"stiffness {amount}" if unit else f"relative stiffness {amount}"
+    return f"{amount} ({name})" if name else amount

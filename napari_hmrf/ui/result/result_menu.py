@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,22 +11,31 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 from psygnal import Signal
-from qtpy.QtWidgets import QFileDialog
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import (
+    QDialog,
+    QFileDialog,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+)
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.io.fields import export_field, saved_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
+from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_of
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
-from napari_hmrf.layers.moved_layer import MOVED, can_move, mover
 from napari_hmrf.layers.result_layers import LayerData
-from napari_hmrf.layers.result_lookup import picture_of, tissue_of
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
-from napari_hmrf.ui.result.measurement_table import MeasurementTable
+from napari_hmrf.ui.messages import HANDFUL
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, saved
@@ -39,6 +49,19 @@ _WITH_IT = (
     "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
     "of a film, of channels, and of a stack without units all slices do"
 )
+#: What is above each column, and what of a `Measurement` is in it.
+_COLUMNS = {
+    "tissue": "name",
+    "label": "label",
+    "area ({unit}²)": "area",
+    "area change (%)": "area_change",
+    "moved, mean ({unit})": "mean_displacement",
+    "moved, most ({unit})": "largest_displacement",
+    "strain, mean (%)": "mean_strain",
+    "strain, most (%)": "largest_strain",
+    "folds (px)": "folds",
+}
+_FEW_FOLDS = f"Up to {HANDFUL} folds in all are taken for rounding, of which nothing warns."
 
 
 class ResultMenu:
@@ -209,13 +232,49 @@ class ResultMenu:
 
     def _show_measurements(self) -> None:
         rows, unit = self.measure(), self._shown.answer.unit
-        table = MeasurementTable(self._button.window(), rows, unit)
+        seen = QDialog(self._button.window(), windowTitle="What happened to each tissue")
+        seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        table, button, layout = (
+            _table_of(rows, unit),
+            QPushButton("Save .csv ..."),
+            QVBoxLayout(seen),
+        )
+        layout.addWidget(table)
+        if 0 < sum(row.folds for row in rows) <= HANDFUL:
+            layout.addWidget(QLabel(_FEW_FOLDS))
+        layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
+        seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
         save = partial(save_measurements, rows=rows, unit=unit)
         ask = partial(self._ask, save, "measurements.csv", "Tables (*.csv)")
-        table.save.clicked.connect(lambda _: ask())
-        table.show()
+        button.clicked.connect(lambda _: ask())
+        seen.show()
 
     def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
         path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
         if path:
             attempt(partial(save, path), self._say)
+
+
+def _table_of(rows: Sequence[Measurement], unit: str) -> QTableWidget:
+    """Measurements in a table that stays as it is."""
+    table = QTableWidget(len(rows), len(_COLUMNS))
+    table.setObjectName("measurements")
+    table.setHorizontalHeaderLabels([title.format(unit=unit) for title in _COLUMNS])
+    table.verticalHeader().hide()
+    table.setEditTriggers(table.EditTrigger.NoEditTriggers)
+    for number, row in enumerate(rows):
+        for column, name in enumerate(_COLUMNS.values()):
+            table.setItem(number, column, QTableWidgetItem(_in_words(row, name)))
+    table.resizeColumnsToContents()
+    return table
+
+
+def _in_words(row: Measurement, name: str) -> str:
+    """Four digits; of large areas all before the point, and nothing of what nobody sees."""
+    value = getattr(row, name)
+    if not isinstance(value, float):
+        return str(value)
+    if name != "area":
+        pixel = math.sqrt(row.area / row.pixels)
+        value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"

@@ -6,13 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from napari_hmrf.field.comparison import Comparison
-from napari_hmrf.field.quantities import QUANTITIES
-from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.layers.overlay import Name
-from napari_hmrf.layers.result_layers import Answer
+from napari_hmrf.layers.result_layers import Answer, Name
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (
@@ -104,51 +100,6 @@ def _compared(found: Comparison, rmsd: float, unit: str) -> str:
         return f"'{found.reference}' reaches none of this tissue."
     where = "" if found.part > 0.995 else f" over {found.part:.0%} of the tissue"
     return f"RMSD from '{found.reference}'{where}: {rmsd:.3g} {unit}."
-
-
-def at_point(
-    unit: str,
-    found: Probe,
-    ways: Directions,
-    more: Sequence[str] = (),
-    percent: int = FULL,
-    patient: str = "",
-) -> str:
-    """What is under the cursor, in a line short enough for the status bar.
-
-    It is of the whole deformation, however much (`percent`) of it is seen. Where the sides of the
-    `patient` are known the step is said by them, as "left" could be either's.
-    """
-    down, along = (_rounded(part) for part in ways.seen(found.displacement))
-    length = _rounded(found.length)
-    parts = [
-        f"moves {length:g} {unit}"
-        + (f" ({patient or ways.step((down, along))})" if length else ""),
-        f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
-    ]
-    line = ", ".join([*parts, *filter(None, more)])
-    return line if percent == FULL else f"at {FULL} %: {line}"
-
-
-def strain_of(name: Name, value: float) -> str:
-    """The strain that colours show; of what is in each line anyway, nothing."""
-    if name not in QUANTITIES:
-        return ""
-    title, unit = QUANTITIES[name]
-    return f"{title} {_rounded(value):g} {unit}" if unit == "%" else ""
-
-
-def _rounded(length: float) -> float:
-    """To what matters: three digits, and no more than two decimals."""
-    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0
-
-
-def stiffness_of(name: str, stiffness: float, unit: str) -> str:
-    """The tissue and how stiff it is."""
-    amount = stiffness_in_words(stiffness, unit)
-    if stiffness != RIGID:
-        amount = f"stiffness {amount}" if unit else f"relative stiffness {amount}"
-    return f"{amount} ({name})" if name else amount
 
 
 def saved(paths: Sequence[Path]) -> str:

@@ -11,16 +11,16 @@ from psygnal import Signal
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.field.tissue_point import Points
-from napari_hmrf.layers.field_layer import field_of
-from napari_hmrf.layers.image_result import Result, ResultLayers
-from napari_hmrf.layers.metadata import known_of
-from napari_hmrf.layers.overlay import Name, Overlay, overlay_of
-from napari_hmrf.layers.result_lookup import (
+from napari_hmrf.layers.field_layer import (
     can_be_source,
+    field_of,
     result_of,
     slices_apart,
     source_of,
 )
+from napari_hmrf.layers.image_result import Result, ResultLayers
+from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.layer_names import Named, naming
@@ -28,8 +28,7 @@ from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
-from napari_hmrf.ui.result.moving_layers import MovingLayers
-from napari_hmrf.ui.result.player import Player
+from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
 
