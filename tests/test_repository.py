@@ -136,7 +136,7 @@ def part(module: Path) -> str:
 def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
     known = packages(imports(module))
     where = part(module)
-    beside_napari = where.startswith(("layers/", "ui/")) or where == "cli.py"
+    beside_napari = where.startswith(("layers/", "ui/", "cli.py", "contributions.py"))
     if not where.startswith("solver/backends/opengl/"):
         assert not known & {"moderngl", "glcontext"}
     if not where.startswith("ui/"):
