@@ -183,7 +183,7 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
     ("name", "changes", "error", "sentence"),
     [
         ("field.txt", {}, FileFormatError, r"field\.txt: no field is written as such a file\. End"),
-        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
+        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\), but"),
         ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
         ("f.mha", {"displacement": np.full((4, 5, 2), np.nan)}, ProblemError, "NaN or infinite"),
         (

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, real, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -31,12 +31,12 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
 
     Parameters
     ----------
-    displacement : array_like, shape (H, W, 2)
+    displacement : array_like, shape ([D,] H, W, n)
         In the unit of `spacing`.
 
     Returns
     -------
-    ndarray, shape (H, W), float32
+    ndarray, shape ([D,] H, W), float32
         In the same unit.
 
     Raises
@@ -44,23 +44,17 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
     ProblemError
         If it is of another shape, or of no numbers.
     """
-    d = as_numbers("displacement", displacement)
-    if d.shape[-1:] != (2,):
-        raise ProblemError(
-            "displacement",
-            f"has shape {d.shape}, but (H, W, 2) is needed: one (row, col) vector per pixel.",
-        )
-    length: FloatArray = np.linalg.norm(d, axis=-1).astype(np.float32)
+    length: FloatArray = np.linalg.norm(as_field(displacement), axis=-1).astype(np.float32)
     return length
 
 
 def jacobian_determinant(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """By which factor the area around each site changes: the determinant of d(X + d(X)) / dX.
+    """By which factor the area, or the volume, around each site changes: det d(X + d(X)) / dX.
 
     1 is no change, below 1 shrinks, above 1 grows, 0 or below is folded. Differences are central,
     and one-sided where a neighbour is missing; along an axis on which a site has no neighbour it
@@ -68,16 +62,16 @@ def jacobian_determinant(
 
     Parameters
     ----------
-    displacement : array_like, shape (H, W, 2)
-        Material displacement in (row, col) order, in the unit of `spacing`.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
-    tissue : array_like of bool, shape (H, W), optional
+    displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
+        Material displacement in the order of the axes, in the unit of `spacing`.
+    spacing : sequence of float, shape (n,), optional
+        Size of a pixel along each axis; by default 1.
+    tissue : array_like of bool, shape ([D,] H, W), optional
         By default everything. Differences are never taken across its border.
 
     Returns
     -------
-    ndarray, shape (H, W), float32
+    ndarray, shape ([D,] H, W), float32
         NaN where there is no tissue.
 
     Raises
@@ -86,20 +80,21 @@ def jacobian_determinant(
         Naming the input at fault.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
-    # The mean over the four quadrants around a site is the determinant of its central differences.
-    return _over_quadrants(lambda quadrants: np.add.reduce(quadrants) / 4, moved, mask)
+    # The mean over the quadrants around a site is the determinant of its central differences.
+    return _over_quadrants(lambda each: np.add.reduce(each) / len(each), moved, mask)
 
 
 def count_folds(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
 
-    Those where the determinant is 0 or below in any of the four quadrants around the site: central
-    differences alone would not see a site that jumps over its neighbour and back.
+    Those where the determinant is 0 or below in any of the quadrants around the site, four of a
+    pixel and eight of a voxel: central differences alone would not see a site that jumps over its
+    neighbour and back.
 
     Parameters
     ----------
@@ -116,10 +111,10 @@ def count_folds(
 
 def smallest_determinant(
     displacement: npt.ArrayLike,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Find how near each site is to a fold: the smallest determinant of its four quadrants.
+    """Find how near each site is to a fold: the smallest determinant of its quadrants.
 
     Parameters
     ----------
@@ -128,7 +123,7 @@ def smallest_determinant(
 
     Returns
     -------
-    ndarray, shape (H, W), float32
+    ndarray, shape ([D,] H, W), float32
         0 or below where the tissue folds; NaN where there is no tissue.
 
     Raises
@@ -143,7 +138,7 @@ def smallest_determinant(
 def deformation_grid(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     every: int = 10,
     tissue: npt.ArrayLike | None = None,
     pieces: int = 5,
@@ -153,7 +148,7 @@ def deformation_grid(
     Parameters
     ----------
     displacement, spacing, tissue
-        As in `jacobian_determinant`; lines are drawn in tissue only.
+        As in `jacobian_determinant`, of a slice; lines are drawn in tissue only.
     every : int
         Pixels between two lines; where pixels are not square, pixels of the shorter side, and so
         many of the other as make the cells square, as nearly as whole pixels can.
@@ -174,7 +169,10 @@ def deformation_grid(
     every = _checked_count("every", every, "pixels")
     pieces = _checked_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
-    rows, cols = (min(max(1, round(every * min(spacing) / size)), _FAR) for size in spacing)
+    if mask.ndim != 2:
+        raise ProblemError("displacement", "is of a volume. Draw the grid of one of its slices.")
+    sizes = checked_sizes(spacing)
+    rows, cols = (min(max(1, round(every * min(sizes) / size)), _FAR) for size in sizes)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
     along_rows = _lines(moved.swapaxes(0, 1), mask.T, cols, max(1, rows // pieces))
     return np.concatenate([along_cols, along_rows]).astype(np.float32)
@@ -195,7 +193,7 @@ def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -
 def arrows(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
@@ -210,9 +208,9 @@ def arrows(
 
     Returns
     -------
-    ndarray, shape (N, 2, 2), float32
-        Arrows as (start, direction), each (row, col) in pixels, at their true length. Always a list
-        of arrows, never a grid of them.
+    ndarray, shape (N, 2, n), float32
+        Arrows as (start, direction), each in pixels along the axes, at their true length. Always a
+        list of arrows, never a grid of them.
 
     Raises
     ------
@@ -222,7 +220,7 @@ def arrows(
     if not real(about) >= 1:
         raise ProblemError("about", f"is {shown(about)}. Ask for at least one arrow.")
     moved, mask = moved_sites(displacement, spacing, tissue)
-    steps = _lattice(mask.sum() / about, spacing)
+    steps = _lattice(mask.sum() / about, checked_sizes(spacing, mask.ndim))
     chosen = np.zeros_like(mask)
     lines = tuple(
         slice(min(step, size) // 2, None, step)
@@ -240,7 +238,7 @@ def arrows(
 def arrows_apart(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
@@ -251,9 +249,11 @@ def arrows_apart(
     found = arrows(displacement, spacing=spacing, tissue=tissue, about=about)
     lengths = np.linalg.norm(found[:, 1], axis=1)
     found = found[lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)]
-    sites = np.size(displacement) / 2 if tissue is None else np.sum(tissue)
-    gap = max(1.0, math.sqrt(sites / about)) * math.sqrt(math.prod(spacing)) / 4
-    chosen: FloatArray = found[_apart(found, gap, spacing)]
+    axes = found.shape[-1]
+    sites = np.size(displacement) / axes if tissue is None else np.sum(tissue)
+    sizes = checked_sizes(spacing, axes)
+    gap = max(1.0, (sites / about) ** (1 / axes)) * math.prod(sizes) ** (1 / axes) / 4
+    chosen: FloatArray = found[_apart(found, gap, sizes)]
     return chosen
 
 
@@ -281,7 +281,7 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
     return pixels[order[first]]
 
 
-def _apart(arrows: FloatArray, gap: float, spacing: Sequence[float]) -> npt.NDArray[np.intp]:
+def _apart(arrows: FloatArray, gap: float, spacing: Float64Array) -> npt.NDArray[np.intp]:
     """Choose arrows with a gap, in the unit of `spacing`, between them; the longest stay."""
     if not len(arrows):
         return np.zeros(0, dtype=np.intp)
@@ -295,18 +295,20 @@ def _apart(arrows: FloatArray, gap: float, spacing: Sequence[float]) -> npt.NDAr
     kept = []
     for number in np.argsort(-lengths, kind="stable"):
         along = np.linspace(0, 1, int(2 * lengths[number]) + 2)[:, None]
-        rows, cols = (starts[number] + along * steps[number]).astype(int).T
-        if claimed[rows, cols].any():
+        cells = (starts[number] + along * steps[number]).astype(int)
+        if claimed[tuple(cells.T)].any():
             continue
         kept.append(number)
-        for row in (-1, 0, 1):
-            for col in (-1, 0, 1):
-                claimed[rows + row, cols + col] = True
+        for around in product((-1, 0, 1), repeat=cells.shape[1]):
+            claimed[tuple((cells + around).T)] = True
     return np.sort(np.array(kept, dtype=np.intp))
 
 
-def _lattice(sites: float, spacing: Sequence[float]) -> tuple[int, int]:
-    """Steps in (row, col) of a lattice that is square in the world, with so many sites a point."""
+def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
+    """Steps along the axes of a lattice that is cubic in the world, with so many sites a point."""
+    if len(spacing) == 3:
+        side = (max(1.0, sites) * math.prod(spacing)) ** (1 / 3)
+        return tuple(max(1, round(side / size)) for size in spacing)
     aspect = math.sqrt(spacing[1] / spacing[0])
     row = max(1, round(math.sqrt(max(1.0, sites)) * aspect))
     col = max(1, round(sites / row))
@@ -321,25 +323,38 @@ def _over_quadrants(
     """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void."""
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
-    for begin in range(0, len(mask), _STRIP):
-        first, last = max(begin - 1, 0), begin + _STRIP + 1
+    strip = _STRIP if mask.ndim == 2 else 1
+    for begin in range(0, len(mask), strip):
+        first, last = max(begin - 1, 0), begin + strip + 1
         values = reduced(_quadrants(moved[first:last], mask[first:last]))
-        inner = slice(begin, begin + _STRIP)
-        np.copyto(made[inner], values[begin - first :][:_STRIP], where=mask[inner])
+        inner = slice(begin, begin + strip)
+        np.copyto(made[inner], values[begin - first :][:strip], where=mask[inner])
     return made
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
-    """The determinant from one-sided differences in each quadrant around a site, (H, W) each."""
+    """The determinant from one-sided differences in each quadrant around a site."""
     # In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
-    by_row = one_sided_differences(moved, mask, np.array([1.0, 0.0]))
-    by_col = one_sided_differences(moved.swapaxes(0, 1), mask.T, np.array([0.0, 1.0]))
-    by_col = [difference.swapaxes(0, 1) for difference in by_col]
-    return [
-        down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
-        for down in by_row
-        for along in by_col
-    ]
+    return [determinant(steps) for steps in product(*differences_along_axes(moved, mask))]
+
+
+def determinant(steps: Sequence[Float64Array]) -> Float64Array:
+    """The determinants of matrices, of which these are the columns: n arrays, shape (..., n)."""
+    if len(steps) == 2:
+        down, along = steps
+        return down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
+    deep, down, along = steps
+    volume: Float64Array = np.einsum("...i,...i->...", deep, np.cross(down, along))
+    return volume
+
+
+def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Float64Array]]:
+    """The `one_sided_differences` of all sites along each axis, in the order of the axes."""
+    found = []
+    for axis, step in enumerate(np.eye(mask.ndim)):
+        both = one_sided_differences(moved.swapaxes(0, axis), mask.swapaxes(0, axis), step)
+        found.append([each.swapaxes(0, axis) for each in both])
+    return found
 
 
 def one_sided_differences(
@@ -351,22 +366,22 @@ def one_sided_differences(
 
     Parameters
     ----------
-    moved : ndarray, shape (H, W, 2)
+    moved : ndarray, shape ([D,] H, W, n)
         Of `moved_sites`: where every site has moved.
-    mask : ndarray of bool, shape (H, W)
+    mask : ndarray of bool, shape ([D,] H, W)
         The tissue; differences are never taken across its border.
-    unstrained : ndarray, shape (2,)
+    unstrained : ndarray, shape (n,)
         What a step along the axis is without any motion.
 
     Returns
     -------
-    list of two ndarrays, shape (H, W, 2)
+    list of two ndarrays, shape ([D,] H, W, n)
         To the next site, and from the previous one.
     """
     height = len(mask)
     # Of site i: whether there is a next one, at i + 1, and a previous one, at i.
     exists = np.zeros((height + 1, *mask.shape[1:], 1), dtype=bool)
-    exists[1:-1, :, 0] = mask[1:] & mask[:-1]
+    exists[1:-1, ..., 0] = mask[1:] & mask[:-1]
     steps = np.empty((height + 1, *moved.shape[1:]))
     np.subtract(moved[1:], moved[:-1], out=steps[1:-1])
     steps[[0, -1]] = unstrained

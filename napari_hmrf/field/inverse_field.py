@@ -10,10 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.moved_points import looked_up, looked_up_with_slopes
-from napari_hmrf.field.warp import inverse_map
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.field.warp import as_field, inverse_map
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -69,7 +67,7 @@ def inverse_displacement(
     ProblemError
         Naming the input at fault.
     """
-    d = as_field(displacement)
+    d = as_field(displacement).astype(np.float64)
     if d.shape[-1] == 3:
         return _inverse_of_volume(d / spacing, spacing)
     sites = np.moveaxis(np.indices(d.shape[:-1], dtype=np.float64), 0, -1)
@@ -108,16 +106,6 @@ def origins_at(pixels: npt.NDArray[np.floating], points: Float64Array) -> Float6
         part = slice(start, start + _AT_ONCE)
         found[part] = _by_newton(pixels, points[part])
     return found
-
-
-def as_field(displacement: npt.ArrayLike) -> Float64Array:
-    """A displacement of a slice or of a volume, in double precision; or a `ProblemError`."""
-    d = as_numbers("displacement", displacement).astype(np.float64)
-    if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
-        raise ProblemError(
-            "displacement", f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) of a volume."
-        )
-    return d
 
 
 def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Inverse:

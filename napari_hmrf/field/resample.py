@@ -31,7 +31,7 @@ def resample(
 
     Parameters
     ----------
-    image : array_like, shape (H, W) or (H, W, channels)
+    image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
     coordinates, covered
         From `inverse_map`.
     order, fill
@@ -49,7 +49,7 @@ def resample(
     """
     source = as_numbers("coordinates", coordinates).astype(np.float64, copy=False)
     there = as_numbers("covered", covered).astype(bool, copy=False)
-    if source.shape != (*there.shape, 2) or there.ndim != 2:
+    if source.shape != (*there.shape, there.ndim) or there.ndim not in (2, 3):
         raise ProblemError(
             "coordinates",
             f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
@@ -66,19 +66,19 @@ def resample(
     picture = as_image(image, there.shape)
     order = checked_order(order)
     background = checked_fill(fill, picture.dtype)
-    rows, cols = np.moveaxis(source, -1, 0)
+    axes = tuple(np.moveaxis(source, -1, 0))
     nearest = tuple(
         np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
-        for at, size in zip((rows, cols), there.shape, strict=True)
+        for at, size in zip(axes, there.shape, strict=True)
     )
     if order == 0 or picture.dtype.kind == "b":
         moved: npt.NDArray[Any] = picture[nearest]
-    elif picture.ndim == 2:
-        moved = _interpolated(picture, (rows, cols), nearest, order)
+    elif picture.ndim == there.ndim:
+        moved = _interpolated(picture, axes, nearest, order)
     else:
         channels = np.moveaxis(picture, -1, 0)
         moved = np.stack(
-            [_interpolated(channel, (rows, cols), nearest, order) for channel in channels], axis=-1
+            [_interpolated(channel, axes, nearest, order) for channel in channels], axis=-1
         )
     moved[~there] = background
     return moved
@@ -94,13 +94,14 @@ def emptiness(picture: npt.NDArray[Any]) -> Any:
 
 
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
-    """An image of (H, W) or (H, W, channels) that fits a grid, or say what does not."""
-    picture = as_numbers("image", image)
-    if picture.ndim not in (2, 3) or picture.shape[:2] != tuple(grid):
+    """An image of a grid's shape, or with channels behind that; or say what does not fit."""
+    picture, n = as_numbers("image", image), len(grid)
+    if n < 2 or picture.ndim not in (n, n + 1) or picture.shape[:n] != tuple(grid):
+        given = "(D, H, W) or (D, H, W, channels)" if n == 3 else "(H, W) or (H, W, channels)"
         raise ProblemError(
             "image",
             f"has shape {picture.shape}, but the displacement is on a grid of {tuple(grid)}. "
-            "Give an image (H, W) or (H, W, channels) on the same pixel grid.",
+            f"Give an image {given} on the same pixel grid.",
         )
     return picture
 
@@ -150,7 +151,7 @@ def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
 
 def _interpolated(
     channel: npt.NDArray[Any],
-    at: tuple[Float64Array, Float64Array],
+    at: tuple[Float64Array, ...],
     nearest: tuple[npt.NDArray[np.intp], ...],
     order: int,
 ) -> npt.NDArray[Any]:

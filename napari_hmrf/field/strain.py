@@ -26,12 +26,12 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import (
     FloatArray,
     count_folds,
+    differences_along_axes,
     jacobian_determinant,
     magnitude,
-    one_sided_differences,
     smallest_determinant,
 )
-from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
+from napari_hmrf.field.warp import BoolArray, Float64Array, checked_sizes, moved_sites
 from napari_hmrf.solver.problem import as_numbers
 
 __all__ = [
@@ -51,23 +51,23 @@ __all__ = [
 def deformation_gradient(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """How small pieces of tissue are stretched and turned: F = d(X + d(X)) / dX.
 
     Parameters
     ----------
-    displacement : array_like, shape (H, W, 2)
-        Material displacement in (row, col) order, in the unit of `spacing`.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
-    tissue : array_like of bool, shape (H, W), optional
+    displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
+        Material displacement in the order of the axes, in the unit of `spacing`.
+    spacing : sequence of float, shape (n,), optional
+        Size of a pixel along each axis; by default 1.
+    tissue : array_like of bool, shape ([D,] H, W), optional
         By default everything.
 
     Returns
     -------
-    ndarray, shape (H, W, 2, 2), float32
+    ndarray, shape ([D,] H, W, n, n), float32
         F[..., i, j] is the step in direction i of what was a unit step in direction j; NaN where
         there is no tissue.
 
@@ -76,14 +76,15 @@ def deformation_gradient(
     ProblemError
         Naming the input at fault.
     """
-    gradient = _displacement_gradient(displacement, spacing, tissue) + np.eye(2)
+    gradient = _displacement_gradient(displacement, spacing, tissue)
+    gradient += np.eye(gradient.shape[-1])
     return gradient.astype(np.float32)
 
 
 def folds(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
     """Where tissue folds over itself or collapses: the sites that `count_folds` counts.
@@ -95,8 +96,8 @@ def folds(
 
     Returns
     -------
-    ndarray, shape (H, W), bool
-        Whether the determinant is 0 or below in any of the four quadrants around the site. That is
+    ndarray, shape ([D,] H, W), bool
+        Whether the determinant is 0 or below in any of the quadrants around the site. That is
         more than J <= 0, which a site that jumps over its neighbour and back escapes.
 
     Raises
@@ -111,7 +112,7 @@ def folds(
 def small_strain(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Strain of linear elasticity, e = (H + H^T) / 2: what `ElasticPrior` knows.
@@ -126,9 +127,9 @@ def small_strain(
 
     Returns
     -------
-    ndarray, shape (H, W, 2, 2), float32
-        Symmetric; [..., 0, 0] along rows' direction, [..., 1, 1] along columns', [..., 0, 1] half
-        the change of the angle between them. NaN where there is no tissue.
+    ndarray, shape ([D,] H, W, n, n), float32
+        Symmetric; [..., i, i] along an axis, [..., i, j] half the change of the angle between two.
+        NaN where there is no tissue.
 
     Raises
     ------
@@ -142,7 +143,7 @@ def small_strain(
 def green_lagrange_strain(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Strain of any deformation, E = (F^T F - I) / 2: nothing turned is strained by that.
@@ -156,7 +157,7 @@ def green_lagrange_strain(
 
     Returns
     -------
-    ndarray, shape (H, W, 2, 2), float32
+    ndarray, shape ([D,] H, W, n, n), float32
         Symmetric, in the axes before the motion; NaN where there is no tissue.
 
     Raises
@@ -172,24 +173,28 @@ def green_lagrange_strain(
 
 
 def principal_strains(strain: npt.ArrayLike) -> FloatArray:
-    """The largest and the smallest strain of any direction: the eigenvalues of a strain.
+    """The strains along the axes that are not sheared, largest and smallest: its eigenvalues.
 
     Parameters
     ----------
-    strain : array_like, shape (..., 2, 2)
-        Symmetric, of `small_strain` or `green_lagrange_strain`.
+    strain : array_like, shape (..., n, n)
+        Symmetric, of `small_strain` or `green_lagrange_strain`, of a slice or of a volume.
 
     Returns
     -------
-    ndarray, shape (..., 2), float32
-        The larger (stretch) first; NaN where the strain is.
+    ndarray, shape (..., n), float32
+        The largest (stretch) first; NaN where the strain is.
 
     Raises
     ------
     ProblemError
         If it is of another shape.
     """
-    tensor = _as_strain(strain)
+    tensor = _as_strain(strain, 2, 3)
+    if tensor.shape[-1] == 3:
+        known = np.asarray(np.isfinite(tensor).all(axis=(-1, -2), keepdims=True))
+        values = np.linalg.eigvalsh(np.where(known, tensor, 0))[..., ::-1]
+        return np.asarray(np.where(known[..., 0], values, np.nan), dtype=np.float32)
     mean = (tensor[..., 0, 0] + tensor[..., 1, 1]) / 2
     radius = np.hypot((tensor[..., 0, 0] - tensor[..., 1, 1]) / 2, tensor[..., 0, 1])
     return np.stack([mean + radius, mean - radius], axis=-1).astype(np.float32)
@@ -204,11 +209,12 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
 
     Parameters
     ----------
-    strain : array_like, shape (..., 2, 2)
-        Symmetric, in the plane of the image.
+    strain : array_like, shape (..., 2, 2), or (..., 3, 3) of a volume
+        Symmetric; of an image, in its plane.
     through : array_like, shape (...)
         The strain across the plane, of which an image says nothing: 0 for a slice held between its
         neighbours, `strain_through_slice` for one free to bulge. The shears across it count as 0.
+        Of a volume it does not count.
 
     Returns
     -------
@@ -220,10 +226,14 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     ProblemError
         If it is of another shape.
     """
-    tensor = _as_strain(strain)
+    tensor = _as_strain(strain, 2, 3)
     across = as_numbers("through", through).astype(np.float64)
     # Infinite strains have no distance, and those that are too large are infinite.
     with np.errstate(invalid="ignore", over="ignore"):
+        if tensor.shape[-1] == 3:
+            mean = np.trace(tensor, axis1=-1, axis2=-2)[..., None, None] / 3
+            squares = ((tensor - mean * np.eye(3)) ** 2).sum(axis=(-1, -2))
+            return np.asarray(np.sqrt(2 / 3 * squares), dtype=np.float32)
         third = (tensor[..., 0, 0] + tensor[..., 1, 1] + across) / 3
         squares = (
             (tensor[..., 0, 0] - third) ** 2
@@ -255,7 +265,7 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
     ProblemError
         Naming the input at fault.
     """
-    tensor = _as_strain(strain)
+    tensor = _as_strain(strain, 2)
     ratio = as_numbers("poisson", poisson).astype(np.float64)
     if not ((ratio > -1) & (ratio < 0.5)).all():
         raise ProblemError("poisson", "must be above -1 and below 0.5 everywhere.")
@@ -264,16 +274,14 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
 
 
 def _displacement_gradient(
-    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+    displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
 ) -> Float64Array:
-    """H[..., i, j] = dd_i / dX_j without a unit, (H, W, 2, 2); NaN where there is no tissue."""
+    """H[..., i, j] = dd_i / dX_j without a unit; NaN where there is no tissue."""
     moved, mask = moved_sites(displacement, spacing, tissue)
-    gradient = np.empty((*mask.shape, 2, 2))
-    for axis, step in enumerate(np.eye(2)):
-        turned, within = moved.swapaxes(0, axis), mask.swapaxes(0, axis)
-        following, previous = one_sided_differences(turned, within, step)
-        gradient[..., axis] = ((following + previous) / 2 - step).swapaxes(0, axis)
-    sizes = np.asarray(spacing, dtype=np.float64)
+    gradient = np.empty((*moved.shape, mask.ndim))
+    for axis, (following, previous) in enumerate(differences_along_axes(moved, mask)):
+        gradient[..., axis] = (following + previous) / 2 - np.eye(mask.ndim)[axis]
+    sizes = checked_sizes(spacing, mask.ndim)
     gradient *= sizes[:, None] / sizes  # from pixels to lengths: rows and columns may differ
     gradient[~mask] = np.nan
     return gradient
@@ -284,8 +292,10 @@ def _symmetric(tensor: Float64Array) -> Float64Array:
     return symmetric
 
 
-def _as_strain(strain: npt.ArrayLike) -> Float64Array:
+def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:
+    """A strain of so many axes."""
     tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
-    if tensor.shape[-2:] != (2, 2):
-        raise ProblemError("strain", f"has shape {tensor.shape}. Give (..., 2, 2), (row, col).")
+    if tensor.shape[-2:] not in [(n, n) for n in axes]:
+        needed = " or ".join(f"(..., {n}, {n})" for n in axes)
+        raise ProblemError("strain", f"has shape {tensor.shape}. Give {needed}, (row, col).")
     return tensor

@@ -3,11 +3,13 @@
 A displacement says where tissue goes: what is at X moves to X + d(X). The moved image I' therefore
 has I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image at
 X + d(X) would show the opposite motion.) Between the sites the motion is taken to be linear on
-triangles of three neighbouring sites; its inverse is then exact, however large the gradients.
+triangles of three neighbouring sites, of a volume on tetrahedra of four; its inverse is then exact,
+however large the gradients.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,24 +31,24 @@ def warp(
     image: npt.ArrayLike,
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     order: int = 1,
     tissue: npt.ArrayLike | None = None,
     fill: float = 0,
 ) -> npt.NDArray[Any]:
-    """Move an image with the tissue.
+    """Move an image, or a volume, with the tissue.
 
     Parameters
     ----------
-    image : array_like, shape (H, W) or (H, W, channels)
+    image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
         Grey, RGB or RGBA image, or labels (with ``order=0``).
-    displacement : array_like, shape (H, W, 2)
-        Material displacement in (row, col) order, in the unit of `spacing`.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
+    displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
+        Material displacement in the order of the axes, in the unit of `spacing`.
+    spacing : sequence of float, shape (n,), optional
+        Size of a pixel along each axis; by default 1.
     order : int
         Of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is linear.
-    tissue : array_like of bool, shape (H, W), optional
+    tissue : array_like of bool, shape ([D,] H, W), optional
         What moves; by default everything. The rest stays in place as background, and tissue that
         moves onto it covers it.
     fill : float
@@ -66,7 +68,7 @@ def warp(
     --------
     inverse_map, resample : the two halves of this, to move several images by one displacement.
     """
-    picture = as_image(image, as_numbers("displacement", displacement).shape[:2])
+    picture = as_image(image, as_field(displacement).shape[:-1])
     coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue)
     return resample(picture, coordinates, covered, order=order, fill=fill)
 
@@ -74,7 +76,7 @@ def warp(
 def inverse_map(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
     """Find where that which is seen at each pixel after the motion came from.
@@ -88,9 +90,9 @@ def inverse_map(
 
     Returns
     -------
-    coordinates : ndarray, shape (H, W, 2), float64
-        The source of each pixel, (row, col) in pixels; 0 where not `covered`.
-    covered : ndarray, shape (H, W), bool
+    coordinates : ndarray, shape ([D,] H, W, n), float64
+        The source of each pixel, in pixels along the axes; 0 where not `covered`.
+    covered : ndarray, shape ([D,] H, W), bool
         False where tissue has left and nothing came.
 
     Raises
@@ -104,7 +106,7 @@ def inverse_map(
 
 def inverse_map_and_overlaps(
     displacement: npt.ArrayLike,
-    spacing: Sequence[float] = (1.0, 1.0),
+    spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray, BoolArray]:
     """`inverse_map`, and where one part of the tissue lies on another.
@@ -120,7 +122,7 @@ def inverse_map_and_overlaps(
     -------
     coordinates, covered
         As of `inverse_map`.
-    overlaps : ndarray, shape (H, W), bool
+    overlaps : ndarray, shape ([D,] H, W), bool
         Pixels onto which tissue, not turned over, has moved from two places more than a pixel
         apart; which of the two is seen is chance. Tissue one pixel thin is not looked at.
 
@@ -140,6 +142,13 @@ def _rasterised(
     moved: Float64Array, tissue: BoolArray
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
     """Invert the motion of sites by the loops, or by NumPy before these are compiled."""
+    if tissue.ndim == 3:
+        loader.before_numba()
+        from napari_hmrf.field import tetrahedron_raster
+
+        slabs = min(len(tissue), 4 * (os.cpu_count() or 1))
+        coordinates, state = tetrahedron_raster.rasterise(moved, loops.only_read(tissue), slabs)
+        return coordinates, state
     if not loops.ready_for_pictures():
         compiler.compile_meanwhile()
         return triangle_arrays.rasterise(moved, tissue)
@@ -152,7 +161,7 @@ def _rasterised(
 
 
 def moved_sites(
-    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+    displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, BoolArray]:
     """Check a displacement and its tissue; where every site has moved, in pixels.
 
@@ -169,13 +178,13 @@ def moved_sites(
     """
     d, sizes, mask = checked_field(displacement, spacing, tissue)
     moved = d / sizes
-    moved[..., 0] += np.arange(mask.shape[0])[:, np.newaxis]
-    moved[..., 1] += np.arange(mask.shape[1])
+    for axis, places in enumerate(np.ogrid[tuple(map(slice, mask.shape))]):
+        moved[..., axis] += places
     return moved, mask
 
 
 def checked_field(
-    displacement: npt.ArrayLike, spacing: Sequence[float], tissue: npt.ArrayLike | None
+    displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
     """Check a displacement, its pixel spacing and its tissue.
 
@@ -192,21 +201,16 @@ def checked_field(
     ProblemError
         Naming the input at fault.
     """
-    d = as_numbers("displacement", displacement)
-    if d.ndim != 3 or d.shape[-1] != 2:
-        raise ProblemError(
-            "displacement",
-            f"has shape {d.shape}, but (H, W, 2) is needed: one (row, col) vector per pixel.",
-        )
-    sizes = checked_sizes(spacing)
-    mask = np.ones(d.shape[:2], dtype=bool)
+    d = as_field(displacement)
+    sizes = checked_sizes(spacing, d.shape[-1])
+    mask = np.ones(d.shape[:-1], dtype=bool)
     if tissue is not None:
         mask = as_numbers("tissue", tissue).astype(bool)
-        if mask.shape != d.shape[:2]:
+        if mask.shape != d.shape[:-1]:
             raise ProblemError(
                 "tissue",
                 f"has shape {mask.shape}, but the displacement has shape {d.shape}, so "
-                f"{d.shape[:2]} is needed. Give both on the same pixel grid.",
+                f"{d.shape[:-1]} is needed. Give both on the same pixel grid.",
             )
     d = np.where(mask[..., None], d, 0).astype(np.float64)
     if not np.isfinite(d).all():
@@ -220,9 +224,23 @@ def checked_field(
     return d, sizes, mask
 
 
-def checked_sizes(spacing: Sequence[float]) -> Float64Array:
-    """Check a pixel spacing: shape (2,)."""
-    sizes = np.array(reals(spacing, 2))
+def checked_sizes(spacing: Sequence[float] | None, axes: int = 2) -> Float64Array:
+    """Check a pixel spacing, shape (axes,); by default 1 along each axis."""
+    sizes = np.array(reals((1.0,) * axes if spacing is None else spacing, axes))
     if not (np.isfinite(sizes) & (sizes > 0)).all():
-        raise ProblemError("spacing", f"is {shown(spacing)}. Give 2 positive, finite pixel sizes.")
+        raise ProblemError(
+            "spacing", f"is {shown(spacing)}. Give {axes} positive, finite pixel sizes."
+        )
     return sizes
+
+
+def as_field(displacement: npt.ArrayLike) -> npt.NDArray[Any]:
+    """Take a displacement of a slice or of a volume as it is, or raise a `ProblemError`."""
+    d = as_numbers("displacement", displacement)
+    if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
+        raise ProblemError(
+            "displacement",
+            f"has shape {d.shape}, but (H, W, 2), or (D, H, W, 3) of a volume, is needed: one "
+            "vector per pixel, in the order of the axes.",
+        )
+    return d

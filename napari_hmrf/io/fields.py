@@ -25,8 +25,9 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.inverse_field import as_field, inverse_displacement
+from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import unit_factor
+from napari_hmrf.field.warp import as_field
 from napari_hmrf.io.itk_files import read_image, read_transform
 from napari_hmrf.io.nifti import place_in_nifti
 from napari_hmrf.solver.problem import as_numbers
@@ -143,7 +144,7 @@ def write_field(
         )
     _refuse_beside(target, suffix)
     sitk = simpleitk()
-    d = as_field(displacement)
+    d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
     if not np.isfinite(d).all():
         raise ProblemError("displacement", "holds NaN or infinite values. Replace those vectors.")

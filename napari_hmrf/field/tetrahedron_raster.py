@@ -1,0 +1,292 @@
+"""The compiled loops behind `warp` of volumes: draw moved tetrahedra of sites into an inverse map.
+
+Imports numba; `warp` imports this module when a volume is moved first, and only then is it
+compiled. All loops are in this file, because numba's cache notices when this file changes, not when
+one that it imports does.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+_LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
+_kept = {"cache": True, "nogil": True, **_LOOPS}
+
+# How far outside a tetrahedron, in barycentric coordinates, a voxel still counts as on its side.
+_SIDE = 1e-9
+# Six times the volume, in voxels, below which a tetrahedron has collapsed and covers nothing.
+_COLLAPSED = 1e-12
+# Voxels between two places from which tissue came, up to which they are one: neighbours.
+_NEAR = 1.0
+# The state of a voxel that two parts of the tissue have moved onto.
+TWICE = 3
+# By plane, row and column, the second and the third corner of the tetrahedra that lead along edges
+# from the first corner of a cell to its last; and which way round each is. That is Kuhn's division,
+# in which the tetrahedra of cells beside each other share their sides.
+_SECOND = ((1, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1))
+_THIRD = ((1, 1, 0), (1, 0, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 1, 1))
+_ROUND = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0)
+
+
+@_callee
+def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col):
+    """Say where the tissue on a voxel came from, unless another part has come first."""
+    if state[plane, row, col] < value:
+        state[plane, row, col] = value
+        source[plane, row, col, 0] = from_plane
+        source[plane, row, col, 1] = from_row
+        source[plane, row, col, 2] = from_col
+    elif value == 2:
+        planes = abs(from_plane - source[plane, row, col, 0])
+        rows = abs(from_row - source[plane, row, col, 1])
+        cols = abs(from_col - source[plane, row, col, 2])
+        if max(planes, rows, cols) > _NEAR:
+            state[plane, row, col] = TWICE
+
+
+@_callee
+def _draw(moved, source, state, value, first, past, plane, row, col, way):
+    """Draw a moved tetrahedron of a cell if its orientation is the one asked for."""
+    # `value` is 2 for those that kept their orientation and 1 for those that were turned over; a
+    # voxel that already holds as much is left alone, but for a mark if what it holds came from
+    # elsewhere. Only planes from `first` to before `past` are drawn on. Returns whether this one
+    # was turned over.
+    b0, b1, b2 = _SECOND[way]
+    c0, c1, c2 = _THIRD[way]
+    az = moved[plane, row, col, 0]
+    ay = moved[plane, row, col, 1]
+    ax = moved[plane, row, col, 2]
+    bz = moved[plane + b0, row + b1, col + b2, 0] - az
+    by = moved[plane + b0, row + b1, col + b2, 1] - ay
+    bx = moved[plane + b0, row + b1, col + b2, 2] - ax
+    cz = moved[plane + c0, row + c1, col + c2, 0] - az
+    cy = moved[plane + c0, row + c1, col + c2, 1] - ay
+    cx = moved[plane + c0, row + c1, col + c2, 2] - ax
+    dz = moved[plane + 1, row + 1, col + 1, 0] - az
+    dy = moved[plane + 1, row + 1, col + 1, 1] - ay
+    dx = moved[plane + 1, row + 1, col + 1, 2] - ax
+    # The sides' normals: a place is so far from each, measured by the corner opposite.
+    bnz, bny, bnx = cy * dx - cx * dy, cx * dz - cz * dx, cz * dy - cy * dz
+    cnz, cny, cnx = dy * bx - dx * by, dx * bz - dz * bx, dz * by - dy * bz
+    dnz, dny, dnx = by * cx - bx * cy, bx * cz - bz * cx, bz * cy - by * cz
+    volume = bz * bnz + by * bny + bx * bnx
+    kept = volume * _ROUND[way] > 0
+    if abs(volume) < _COLLAPSED:
+        return False
+    if kept != (value == 2):
+        return not kept
+    bnz, bny, bnx = bnz / volume, bny / volume, bnx / volume
+    cnz, cny, cnx = cnz / volume, cny / volume, cnx / volume
+    dnz, dny, dnx = dnz / volume, dny / volume, dnx / volume
+    first_plane = math.ceil(max(1.0 * first, az + min(0.0, bz, cz, dz) - _SIDE))
+    last_plane = math.floor(min(past - 1.0, az + max(0.0, bz, cz, dz) + _SIDE))
+    first_row = math.ceil(max(0.0, ay + min(0.0, by, cy, dy) - _SIDE))
+    last_row = math.floor(min(state.shape[1] - 1.0, ay + max(0.0, by, cy, dy) + _SIDE))
+    first_col = math.ceil(max(0.0, ax + min(0.0, bx, cx, dx) - _SIDE))
+    last_col = math.floor(min(state.shape[2] - 1.0, ax + max(0.0, bx, cx, dx) + _SIDE))
+    for to_plane in range(first_plane, last_plane + 1):
+        z = to_plane - az
+        for to_row in range(first_row, last_row + 1):
+            y = to_row - ay
+            for to_col in range(first_col, last_col + 1):
+                x = to_col - ax
+                to_b = z * bnz + y * bny + x * bnx
+                to_c = z * cnz + y * cny + x * cnx
+                to_d = z * dnz + y * dny + x * dnx
+                if min(to_b, to_c, to_d) < -_SIDE or to_b + to_c + to_d > 1 + _SIDE:
+                    continue
+                _mark(
+                    source, state, value, to_plane, to_row, to_col,
+                    plane + to_b * b0 + to_c * c0 + to_d,
+                    row + to_b * b1 + to_c * c1 + to_d,
+                    col + to_b * b2 + to_c * c2 + to_d,
+                )  # fmt: skip
+    return not kept
+
+
+@_callee
+def _is_whole(tissue, plane, row, col):
+    """Whether all corners of a cell are tissue; of one beyond the edge they are not."""
+    if min(plane, row, col) < 0:
+        return False
+    if plane > tissue.shape[0] - 2 or row > tissue.shape[1] - 2 or col > tissue.shape[2] - 2:
+        return False
+    for corner in range(8):
+        if not tissue[plane + corner // 4, row + corner // 2 % 2, col + corner % 2]:
+            return False
+    return True
+
+
+@_callee
+def _tetrahedra(moved, tissue, source, state, reach, first, past):
+    """Draw all tetrahedra onto the planes of voxels from `first` to before `past`."""
+    depth, height, width = tissue.shape
+    turned = True
+    for value in (2, 1):
+        if not turned:
+            break
+        turned = False
+        for plane in range(depth - 1):
+            if min(reach[plane, 0], reach[plane + 1, 0]) > past:
+                continue
+            if max(reach[plane, 1], reach[plane + 1, 1]) < first - 1:
+                continue
+            for row in range(height - 1):
+                for col in range(width - 1):
+                    if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
+                        continue
+                    whole = _is_whole(tissue, plane, row, col)
+                    for way in range(6):
+                        b0, b1, b2 = _SECOND[way]
+                        c0, c1, c2 = _THIRD[way]
+                        if whole or (
+                            tissue[plane + b0, row + b1, col + b2]
+                            and tissue[plane + c0, row + c1, col + c2]
+                        ):
+                            turned |= _draw(
+                                moved, source, state, value, first, past, plane, row, col, way
+                            )
+
+
+@_callee
+def _patch(moved, source, state, first, past, plane, row, col, one, other):
+    """Draw the moved square that two unit steps make from a site onto voxels still empty."""
+    # A step of (0, 0, 0) makes it a line, and two of these a dot.
+    depth, height, width = state.shape
+    a = moved[plane, row, col]
+    b = moved[plane + one[0], row + one[1], col + one[2]]
+    c = moved[plane + other[0], row + other[1], col + other[2]]
+    d = moved[plane + one[0] + other[0], row + one[1] + other[1], col + one[2] + other[2]]
+    longest = 1.0 * (depth + height + width)
+    along = across = 0.0
+    for axis in range(3):
+        along = max(along, abs(b[axis] - a[axis]), abs(d[axis] - c[axis]))
+        across = max(across, abs(c[axis] - a[axis]), abs(d[axis] - b[axis]))
+    # Half a voxel at a time; what is larger than the image mostly lies outside.
+    steps = math.ceil(2.0 * min(along, longest))
+    rows = math.ceil(2.0 * min(across, longest))
+    for number in range(steps + 1):
+        s = number / max(steps, 1)
+        for line in range(rows + 1):
+            t = line / max(rows, 1)
+            at = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d) + 0.5
+            inside = first <= at[0] < past and 0 <= at[1] < height and 0 <= at[2] < width
+            if inside and state[math.floor(at[0]), math.floor(at[1]), math.floor(at[2])] == 0:
+                _mark(
+                    source, state, 2,
+                    math.floor(at[0]), math.floor(at[1]), math.floor(at[2]),
+                    plane + s * one[0] + t * other[0],
+                    row + s * one[1] + t * other[1],
+                    col + s * one[2] + t * other[2],
+                )  # fmt: skip
+
+
+@_callee
+def _outline(moved, tissue, source, state, reach, first, past):
+    """Draw sites, and lines and squares between outermost ones, onto what is empty of these."""
+    depth, height, width = tissue.shape
+    units = np.eye(3, dtype=np.int64)
+    nowhere = np.zeros(3, np.int64)
+    for size in range(3):  # what is nearest to a site goes first
+        for plane in range(depth):
+            after = min(plane + 1, depth - 1)
+            if min(reach[plane, 0], reach[after, 0]) > past:
+                continue
+            if max(reach[plane, 1], reach[after, 1]) < first - 1:
+                continue
+            for row in range(height):
+                for col in range(width):
+                    if not tissue[plane, row, col]:
+                        continue
+                    inner = True
+                    for corner in range(8):
+                        inner &= _is_whole(
+                            tissue, plane - corner // 4, row - corner // 2 % 2, col - corner % 2
+                        )
+                    if inner:
+                        continue
+                    if size == 0:
+                        _patch(moved, source, state, first, past, plane, row, col, nowhere, nowhere)
+                    for axis in range(3 if size else 0):
+                        one = units[axis]
+                        beside = plane + one[0], row + one[1], col + one[2]
+                        if not _holds(tissue, beside[0], beside[1], beside[2]):
+                            continue
+                        if size == 1:
+                            _patch(moved, source, state, first, past, plane, row, col, one, nowhere)
+                            continue
+                        for second in range(axis + 1, 3):
+                            two = units[second]
+                            if _holds(tissue, plane + two[0], row + two[1], col + two[2]) and (
+                                _holds(
+                                    tissue,
+                                    beside[0] + two[0],
+                                    beside[1] + two[1],
+                                    beside[2] + two[2],
+                                )
+                            ):
+                                _patch(moved, source, state, first, past, plane, row, col, one, two)
+
+
+@_callee
+def _holds(tissue, plane, row, col):
+    """Whether there is tissue at a site, which may lie beyond the last."""
+    depth, height, width = tissue.shape
+    return plane < depth and row < height and col < width and tissue[plane, row, col]
+
+
+@numba.njit(parallel=True, **_kept)
+def rasterise(moved, tissue, slabs):
+    """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
+
+    Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
+    lack none. A voxel that no tetrahedron covers goes to the site, the line or the square between
+    outermost sites that has moved onto it, if any: tissue one voxel thin survives, and all tissue
+    reaches half a voxel beyond its outermost sites, as voxels do.
+
+    Each core fills planes of its own, and draws on them in the same order, however many there are:
+    the result is the same to the bit.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (D, H, W, 3), float64
+        Where each site has moved, in voxels along the axes.
+    tissue : ndarray, shape (D, H, W), bool
+        Which sites there are.
+    slabs : int
+        Into so many slabs of planes the volume is cut, one or a few for each core.
+
+    Returns
+    -------
+    source : ndarray, shape (D, H, W, 3), float64
+        Where the tissue now on each voxel came from, in voxels.
+    state : ndarray, shape (D, H, W), uint8
+        0 nothing came, 1 by a tetrahedron turned over, 2 by one that was not, or by an outline, 3
+        by two that were not, from places more than a voxel apart.
+    """
+    depth, height, width = tissue.shape
+    source = np.zeros((depth, height, width, 3))
+    state = np.zeros((depth, height, width), np.uint8)
+    reach = np.empty((depth, 2))
+    for number in numba.prange(depth):
+        plane = np.int64(number)
+        low, high = math.inf, -math.inf
+        for row in range(height):
+            for col in range(width):
+                if tissue[plane, row, col]:
+                    low = min(low, moved[plane, row, col, 0])
+                    high = max(high, moved[plane, row, col, 0])
+        reach[plane, 0] = low
+        reach[plane, 1] = high
+    for number in numba.prange(slabs):
+        slab = np.int64(number)
+        first = slab * depth // slabs
+        past = (slab + 1) * depth // slabs
+        _tetrahedra(moved, tissue, source, state, reach, first, past)
+        _outline(moved, tissue, source, state, reach, first, past)
+    return source, state

@@ -1,0 +1,209 @@
+"""What a displacement does to a volume is what it does to a slice, along three axes."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ProblemError, inverse_map, warp
+from napari_hmrf.field.deformation import arrows, deformation_grid, magnitude
+from napari_hmrf.field.moved_points import looked_up, moved_points
+from napari_hmrf.field.strain import (
+    deformation_gradient,
+    equivalent_strain,
+    folds,
+    green_lagrange_strain,
+    jacobian_determinant,
+    principal_strains,
+    small_strain,
+)
+
+SHAPE = (9, 11, 13)
+SIZE = (1.0, 1.7, 0.6)
+
+
+def places(shape=SHAPE, spacing=(1.0, 1.0, 1.0)):
+    return np.moveaxis(np.indices(shape, dtype=float), 0, -1) * spacing
+
+
+def bent(shape=SHAPE, amount=0.8):
+    """A smooth motion that stays within the volume."""
+    part = np.pi * places(shape) / (np.array(shape) - 1)
+    hill = np.sin(part).prod(axis=-1)
+    return amount * np.stack([hill, -hill, 0.5 * hill * np.cos(part[..., 0])], axis=-1)
+
+
+def ball(shape=SHAPE):
+    away = (places(shape) - (np.array(shape) - 1) / 2) / (np.array(shape) / 2)
+    return (away**2).sum(axis=-1) < 0.8
+
+
+def turned_by(degrees, axis=0):
+    angle = np.deg2rad(degrees)
+    matrix = np.eye(3)
+    one, other = [each for each in range(3) if each != axis]
+    matrix[one, one] = matrix[other, other] = np.cos(angle)
+    matrix[one, other], matrix[other, one] = -np.sin(angle), np.sin(angle)
+    return matrix
+
+
+def linear(matrix, spacing=SIZE):
+    """The motion that has this for its deformation gradient."""
+    return places(spacing=spacing) @ (matrix - np.eye(3)).T
+
+
+def test_a_dot_goes_where_the_displacement_points():
+    image = np.zeros(SHAPE, np.uint8)
+    image[4, 5, 6] = 200
+    moved = warp(image, np.full((*SHAPE, 3), (2.0, -1.7, 1.8)), spacing=SIZE)
+    assert np.argwhere(moved).tolist() == [[6, 4, 9]]
+
+
+def test_linear_motion_is_inverted_exactly():
+    matrix = np.eye(3) + np.array([[0.1, 0.05, 0], [-0.08, 0.05, 0.1], [0.02, 0, -0.1]])
+    origin, covered = inverse_map(linear(matrix), spacing=SIZE)
+    ends = places()[covered] * SIZE
+    inner = (origin[covered] > 0.5).all(axis=1) & (origin[covered] < np.array(SHAPE) - 1.5).all(1)
+    np.testing.assert_allclose((origin[covered] * SIZE @ matrix.T)[inner], ends[inner], atol=1e-9)
+    assert inner.sum() > 300
+
+
+def test_what_is_seen_came_from_where_the_inverse_says():
+    d, image = bent(), places()[..., 2] * places()[..., 1]
+    origin, covered = inverse_map(d)
+    assert covered.all()
+    ends = moved_points(origin.reshape(-1, 3), d, spacing=(1, 1, 1)).reshape(origin.shape)
+    # Between sites points are moved trilinearly, tetrahedra linearly.
+    np.testing.assert_allclose(ends, places(), atol=0.05)
+    values = looked_up(image[..., None], origin.reshape(-1, 3)).reshape(SHAPE)
+    np.testing.assert_allclose(warp(image, d), values)
+
+
+def test_slices_that_move_alike_and_within_themselves_move_as_one_slice_does():
+    d = np.zeros((*SHAPE, 3))
+    d[..., 1:] = bent()[4, ..., 1:] + 0.3
+    d[..., 1:] += 0.4 * np.sin(places()[0, ..., 1:] / 3)
+    tissue = np.repeat(ball()[4][None], len(d), axis=0)
+    origin, covered = inverse_map(d, tissue=tissue)
+    slice_origin, slice_covered = inverse_map(d[0, ..., 1:], tissue=tissue[0])
+    for plane in range(len(d)):
+        both = covered[plane] & slice_covered
+        near = np.abs(origin[plane][..., 1:] - slice_origin)[both]
+        assert (covered[plane] == slice_covered).mean() > 0.99
+        assert (near < 1e-9).mean() > 0.8, "all but the outline"
+        assert near.max() < 1.0
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3)))[1:])
+def test_the_axes_have_no_order(order):
+    image = np.random.default_rng(2).normal(size=SHAPE)
+    d, tissue = bent(amount=1.3), ball()
+    moved = warp(image, d, tissue=tissue, spacing=SIZE)
+    sizes = [SIZE[axis] for axis in order]
+    other = warp(
+        image.transpose(order),
+        d.transpose(*order, 3)[..., list(order)],
+        tissue=tissue.transpose(order),
+        spacing=sizes,
+    )
+    inside = np.isclose(moved.transpose(order), other)
+    assert inside.mean() > 0.97, "all but the outline, of which the last that is drawn counts"
+
+
+def test_labels_stay_labels_and_what_does_not_move_stays():
+    labels = np.random.default_rng(0).choice([0, 3, 250], SHAPE).astype(np.uint8)
+    tissue = ball()
+    moved = warp(labels, bent(), tissue=tissue, order=0)
+    assert moved.dtype == np.uint8
+    assert set(np.unique(moved)) <= {0, 3, 250}
+    far = ~tissue & ~ball(np.array(SHAPE))
+    assert far.any()
+    still = warp(labels, np.zeros((*SHAPE, 3)), tissue=tissue, order=0)
+    np.testing.assert_array_equal(still, labels)
+
+
+def test_tissue_one_voxel_thin_survives():
+    tissue = np.zeros(SHAPE, bool)
+    tissue[4, 5, 2:10] = tissue[2:7, 5, 5] = True
+    sheet = np.zeros(SHAPE, bool)
+    sheet[4] = True
+    for thin in (tissue, sheet):
+        moved = warp(thin.astype(float), np.full((*SHAPE, 3), 1.0), tissue=thin)
+        there = np.zeros(SHAPE)
+        there[1:, 1:, 1:] = thin[:-1, :-1, :-1]
+        np.testing.assert_allclose(moved, there)
+
+
+def test_what_folds_shows_the_part_that_is_not_turned_over():
+    d = np.zeros((*SHAPE, 3))
+    d[5, 3:8, 3:8, 0] = -2.5
+    assert folds(d).any()
+    _, covered = inverse_map(d)
+    assert covered.all()
+
+
+def test_the_volume_changes_as_the_determinant_says():
+    matrix = np.diag([1.1, 0.9, 1.3])
+    ratio = jacobian_determinant(linear(matrix), spacing=SIZE)
+    np.testing.assert_allclose(ratio, np.linalg.det(matrix), rtol=1e-6)
+    flipped = linear(np.diag([1.0, -0.1, 1.0]))
+    assert folds(flipped, spacing=SIZE).all()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_what_turns_is_not_strained(axis):
+    matrix = turned_by(25, axis)
+    d = linear(matrix)
+    tissue = np.ones(SHAPE, bool)
+    tissue[:4, 3:7, 8:] = tissue[6:, :3] = False
+    strain = green_lagrange_strain(d, spacing=SIZE, tissue=tissue)
+    assert np.abs(strain[tissue]).max() < 1e-6
+    assert np.isnan(strain[~tissue]).all()
+    gradient = deformation_gradient(d, spacing=SIZE, tissue=tissue)
+    np.testing.assert_allclose(gradient[tissue], np.tile(matrix, (tissue.sum(), 1, 1)), atol=2e-6)
+
+
+def test_a_bar_of_incompressible_tissue_has_the_strain_of_its_axis():
+    strain = np.diag([0.02, -0.01, -0.01])
+    assert equivalent_strain(strain) == pytest.approx(0.02)
+    shear = np.zeros((3, 3))
+    shear[0, 2] = shear[2, 0] = 0.03 / 2
+    assert equivalent_strain(shear) == pytest.approx(0.03 / np.sqrt(3))
+    turned = turned_by(30, 1) @ strain @ turned_by(30, 1).T
+    np.testing.assert_allclose(principal_strains(turned), [0.02, -0.01, -0.01], atol=1e-7)
+    assert np.isnan(principal_strains(np.full((3, 3), np.nan))).all()
+
+
+def test_a_slice_of_a_volume_has_the_strain_of_the_slice():
+    d = np.zeros((*SHAPE, 3))
+    d[..., 1:] = bent()[4, ..., 1:] + 0.1
+    d[..., 2] += 0.05 * places()[..., 1]
+    within = small_strain(d[0, ..., 1:], spacing=SIZE[1:])
+    strain = small_strain(d, spacing=SIZE)
+    np.testing.assert_allclose(strain[3][..., 1:, 1:], within, atol=1e-7)
+    assert np.abs(strain[..., 0, :]).max() < 1e-7
+    np.testing.assert_allclose(
+        jacobian_determinant(d, spacing=SIZE)[3],
+        jacobian_determinant(d[0, ..., 1:], spacing=SIZE[1:]),
+        rtol=1e-6,
+    )
+
+
+def test_lengths_and_arrows_have_three_parts():
+    d = np.full((*SHAPE, 3), (1.0, 2.0, 2.0))
+    np.testing.assert_allclose(magnitude(d), 3.0)
+    found = arrows(d, spacing=SIZE, about=30)
+    assert 10 < len(found) < 90
+    np.testing.assert_allclose(found[:, 1], np.tile(np.array([1, 2, 2]) / SIZE, (len(found), 1)),
+                               rtol=1e-5)  # fmt: skip
+
+
+def test_what_does_not_fit_a_volume_is_refused():
+    with pytest.raises(ProblemError, match="spacing"):
+        jacobian_determinant(bent(), spacing=(1.0, 1.0))
+    with pytest.raises(ProblemError, match=r"\(D, H, W\)"):
+        warp(np.zeros(SHAPE[1:]), bent())
+    with pytest.raises(ProblemError, match="slices"):
+        deformation_grid(bent())
+    with pytest.raises(ProblemError, match="displacement"):
+        warp(np.zeros(SHAPE), np.zeros((*SHAPE, 2)))
