@@ -102,7 +102,7 @@ class PaintedLayer:
         """Go over to another slice: nothing of this one is shown any more."""
         self._touches.clear()
         self._picture = None
-        if self._is_painted:
+        if self.layer is not None:
             self._layer.data = np.zeros_like(self._layer.data)
 
     def remove(self) -> None:
@@ -111,11 +111,6 @@ class PaintedLayer:
         if self.layer is not None:
             self._viewer.layers.remove(self._layer)
         self._layer = self._looks = None
-
-    @property
-    def _is_painted(self) -> bool:
-        """Whether anything is seen of it."""
-        return self.layer is not None and bool(self._layer.data.any())
 
     def _put(self, frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
         layer, before, self._looks = self.layer, self._looks, (frame, tissues)
