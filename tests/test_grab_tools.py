@@ -30,8 +30,9 @@ def displacement(widget):
 
 
 def seen_paint(person):
-    """The picture of what was painted."""
-    return by_name(person.viewer, "Motion, painted").data
+    """The picture of what was painted; there is no layer of nothing."""
+    layers = person.viewer.layers
+    return layers["Motion, painted"].data if "Motion, painted" in layers else np.zeros((64, 64))
 
 
 def ring(middle, radius, count=16):
@@ -203,6 +204,28 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     assert shown[44, 45] == pytest.approx(0, abs=0.2)
     assert len(np.unique(shown[shown < 1].round(3))) > 12, "and is seen to, evenly"
     assert not seen_paint(person).any()
+
+
+def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(pulling, settle):
+    person, widget = pulling
+    layers = person.viewer.layers
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    for _ in range(2):
+        person.key(Qt.Key.Key_Z, CTRL)
+        settle(widget)
+        assert "Motion, painted" not in layers
+        assert widget.active, "the tool stays in the hand"
+        person.key(Qt.Key.Key_Y, CTRL)
+        settle(widget)
+        assert seen_paint(person)[20, 22] == number_of("pin")
+    person.key(Qt.Key.Key_Z, CTRL)
+    person.key(CONFIDENCE)
+    person.paint((30, 30), (30, 34))
+    settle(widget)
+    assert "Motion, painted" not in layers, "confidence has a layer of its own"
+    assert "Confidence" in layers
 
 
 def test_a_confidence_over_nothing_that_is_held_or_moved_says_so(pulling, settle):

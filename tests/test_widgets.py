@@ -701,12 +701,6 @@ def test_waiting_for_the_compiler_is_explained_once_it_takes_a_while():
     edit = "Following the last edit"
     assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), 9.0, edit) == f"{edit}: 60 %"
     assert progress(compiling, 3.0) == "Deforming: compiling loops (3 of 10), about 18 s left."
-    waits = "waiting for a picture that is being drawn"
-    assert progress(Monitor(f"{waits} (cycle 16, 1.7e-11 px to go)", 0.0), 3.0, edit) == (
-        f"{edit}: {waits}."
-    )
-    told = f"{waits} ({compiling.message})"
-    assert progress(Monitor(told, 0.0), 3.0, edit) == f"{edit}: {told}."
 
 
 def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_rests(

@@ -192,10 +192,7 @@ def painting(layer: Any) -> str:
 def progress(monitor: Monitor, seconds: float, what: str = "Deforming") -> str:
     """How far the work is after so many seconds, in words for all; `monitor` has the others."""
     if monitor.message.startswith(_WAITS):
-        waits, _, stage = monitor.message.partition(" (")
-        # How far a solve is that others wait for means nothing to them; a compiler does.
-        technical = waits.startswith("waiting for") and not stage.startswith("compiling")
-        return f"{what}: {waits if technical else monitor.message}."
+        return f"{what}: {monitor.message}."
     if monitor.message.startswith("preparing") and seconds >= 1:
         return f"{what}: {COMPILING}"
     percent = round(100 * monitor.fraction)

@@ -84,7 +84,8 @@ class ComputeThread:
         if future.running() or future.done():
             return ""
         doing = self._doing() if callable(self._doing) else self._doing
-        stage = self.stage and f" ({self.stage})"
+        # How far a solve is means nothing to others; a compiler takes long, but only once.
+        stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
         return f"waiting for {doing}{stage}" if doing else "starting"
 
     def is_current(self) -> bool:

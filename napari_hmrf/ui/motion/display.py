@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, Result, ResultLayers
@@ -111,19 +109,19 @@ class Display:
             return None
         return image_covering(self._viewer, lowest, [self._viewer.cursor.position])
 
-    def is_beside(self, stroke: Stroke) -> bool:
-        """Whether a stroke lies beside all tissue, and does not make any."""
+    def is_beside(self, stroke: Stroke, drawing: Drawing) -> bool:
+        """Whether a stroke lies beside all tissue; of confidence, beside all that is held or moved.
+
+        What makes tissue never does.
+        """
         ground = self.ground
         if ground is None or stroke.action == "tissue":
             return False
-        return not touches(stroke, ground.base, ground.body)
-
-    def is_over_nothing(self, stroke: Stroke, beneath: Drawing) -> bool:
-        """Whether a stroke says how sure that is where nothing beneath is held or moved."""
-        if (ground := self.ground) is None or stroke.action != "confidence":
-            return False
-        known = (beneath.render(ground.base).confidence > 0).any(axis=-1)
-        return not touches(stroke, ground.base, np.asarray(known))
+        where = ground.body
+        if stroke.action == "confidence":
+            beneath = Drawing(tuple(mark for mark in drawing.marks if mark is not stroke))
+            where = where & (beneath.render(ground.base).confidence > 0).any(axis=-1)
+        return not touches(stroke, ground.base, where)
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""

@@ -10,10 +10,7 @@ ARROWS_GONE = "The layer 'Motion' is gone: press a tool to have it back."
 COVERED = "The image is covered by "
 NOTHING = "There is no tissue to take hold of there."
 BESIDE = "There is no tissue where you painted, so that nothing changes."
-UNHELD = (
-    "Nothing is held or moved where you painted, so that nothing changes: hold or move something "
-    "there first."
-)
+UNHELD = "Nothing is held or moved where you painted, so that nothing changes."
 OUTSIDE = "That is outside the image."
 HALF = "Now click where it should be. Esc: not after all."
 PICKED = "Selected: the fields change it, Delete removes it."

@@ -296,12 +296,10 @@ class Pointer:
             self.draw()
             return
         if held:
-            mark, number = self.hand.mark, self.hand.selected
-            if isinstance(mark, Stroke) and number is not None:
-                if self.display.is_beside(mark):
-                    self.refused.emit(motion_messages.BESIDE)
-                elif self.display.is_over_nothing(mark, self.drawing.without(number)):
-                    self.refused.emit(motion_messages.UNHELD)
+            mark = self.hand.mark
+            if isinstance(mark, Stroke) and self.display.is_beside(mark, self.drawing):
+                sure = mark.action == "confidence"
+                self.refused.emit(motion_messages.UNHELD if sure else motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if self.tool.name == "landmark" or pushed:  # nothing more is waited for

@@ -19,7 +19,7 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 
 class PaintedLayer:
-    """A Labels layer below the arrows, made when something is painted first.
+    """A Labels layer below the arrows, there once something is painted and until it is undone.
 
     A touch of the brush is shown where it is, and moved with the tissue once that has followed.
 
@@ -68,9 +68,11 @@ class PaintedLayer:
             self._touches.clear()
         known = _length_of(drawing, stroke)
         self._touches = [touch for touch in self._touches if touch[0] > known]
-        self._picture = painted
-        if painted is not None or self._touches or self._is_painted:
+        before, self._picture = self._picture, painted
+        if painted is not None or stroke is not None:
             self.show_touches(grid, tissues)
+        elif before is not None:  # what was painted here was taken back
+            self.remove()
 
     def touch(self, stroke: Stroke, begin: Point, end: Point) -> None:
         """Take in where the brush has been, for `show` and `show_touches`.
@@ -100,7 +102,7 @@ class PaintedLayer:
         """Go over to another slice: nothing of this one is shown any more."""
         self._touches.clear()
         self._picture = None
-        if self._is_painted:
+        if self.layer is not None:
             self._layer.data = np.zeros_like(self._layer.data)
 
     def remove(self) -> None:
@@ -109,11 +111,6 @@ class PaintedLayer:
         if self.layer is not None:
             self._viewer.layers.remove(self._layer)
         self._layer = self._looks = None
-
-    @property
-    def _is_painted(self) -> bool:
-        """Whether anything is seen of it."""
-        return self.layer is not None and bool(self._layer.data.any())
 
     def _put(self, frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]) -> None:
         layer, before, self._looks = self.layer, self._looks, (frame, tissues)

@@ -85,21 +85,19 @@ def how_far(
     compared: Comparison | None = None,
 ) -> str:
     """How much of the deformation is seen; or that it is of another slice; how far from others."""
-    spacing = result.solution.spacing
-    far = as_seen(longest * percent / FULL, spacing)
+    far = as_seen(longest * percent / FULL, result.solution.spacing)
     moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}"
     if apart is not None:
         return f"{moved}. Of {apart[0]}; you look at {apart[1]}."
-    if compared is None:
-        return moved
-    return f"{moved}. {_compared(compared, as_seen(compared.rmsd, spacing), result.unit)}"
+    return moved if compared is None else f"{moved}. {_compared(compared, result)}"
 
 
-def _compared(found: Comparison, rmsd: float, unit: str) -> str:
+def _compared(found: Comparison, result: Answer) -> str:
     if not found.part:
         return f"'{found.reference}' reaches none of this tissue."
     where = "" if found.part > 0.995 else f" over {found.part:.0%} of the tissue"
-    return f"RMSD from '{found.reference}'{where}: {rmsd:.3g} {unit}."
+    rmsd = as_seen(found.rmsd, result.solution.spacing)
+    return f"RMSD from '{found.reference}'{where}: {rmsd:.3g} {result.unit}."
 
 
 def saved(paths: Sequence[Path]) -> str:
