@@ -293,7 +293,6 @@ class LabelTable(QTableWidget):
             self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
         blocked.unblock()
         self.updateGeometry()
-        self._mark()
 
     def _write(self, row: int, column: int, about: Column) -> None:
         """Have a cell say what its row does; one that is typed in is left alone."""
