@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Image, Labels, Points, Shapes
+from napari.utils.notifications import show_info
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.other_grid import OtherGrid
+from napari_hmrf.io.fields import saved_field
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
@@ -82,6 +84,11 @@ def field_layer(
     return LayerData(
         arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"
     )
+
+
+def tell_saved(path: str, residual: float) -> None:
+    """Have napari tell that a field was written, and how."""
+    show_info(saved_field(path, residual))
 
 
 def source_of(layers: Iterable[Any], result: Answer) -> Any:

@@ -385,12 +385,7 @@ class ResultLayers:
         return result
 
     def show(
-        self,
-        source: Any,
-        frame: Frame,
-        layers: Mapping[Part, LayerData],
-        *,
-        moving: bool = False,
+        self, source: Any, frame: Frame, layers: Mapping[Part, LayerData], *, moving: bool = False
     ) -> None:
         """Show a result in place of the one there is of the same layer and slice.
 

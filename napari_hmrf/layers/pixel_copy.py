@@ -30,8 +30,7 @@ def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
     """Rows and columns of a layer's slice."""
     if isinstance(layer, Vectors):
         raise LayerError(
-            layer,
-            "has no pixels. Choose an image, or paint the tissue in a Labels layer.",
+            layer, "has no pixels. Choose an image, or paint the tissue in a Labels layer."
         )
     shape = full_resolution(layer).shape
     return int(shape[frame.plane[0]]), int(shape[frame.plane[1]])

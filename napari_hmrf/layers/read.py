@@ -311,8 +311,7 @@ def _refuse_unpainted(boundary: Any, own: Frame) -> None:
     elsewhere = nearest_paint(boundary, own)
     if elsewhere:
         raise LayerError(
-            boundary,
-            f"has no paint in {own.slice_seen}; paint here or go to {elsewhere}.",
+            boundary, f"has no paint in {own.slice_seen}; paint here or go to {elsewhere}."
         )
     raise LayerError(
         boundary,

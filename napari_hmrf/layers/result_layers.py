@@ -23,15 +23,7 @@ from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
-from napari_hmrf.layers.label_colours import ARROWS as ARROW_COLOUR
-from napari_hmrf.layers.label_colours import (
-    OBSERVED,
-    OVER,
-    confidence_look,
-    fold_colours,
-    quantity_colours,
-    stiffness_colours,
-)
+from napari_hmrf.layers import label_colours
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.solver.model_names import in_words, model_name
 from napari_hmrf.solver.problem import Problem
@@ -227,18 +219,14 @@ def _arrow_layer(answer: Answer) -> LayerData:
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     found = arrows_apart(d, spacing=spacing, tissue=tissue, about=ARROWS)
     width = max(1.0, math.sqrt(tissue.sum() / ARROWS)) / 8
-    look = {"vector_style": "arrow", "edge_color": ARROW_COLOUR, "edge_width": width}
+    look = {"vector_style": "arrow", "edge_color": label_colours.ARROWS, "edge_width": width}
     made = answer.layer("arrows", found, "arrows", look, "vectors")
     made.attributes["metadata"][METADATA]["answer"] = answer
     return made
 
 
 def picture_layer(
-    frame: Frame,
-    pictures: Pictures,
-    picture: Array,
-    parameters: Facts,
-    facts: Facts | None = None,
+    frame: Frame, pictures: Pictures, picture: Array, parameters: Facts, facts: Facts | None = None
 ) -> LayerData:
     """An image as it is while its tissue is on its way.
 
@@ -369,21 +357,21 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
         return far, f"difference from {compared.reference} ({answer.unit})", _colours(shown)
     if name == "confidence" and problem is not None:
         c = problem.confidence.max(axis=-1)
-        return c, "confidence (0 to 1)", confidence_look()
+        return c, "confidence (0 to 1)", label_colours.confidence_look()
     if name == "stiffness" and problem is not None:
         m = problem.stiffness
         most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
         tissue = answer.solution.provenance.parameters.get("tissue", {})
         unit = tissue.get("unit") or tissue.get("curve", {}).get("unit") or "relative"
-        look = {"colormap": stiffness_colours(), "contrast_limits": (1e-9, most), **OVER}
-        return m, f"stiffness ({unit})", look
+        look = {"colormap": label_colours.stiffness_colours(), **label_colours.OVER}
+        return m, f"stiffness ({unit})", {**look, "contrast_limits": (1e-9, most)}
     return None
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:
     """How every pixel of tissue is coloured."""
-    colours = quantity_colours(shown.signed, shown.folded)
-    return {"colormap": colours, "contrast_limits": shown.limits, **OVER}
+    scale = label_colours.quantity_colours(shown.signed, shown.folded)
+    return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
 def _fold_layer(answer: Answer) -> LayerData | None:
@@ -392,7 +380,7 @@ def _fold_layer(answer: Answer) -> LayerData | None:
     folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     if not folded.any():
         return None
-    look = {"colormap": fold_colours(), "opacity": 1.0}
+    look = {"colormap": label_colours.fold_colours(), "opacity": 1.0}
     return answer.layer("folds", folded.astype(np.uint8), _BEFORE.format("folds"), look, "labels")
 
 
@@ -404,5 +392,5 @@ def _motion_layer(answer: Answer, problem: Problem) -> LayerData:
     steps = np.where(known, y, 0)[tuple(starts.T)] / problem.spacing
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300
-    look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": width}
+    look = {"vector_style": "arrow", "edge_color": label_colours.OBSERVED, "edge_width": width}
     return answer.layer("observed", arrows, _BEFORE.format("motion given"), look, "vectors")

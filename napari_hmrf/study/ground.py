@@ -17,14 +17,7 @@ from napari_hmrf.solver.problem import Problem, as_stiffness
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
-from napari_hmrf.study.refusals import (
-    holes,
-    lack,
-    refuse_nothing,
-    refuse_rigid,
-    refuse_void,
-    rounding,
-)
+from napari_hmrf.study import refusals
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
@@ -115,13 +108,13 @@ class Ground:
         ProblemError
             Naming the part, what is wrong with it and what to do.
         """
-        refuse_rigid(study)
-        notes = [*study.notes, holes(study)]
+        refusals.refuse_rigid(study)
+        notes = [*study.notes, refusals.holes(study)]
         checkpoint()
         with study.naming():
             tissue = _Where(study)
         notes += tissue.notes
-        refuse_void(study, tissue.m)
+        refusals.refuse_void(study, tissue.m)
         checkpoint()
         there = tissue.m > 0
         base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
@@ -164,7 +157,7 @@ class Ground:
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
-        refuse_nothing(self.study, m, canvas.confidence)
+        refusals.refuse_nothing(self.study, m, canvas.confidence)
         at_rest = np.zeros(self.shape, dtype=bool)
         if isinstance(prior, ElasticPrior):
             at_rest = scraps(m > 0, canvas.confidence > 0)
@@ -182,7 +175,7 @@ class Ground:
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None and not motion.drawing.marks:
-            notes.append(lack(problem, self.base.observed, self.stiffness > 0))
+            notes.append(refusals.lack(problem, self.base.observed, self.stiffness > 0))
         notes.append(self._air_that_is_tissue)
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
@@ -276,7 +269,7 @@ class _Where:
             if isinstance(self.prior, ElasticPrior):
                 self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
         elif tissue.stiffness is not None:
-            self.notes = [rounding(study, tissue.stiffness)]
+            self.notes = [refusals.rounding(study, tissue.stiffness)]
             self.m = as_stiffness(tissue.stiffness)
         elif tissue.curve and (intensities := study.pictures.intensities) is not None:
             self.m = tissue.curve(intensities)

@@ -211,10 +211,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
 
 
 def boundary_images(
-    labels: npt.ArrayLike,
-    rules: Iterable[BoundaryRule],
-    *,
-    spacing: Sequence[float] = (1.0, 1.0),
+    labels: npt.ArrayLike, rules: Iterable[BoundaryRule], *, spacing: Sequence[float] = (1.0, 1.0)
 ) -> tuple[FloatArray, FloatArray]:
     """Give every painted pixel the displacement and the confidence of its rule.
 

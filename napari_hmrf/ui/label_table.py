@@ -46,8 +46,6 @@ class Column(NamedTuple):
         What the mouse finds in the cell of a row.
     choices : sequence of str
         What there is to choose from, if nothing is to be typed.
-    applies : bool
-        Whether it is of any consequence; else it is not seen.
     """
 
     title: str
@@ -56,7 +54,6 @@ class Column(NamedTuple):
     typed: Callable[[Any, str], Any] = lambda row, text: row
     tip: Callable[[Any], str] = lambda row: ""
     choices: Sequence[str] = ()
-    applies: bool = True
 
 
 class LabelTable(QTableWidget):
@@ -289,11 +286,10 @@ class LabelTable(QTableWidget):
             self.setHorizontalHeaderItem(column, head)
             for row in range(len(self.rows)):
                 self._write(row, column, about)
-            said = about.applies and any(about.shown(row) for row in self.rows)
+            said = any(about.shown(row) for row in self.rows)
             self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
         blocked.unblock()
         self.updateGeometry()
-        self._mark()
 
     def _write(self, row: int, column: int, about: Column) -> None:
         """Have a cell say what its row does; one that is typed in is left alone."""

@@ -68,10 +68,9 @@ class MaterialTable(LabelTable):
             Column(
                 "Poisson's\nratio",
                 ABOUT_POISSON,
-                lambda row: f"{row.poisson:g}" if row.is_deformable else "",
+                lambda row: f"{row.poisson:g}" if self._elastic and row.is_deformable else "",
                 _poisson,
                 _about,
-                applies=self._elastic,
             ),
         ]
 

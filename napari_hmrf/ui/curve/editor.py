@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -169,20 +168,18 @@ class _Number(QtWidgets.QDoubleSpinBox):
     """A number without the zeros behind it."""
 
     def __init__(self, least: float, tooltip: str) -> None:
-        super().__init__(keyboardTracking=False, toolTip=tooltip)
+        super().__init__(keyboardTracking=False, toolTip=tooltip, decimals=12)
         self.setStyleSheet("min-width: 50px")  # napari's are wider, and the dock is narrow
         self.setRange(least, _FAR)
+        self.setStepType(self.StepType.AdaptiveDecimalStepType)
         self.setButtonSymbols(self.ButtonSymbols.NoButtons)
 
     def textFromValue(self, value: float) -> str:
         return f"{value:.10g}"
 
     def show_value(self, value: float | None) -> None:
-        """Show a number to as many digits as it has; None: nothing."""
+        """Show a number; None: nothing."""
         if value is None:
             self.clear()
-            return
-        size = math.floor(math.log10(abs(value))) if value else 0
-        self.setDecimals(min(12, max(0, 4 - size)))
-        self.setSingleStep(10.0 ** (size - 1))
-        self.setValue(value)
+        else:
+            self.setValue(value)

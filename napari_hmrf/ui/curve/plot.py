@@ -45,6 +45,8 @@ class CurvePlot(QWidget):
 
     Attributes
     ----------
+    selected : int or None
+        The number of the point that keys and fields change; set by `select`.
     edited : Signal(StiffnessCurve)
         Emitted with every curve that the user makes, while dragging, too.
     settled : Signal(StiffnessCurve)
@@ -65,7 +67,7 @@ class CurvePlot(QWidget):
         self.setAccessibleName("Stiffness by intensity")
         QVBoxLayout(self).setContentsMargins(0, 0, 0, 0)
         self._curve = self._before = curve
-        self._selected: int | None = None
+        self.selected: int | None = None
         #: What the mouse holds: a point's number, or the edge of what is no tissue.
         self._held: int | str | None = None
         self._counts, self._edges = np.zeros(0), np.array([curve.points[0][0], curve.points[-1][0]])
@@ -81,19 +83,14 @@ class CurvePlot(QWidget):
     @curve.setter
     def curve(self, curve: StiffnessCurve) -> None:
         self._curve = curve
-        if self._selected is not None and self._selected >= len(curve.points):
+        if self.selected is not None and self.selected >= len(curve.points):
             self.select(None)
         self._draw()
 
-    @property
-    def selected(self) -> int | None:
-        """The number of the point that keys and fields change."""
-        return self._selected
-
     def select(self, number: int | None) -> None:
         """Select a point, or none."""
-        if number != self._selected:
-            self._selected = number
+        if number != self.selected:
+            self.selected = number
             self.picked.emit(number)
             self._draw()
 
@@ -128,12 +125,12 @@ class CurvePlot(QWidget):
 
     def remove(self) -> None:
         """Remove the selected point; two stay."""
-        if self._selected is not None and len(self._curve.points) > 2:
-            self._change(self._selected, None)
+        if self.selected is not None and len(self._curve.points) > 2:
+            self._change(self.selected, None)
 
     def move(self, point: Point) -> None:
         """Move the selected point, as far as its neighbours let it."""
-        at, points = self._selected, self._curve.points
+        at, points = self.selected, self._curve.points
         if at is not None:
             gap = _APART * float(np.ptp(self._axes.get_xlim()))
             least = points[at - 1][0] + gap if at else -math.inf
@@ -223,7 +220,7 @@ class CurvePlot(QWidget):
 
     def keyPressEvent(self, event: Any) -> None:
         """Do with keys what the mouse does."""
-        key, selected, points = event.key(), self._selected, self._curve.points
+        key, selected, points = event.key(), self.selected, self._curve.points
         if key in _PAGES and self._held is None:
             first = -1 if _PAGES[key] > 0 else 0
             self.select(((first if selected is None else selected) + _PAGES[key]) % len(points))
@@ -284,7 +281,7 @@ class CurvePlot(QWidget):
             axes.axvline(begin, color=_LINE, linewidth=1, linestyle="--")
         along = np.union1d(np.linspace(begin, right, 200), points[points[:, 0] >= begin, 0])
         axes.plot(along, replace(curve, void_below=None)(along), color=_LINE, linewidth=2)
-        chosen = np.arange(len(points)) == self._selected
+        chosen = np.arange(len(points)) == self.selected
         sizes, colours = np.where(chosen, 70, 40), np.where(chosen, _SELECTED, _LINE)
         axes.scatter(*points.T, sizes, colours, edgecolors="white", zorder=3, clip_on=False)
 

@@ -11,16 +11,8 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 from psygnal import Signal
+from qtpy import QtWidgets
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import (
-    QDialog,
-    QFileDialog,
-    QLabel,
-    QPushButton,
-    QTableWidget,
-    QTableWidgetItem,
-    QVBoxLayout,
-)
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
@@ -222,7 +214,7 @@ class ResultMenu:
 
     def _on_save(self, *_: Any) -> None:
         title = "Where to make a folder of pictures"
-        chosen = QFileDialog.getExistingDirectory(self._button, title)
+        chosen = QtWidgets.QFileDialog.getExistingDirectory(self._button, title)
         if chosen:
             attempt(partial(self.save_pictures, chosen, own_folder=True), self._say)
 
@@ -232,16 +224,13 @@ class ResultMenu:
 
     def _show_measurements(self) -> None:
         rows, unit = self.measure(), self._shown.answer.unit
-        seen = QDialog(self._button.window(), windowTitle="What happened to each tissue")
+        seen = QtWidgets.QDialog(self._button.window(), windowTitle="What happened to each tissue")
         seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        table, button, layout = (
-            _table_of(rows, unit),
-            QPushButton("Save .csv ..."),
-            QVBoxLayout(seen),
-        )
+        table, button = _table_of(rows, unit), QtWidgets.QPushButton("Save .csv ...")
+        layout = QtWidgets.QVBoxLayout(seen)
         layout.addWidget(table)
         if 0 < sum(row.folds for row in rows) <= HANDFUL:
-            layout.addWidget(QLabel(_FEW_FOLDS))
+            layout.addWidget(QtWidgets.QLabel(_FEW_FOLDS))
         layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
         seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
         save = partial(save_measurements, rows=rows, unit=unit)
@@ -250,21 +239,21 @@ class ResultMenu:
         seen.show()
 
     def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
-        path, _ = QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
+        path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
         if path:
             attempt(partial(save, path), self._say)
 
 
-def _table_of(rows: Sequence[Measurement], unit: str) -> QTableWidget:
+def _table_of(rows: Sequence[Measurement], unit: str) -> QtWidgets.QTableWidget:
     """Measurements in a table that stays as it is."""
-    table = QTableWidget(len(rows), len(_COLUMNS))
+    table = QtWidgets.QTableWidget(len(rows), len(_COLUMNS))
     table.setObjectName("measurements")
     table.setHorizontalHeaderLabels([title.format(unit=unit) for title in _COLUMNS])
     table.verticalHeader().hide()
     table.setEditTriggers(table.EditTrigger.NoEditTriggers)
     for number, row in enumerate(rows):
         for column, name in enumerate(_COLUMNS.values()):
-            table.setItem(number, column, QTableWidgetItem(_in_words(row, name)))
+            table.setItem(number, column, QtWidgets.QTableWidgetItem(_in_words(row, name)))
     table.resizeColumnsToContents()
     return table
 
