@@ -355,6 +355,30 @@ def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing, settle):
     assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, "nothing in between is made up"
 
 
+def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(brushing, settle):
+    person, widget = brushing
+    layers = person.viewer.layers
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    person.key(CONFIDENCE)
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    paint = layers["Motion, painted"], layers["Confidence"]
+    for percent, seen in ((60, False), (100, True), (0, False)):
+        widget.percent = percent
+        settle(widget)
+        assert [each.visible for each in paint] == [seen, seen]
+    person.key(PIN)
+    person.paint((12, 20), (12, 26))
+    settle(widget)
+    assert [layers[each.name].visible for each in paint] == [True, True], "a new result"
+    layers["Confidence"].visible = False
+    for percent in (50, 100):
+        widget.percent = percent
+        settle(widget)
+    assert [each.visible for each in paint] == [True, False], "as somebody wants it"
+
+
 def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_window, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_window(stack)

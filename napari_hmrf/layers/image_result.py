@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,13 +17,14 @@ from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, k
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: The confidence that was painted.
+#: The confidence that was painted, and all that was.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
-#: A layer of a result: what was made with it, the confidence that was painted, or what it is looked
-#: at with, one thing at a time.
-Part = Kind | Literal["overlay", "painted confidence"]
-#: Of an overlay's looks, those that belong to the numbers it shows.
-_LOOKS = ("colormap", "contrast_limits")
+PAINTED: Literal["painted"] = "painted"
+#: A layer of a result: what was made with it, what was painted, or what it is looked at with, one
+#: thing at a time.
+Part = Kind | Literal["overlay", "painted confidence", "painted"]
+#: Looks that belong to the numbers that are shown, of an overlay and of what was painted.
+_LOOKS = {"overlay": ("colormap", "contrast_limits"), PAINTED: ("colormap",)}
 _WHOLE = 100
 
 
@@ -70,6 +71,8 @@ class Result:
         Whether the image is seen as it was.
     """
 
+    #: Whether all of the deformation is seen.
+    _is_whole = True
     #: Whether more will follow soon than what was shown last.
     moving = False
 
@@ -128,7 +131,7 @@ class Result:
         self._set_eyes()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
-        """Have one more layer of the result there is.
+        """Have a layer be one of the result there is.
 
         Parameters
         ----------
@@ -139,7 +142,8 @@ class Result:
         show : bool
             Whether it is shown though somebody has hidden it; it is to be seen without paint then.
         """
-        self._put(part, made, source)
+        if part != PAINTED or not self._overwrite(part, made):
+            self._put(part, made, source)
         if show and part == "overlay" and not self.is_before:
             for each in self._viewer.layers:
                 each.visible = each.visible and role_of(each) not in (TISSUE, BOUNDARY)
@@ -149,7 +153,7 @@ class Result:
     def show(self, frame: Frame, layers: Mapping[Part, LayerData], moving: bool = False) -> None:
         """Show another state of the result; as of `ResultLayers.show`."""
         quick = moving and frame == self._frame
-        self._frame, self.moving = frame, moving
+        self._frame, self.moving, self._is_whole = frame, moving, True
         for part, made in layers.items():
             if not (quick and self._overwrite(part, made)):
                 self._put(part, made)
@@ -161,7 +165,11 @@ class Result:
         self._set_eyes()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
-        """Show a part of the deformation, until `show_whole` or a newer result."""
+        """Show a part of the deformation, until `show_whole` or a newer result.
+
+        What was painted lies where all of it has led, and is not seen with less.
+        """
+        self._is_whole = percent == _WHOLE
         for part, data in parts.items():
             layer = self.layer(part)
             if layer is None:
@@ -173,9 +181,11 @@ class Result:
             held.own = None
             # Whoever saves the layer now can tell what it is.
             add_known(layer, percent=percent)
+        self._set_eyes()
 
     def show_whole(self) -> None:
         """Put back what was there before a part was shown, where nobody else has drawn since."""
+        self._is_whole = True
         for part, layer, held in self._there():
             if held.part is not None and layer.data is held.part:
                 if held.whole is not None:
@@ -184,6 +194,7 @@ class Result:
                 elif _percent_of(layer) != _WHOLE:
                     self.want(part, False)
             held.part = held.whole = None
+        self._set_eyes()
 
     # What is hidden
 
@@ -203,6 +214,12 @@ class Result:
                 self._viewer.layers.remove(layer)
             else:
                 layer.visible = False
+
+    def drop_paint(self, besides: Collection[Part] = ()) -> None:
+        """Take what was painted out of the viewer, but for some parts."""
+        for part in (PAINTED, CONFIDENCE):
+            if part not in besides:
+                self.drop(part)
 
     def leave(self) -> None:
         """Hide what was put there to be looked at, as another result is."""
@@ -243,10 +260,11 @@ class Result:
 
     def _set_eyes(self) -> None:
         """Have each layer be seen or not, as it should."""
-        for _, layer, held in self._there():
+        for part, layer, held in self._there():
             if layer.visible != held.seen:
                 held.wanted = layer.visible
-            held.seen = held.wanted and held.current and not self.is_before
+            hidden = self.is_before or not (self._is_whole or part not in (PAINTED, CONFIDENCE))
+            held.seen = held.wanted and held.current and not hidden
             if layer.visible != held.seen:
                 layer.visible = held.seen
 
@@ -254,6 +272,8 @@ class Result:
         """Give a layer other pixels where nothing else of it is another; whether that is so."""
         layer, held = self.layer(part), self._held.get(part)
         if layer is None or held is None or held.part is not None or not _fits(layer, made):
+            return False
+        if part == PAINTED and layer.colormap is not made.attributes["colormap"]:
             return False
         if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
             layer.data = held.own = np.array(made.data)
@@ -279,10 +299,12 @@ class Result:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
                 if part in ("overlay", CONFIDENCE):
                     show_name(layer, corner)
+                layer.editable = part != PAINTED and layer.editable
             else:
                 update_layer(layer, made)
-                for look in _LOOKS if is_scale and part == "overlay" else ():
-                    setattr(layer, look, made.attributes[look])
+                for look in _LOOKS.get(part, ()):
+                    if look in made.attributes:
+                        setattr(layer, look, made.attributes[look])
                 if name != held.meant and layer.name == held.name:
                     layer.name = name
                     held.meant, held.name = name, layer.name
@@ -296,8 +318,9 @@ class Result:
         layers = self._viewer.layers
         if made.kind == "vectors":
             return len(layers)
-        if part == CONFIDENCE:  # with what else is painted
-            return next((at for at, each in enumerate(layers) if _is_drawn(each)), len(layers))
+        if part in (PAINTED, CONFIDENCE):  # below what else is drawn
+            drawn = (at for at, each in enumerate(layers) if _is_drawn(each))
+            return next(drawn, len(layers))
         below = [] if part == "image" else [self.layer("image")]
         if part == "overlay":  # through paint its colours would be read as others
             below += [each for each in layers if _is_paint(each)]
@@ -323,12 +346,12 @@ def _fits(layer: Any, made: LayerData) -> bool:
 
 def _is_drawn(layer: Any) -> bool:
     """Whether a layer is of lines, or shows what brushes have painted."""
-    return isinstance(layer, Vectors) or known_of(layer).get("kind") == "painted"
+    return isinstance(layer, Vectors) or known_of(layer).get("kind") == PAINTED
 
 
 def _is_paint(layer: Any) -> bool:
     """Whether a layer says what tissue is, what holds it, or how sure that is."""
-    painted = known_of(layer).get("kind") in (CONFIDENCE, "painted")
+    painted = known_of(layer).get("kind") in (CONFIDENCE, PAINTED)
     return painted or role_of(layer) in (TISSUE, BOUNDARY)
 
 

@@ -9,6 +9,7 @@ direction is spoken of.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -113,13 +114,18 @@ def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Any]:
 
 
 def painted_colours(tissues: dict[int, Any]) -> Any:
-    """The colormap of what was painted.
+    """The colormap of what was painted; the same one for the same tissues.
 
     Parameters
     ----------
     tissues : dict of int to colour
         Red, green and blue of each tissue's label, 0 to 1.
     """
+    return _colours(tuple((label, *colour[:3]) for label, colour in tissues.items()))
+
+
+@lru_cache(maxsize=4)
+def _colours(tissues: tuple[tuple[float, ...], ...]) -> Any:
     from napari.utils.colormaps import CyclicLabelColormap
 
     # As many colours as there are values, so that none comes twice; of a colormap for some values
@@ -129,8 +135,8 @@ def painted_colours(tissues: dict[int, Any]) -> Any:
         for level in range(_LEVELS):
             opacity = _PALEST + (_FULL - _PALEST) * level / (_LEVELS - 1)
             colours[1 + (kind - 1) * _LEVELS + level] = (*COLOURS[action], opacity)
-    for label, colour in tissues.items():
-        colours[_TISSUE + label % _TISSUES] = (*(float(c) for c in colour[:3]), _TISSUE_OPACITY)
+    for label, *colour in tissues:
+        colours[_TISSUE + int(label) % _TISSUES] = (*colour, _TISSUE_OPACITY)
     return CyclicLabelColormap(colors=colours)
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
-from napari_hmrf.layers.image_result import CONFIDENCE, Result, ResultLayers
-from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, touches
+from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
+from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, painted_layer, touches
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -21,7 +21,7 @@ from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
 from napari_hmrf.ui.motion.hands import Hand
-from napari_hmrf.ui.motion.strokes import PaintedLayer
+from napari_hmrf.ui.motion.strokes import Painting
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -42,7 +42,6 @@ class Display:
     Attributes
     ----------
     arrows : ArrowsLayer
-    painted : PaintedLayer
     seen : Seen or None
         The tissue as it is seen.
     tissues : dict of int to colour
@@ -53,7 +52,7 @@ class Display:
 
     def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
         self.arrows = ArrowsLayer(viewer, told)
-        self.painted = PaintedLayer(viewer)
+        self._painting = Painting()
         self.seen: Seen | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
@@ -90,9 +89,9 @@ class Display:
         self._image = image
         self.seen = None
         with self.own_doing():
-            self.painted.forget()
+            self._painting.forget()
             if before is not None and moved is not None:
-                before.drop(CONFIDENCE)
+                before.drop_paint()
                 if moved.ground is not None and not moved.moves:
                     before.remove()  # its picture is shown although nothing has moved
             if study is not None:
@@ -127,6 +126,7 @@ class Display:
         """Show another state of the tissue."""
         moved, result = seen.moved, self.result
         self.seen = seen
+        self._take_paint(seen, hand)
         with self.own_doing():
             # What has not moved yet is shown, too, so that the first movement finds its layer.
             if moved.image is not None and (moved.moves or self.arrows.active):
@@ -137,7 +137,8 @@ class Display:
             elif not moved.moves and result is not None:
                 # Hidden, not removed: where no lines are left napari 0.7 can end the program.
                 self._show_result({}, moving=False)
-            self.show_painted(seen, hand)
+            else:
+                self._show_painting()
 
     def finish(self, done: Done) -> None:
         """Show all layers of a state that has come to rest."""
@@ -146,24 +147,39 @@ class Display:
             self.arrows.raise_up()
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
-        """Show layers of the result, with the confidence that was painted, if it was."""
+        """Show layers of the result, with what was painted."""
         seen, result = self.seen, self.result
         assert seen is not None
         place, shown = seen.moved.study.grid.place, dict[Any, LayerData](layers)
         if seen.confidence is not None:
             shown[CONFIDENCE] = confidence_layer(place, seen.confidence)
-        elif result is not None:
-            result.drop(CONFIDENCE)
+        if self._painting.picture is not None:
+            shown[PAINTED] = painted_layer(place, self._painting.picture, self.tissues)
+        if result is not None:
+            result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
         """Show what is painted; what is being painted stays where it is, until it is known."""
+        self._take_paint(seen, hand)
+        with self.own_doing():
+            self._show_painting()
+
+    def _take_paint(self, seen: Seen, hand: Hand) -> None:
         self._touches_wait.stop()
         stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
         study = seen.moved.study
-        with self.own_doing():
-            drawing = study.motion.drawing
-            self.painted.show(study.grid, seen.painted, drawing, stroke, self.tissues)
+        self._painting.take(study.grid, seen.painted, study.motion.drawing, stroke)
+
+    def _show_painting(self) -> None:
+        result, moved, picture = self.result, self.moved, self._painting.picture
+        if result is None or moved is None:
+            return
+        if picture is None:
+            result.drop(PAINTED)
+        else:
+            place = moved.study.grid.place
+            result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
 
     def touch(self, hand: Hand, point: Point, first: bool) -> None:
         """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
@@ -175,7 +191,7 @@ class Display:
             return
         self._places = places
         begin, self._last = point if first else self._last, point
-        self.painted.touch(stroke, begin, point)
+        self._painting.touch(stroke, begin, point)
         if first:
             self._show_touches()
         elif not self._touches_wait.isActive():
@@ -184,8 +200,9 @@ class Display:
     def _show_touches(self) -> None:
         self._touches_wait.stop()
         if (moved := self.moved) is not None:
+            self._painting.draw(moved.study.grid)
             with self.own_doing():
-                self.painted.show_touches(moved.study.grid, self.tissues)
+                self._show_painting()
 
     def draw(self, drawing: Drawing, hand: Hand) -> None:
         """Show arrows, landmarks, and the marks of what is painted."""
@@ -201,9 +218,6 @@ class Display:
         """Take away what nobody answers any more."""
         with self.own_doing():
             self.arrows.remove()
-            self.painted.remove()
-            if (result := self.result) is not None:
-                result.drop(CONFIDENCE)
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:
