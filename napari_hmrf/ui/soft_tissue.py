@@ -432,7 +432,6 @@ class SoftTissue(Dock):
         pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
-        self._watch.painted.connect(self._unsaved.painted)
         self._watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:
