@@ -151,7 +151,7 @@ class ViewerSteps:
 
     def where(self, slot: Any) -> str:
         """Where something is edited, in words, if there is more than one place; else nothing."""
-        if slot.what != DRAWING:
+        if slot.what not in (DRAWING, CHOICE):
             return ""
         images = {id(each.layer) for each in self.edits.slots if each.what == DRAWING}
         where = "" if slot.place is None else slot.place.name

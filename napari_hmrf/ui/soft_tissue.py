@@ -250,7 +250,8 @@ class SoftTissue(Dock):
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
         self._live_study.look()
-        self._pointer.set_drawing(drawing, "took over a drawing")
+        by_itself = self._choices.by_itself
+        self._pointer.set_drawing(drawing, "" if by_itself else "took over a drawing")
 
     def at(self, position: Any) -> Probe | None:
         """Say what happens to the tissue that is seen at a point of the world; None beside it."""
