@@ -361,8 +361,9 @@ class LiveStudy:
 
     def _on_poll(self) -> None:
         footer, monitor = self._form.footer, self._follower.monitor
-        waited, moves = time.monotonic() - self._since, bool(self._pointer.drawing.marks)
-        what = "Following the last edit" if moves or self.latest else "Getting ready"
+        waited, study = time.monotonic() - self._since, self.study
+        moves = study is not None and study.moves
+        what = "Following the last edit" if moves else "Getting ready"
         if not (self._follower.busy or self.settling):
             self._poll.stop()
             self._stop()
