@@ -314,6 +314,11 @@ def factorise(model: LinearModel, report: Report) -> Factors:
         If there is no memory for them, or if double precision cannot tell what holds the tissue.
     """
     if model.found.factors is None:
+        if len(model.shape) == 3:
+            raise ConvergenceError(
+                "cycles cannot be sure of this volume. Bring the softest and the stiffest tissue "
+                "closer together, or hold more of it"
+            )
         if not Factors.fit(model.shape):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue, and its factors need "
