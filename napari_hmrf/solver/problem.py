@@ -21,6 +21,8 @@ FloatArray = npt.NDArray[np.float32]
 MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
 _SMALLEST_STIFFNESS = 1e-30
+# The spacing of those who give none.
+_EVEN = (1.0, 1.0)
 #: The longest displacement that can be meant, in diagonals of the image.
 MAX_REACH = 2.0
 _LARGEST = float(np.finfo(np.float32).max)
@@ -45,7 +47,7 @@ class Problem:
         Young's modulus, m in the equations, in any unit: only ratios matter. ``0`` means no tissue
         (void): no clique touches such a site and it has no displacement. ``inf`` means rigid
         tissue, for `ElasticPrior`: what touches of it moves as one body.
-    spacing : sequence of float, shape (2,) or (3,), optional
+    spacing : sequence of float, shape (2,) or (3,)
         Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
         any unit of length; by default 1 along each axis.
 
@@ -66,11 +68,12 @@ class Problem:
         confidence: npt.ArrayLike,
         stiffness: npt.ArrayLike,
         *,
-        spacing: Sequence[float] | None = None,
+        spacing: Sequence[float] = _EVEN,
     ) -> None:
-        # Of one value for each pixel that is observed, stiffness is no volume.
-        m = _as_image(stiffness, (2,) if np.ndim(observed) == 2 else (2, 3))
-        pixel = _checked_spacing((1.0,) * m.ndim if spacing is None else spacing, m.ndim)
+        # With one value for each pixel as what is observed, stiffness is no volume.
+        image = isinstance(observed, np.ndarray) and observed.ndim == 2
+        m = _as_image(stiffness, (2,) if image else (2, 3))
+        pixel = _checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
         _check_grid(m)
         c = _as_float32("confidence", confidence)
         y = _as_float32("observed", observed)

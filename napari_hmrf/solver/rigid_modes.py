@@ -252,7 +252,7 @@ def _sites(pieces: Labels) -> Labels:
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
     """The displacement (H, W, 2) of sites whose pieces move so (H, W, motions)."""
     # A turn moves sites by as much as they are apart the other way.
-    sites = tuple(np.indices(modes.shape[:-1]))
+    sites = tuple(map(np.asarray, np.indices(modes.shape[:-1])))
     field = np.zeros((*modes.shape[:-1], len(sites)))
     for along in range(len(sites)):
         for number, way in _motions(sites, along, modes.shape[:-1]).items():

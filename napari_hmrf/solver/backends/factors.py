@@ -107,4 +107,6 @@ class Factors:
     @staticmethod
     def fit(shape: tuple[int, ...]) -> bool:
         """Whether there is the memory for those of a grid (H, W); volumes have none."""
-        return len(shape) == 2 and bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)
+        return len(shape) == 2 and bool(
+            Factors.needed(shape) < _FREE * psutil.virtual_memory().available
+        )

@@ -70,7 +70,7 @@ class Slice(NamedTuple):
 
 
 def slices(grid: tuple[int, ...]) -> list[Slice]:
-    """The slices of a volume, which NumPy works on one by one: it takes less memory; or an image."""
+    """An image, or the slices of a volume: NumPy takes less memory for one by one."""
     if len(grid) == 2:
         return [Slice(..., ...)]
     return [Slice(number, np.s_[:, number + 2]) for number in range(grid[0])]

@@ -24,8 +24,8 @@ LOOPS = {
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
-    "volume": 24,
-    "": 52,
+    "volume": 16,
+    "": 62,
 }
 
 

@@ -185,7 +185,8 @@ def of_elements(values: Float64Array) -> Float64Array:
     total = values
     for behind, ahead in _pairs(values.ndim):
         total = total[behind] + total[ahead]
-    return total / 2**values.ndim
+    mean: Float64Array = total / 2**values.ndim
+    return mean
 
 
 def in_elements(m: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

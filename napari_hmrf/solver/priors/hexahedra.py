@@ -12,10 +12,9 @@ reduced integration): where that counted at each point, nearly incompressible ti
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from napari_hmrf.solver.priors.elements import Float64Array, Lame
 
@@ -110,9 +109,13 @@ def corners(pulls: Float64Array) -> Float64Array:
 
 def _with(shares: Float64Array, axis: int) -> Float64Array:
     """The modes that have an axis's coordinate as a factor."""
-    return np.moveaxis(shares, axis, 0)[1]
+    index: Any = (*(slice(None),) * axis, 1)
+    part: Float64Array = shares[index]
+    return part
 
 
 def _without(shares: Float64Array, axis: int) -> Float64Array:
     """The modes that have not."""
-    return np.moveaxis(shares, axis, 0)[0]
+    index: Any = (*(slice(None),) * axis, 0)
+    part: Float64Array = shares[index]
+    return part

@@ -104,9 +104,7 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
         tissue, weights = (lame, share, shape), (weight, springs)
         for number in prange(count):
             first, last = part(number, count, d.shape[1] - 4)
-            _smooth_part(
-                source, tissue, weights, load, inverse, spans, target, pace, first, last
-            )
+            _smooth_part(source, tissue, weights, load, inverse, spans, target, pace, first, last)
 
 
 @parallel
@@ -154,9 +152,7 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 
 @parallel
-def rest(
-    d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count
-):
+def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
     """Out = scale (given load - (A + W) d) in single precision where sites move, 0 elsewhere."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
@@ -310,7 +306,9 @@ def coarsen(fine, coarse):
                 near, right = fine[k, 2 * n + 2, 2 * y + 2], fine[k, 2 * n + 2, 2 * y + 3]
                 far, across = fine[k, 2 * n + 3, 2 * y + 2], fine[k, 2 * n + 3, 2 * y + 3]
                 for x in range(len(out) - 4):
-                    one = (near[2 * x + 2] + right[2 * x + 2]) + (far[2 * x + 2] + across[2 * x + 2])
+                    one = (near[2 * x + 2] + right[2 * x + 2]) + (
+                        far[2 * x + 2] + across[2 * x + 2]
+                    )
                     other = near[2 * x + 3] + right[2 * x + 3]
                     other += far[2 * x + 3] + across[2 * x + 3]
                     out[x + 2] = quarter * (one + other)

@@ -32,8 +32,8 @@ class CpuVolumeLevel(CpuLevel):
 
     def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
         super().__init__(grid)
-        self.lame, self.pins = padded(parameters, grid), self.vector()
-        self.weight = None if finest else self.vector()
+        self.lame = padded(parameters, grid)
+        self.weight, self.pins = (None, self._other) if finest else (self.vector(), self.vector())
         depth, height = (size + 2 * PAD for size in grid[:2])
         #: Where what moves in each padded row begins and ends.
         self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
@@ -45,23 +45,20 @@ class CpuVolumeLevel(CpuLevel):
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
-        before = self.spans.copy()
+        # What is held is wanted by the next level only, and until then: `clear` follows.
+        self.pins = self._other
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
-        self._forget(before)
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
-        before = self.spans.copy()
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self._spring(finer)
-        self._forget(before)
 
-    def _forget(self, before: npt.NDArray[np.int64]) -> None:
+    def clear(self) -> None:
         """The kernels write within the spans only: beyond them there must be 0."""
-        if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
-            for vector in (self.correction, self._other):
-                vector.fill(0)
+        for vector in (self.correction, self._other):
+            vector.fill(0)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -123,15 +120,25 @@ class CpuVolumeModel(HostModel):
         self._held = None
         constants = hexahedra.constants(material.shape)
         m, nu, most = material.m, material.poisson, stiffest(material.m)
-        one = isinstance(nu, float)
-        share = lame_ratio(nu, strain=True) if one else 1.0
-        scale = 0.125 / most / (2 + 2 * nu if one else 1.0)
-        volume.elements(m, m if one else nu, one, scale, self.levels[0].lame)
+        lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
+        if isinstance(nu, float):
+            share = lame_ratio(nu, strain=True)
+            volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
+        else:
+            volume.elements(m, nu, False, scale, lame)
         for level in self.levels:
             level.shape, level.share = constants.astype(np.float32), np.float32(share)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             volume.coarsen(fine.lame, coarse.lame)
         self._exact: tuple[Any, ...] = np.float64(share), constants
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        before = self._held
+        super().hold(held)
+        if self._held is not before:
+            for level in self.levels:
+                level.clear()
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (share, shape) = self.levels[0], self._exact
@@ -162,7 +169,7 @@ class CpuVolumeModel(HostModel):
         finest = self.levels[0]
         out = finest.vector()
         volume.diagonal(finest.lame, finest.share, finest.shape, out)
-        return out.astype(np.float64)
+        return np.asarray(out, dtype=np.float64)
 
     def forget(self) -> None:
         """Be not the last model any more: what is left in its vectors may be no number."""
