@@ -44,9 +44,13 @@ STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
 NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
 # Up to which ratio of lambda to mu the former does.
 _MOST_RATIO = 50.0
-#: For volumes, whose free surfaces coarse levels see less well; and where that shows.
-CAREFUL_VOLUME = Smoothing(0.03, 10, 0.02, 20)
+#: For volumes that coarse levels turn out to see less well: free surfaces, contrast, oblong voxels.
+CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
+#: For volumes; and for those that resist changes of volume much more than those of shape.
 STRETCHING_VOLUME = Smoothing(0.1, 2, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
+NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.05, 6, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
+# Up to which ratio of lambda to mu the former does.
+_MOST_RATIO_VOLUME = 20.0
 #: For models of means of neighbours, which are not symmetric.
 AVERAGING = Smoothing(0.3, 2, 0.02, 20)
 #: For models that bend: their spectra are wider, and bilinear transfer leaves more to do.
@@ -57,7 +61,7 @@ def smoothing_of(material: ElasticMaterial) -> Smoothing:
     """How much to smooth elastic tissue."""
     ratio = lame_ratio(material.largest_poisson, material.strain)
     if material.m.ndim == 3:
-        return STRETCHING_VOLUME
+        return STRETCHING_VOLUME if ratio <= _MOST_RATIO_VOLUME else NEARLY_INCOMPRESSIBLE_VOLUME
     return STRETCHING if ratio <= _MOST_RATIO else NEARLY_INCOMPRESSIBLE
 
 
@@ -75,6 +79,8 @@ class Cycle:
         rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
+        #: Whether it has gone over to `Smoothing.careful`.
+        self.smooths_more = False
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
@@ -86,9 +92,14 @@ class Cycle:
         """
         if self._bound >= self._worst:
             return False
-        self._smoothing = self._smoothing.careful or self._smoothing
+        if self._smoothing.careful is not None:
+            self._smoothing, self.smooths_more = self._smoothing.careful, True
         self._smooth_up_to(self._worst)
         return True
+
+    def smooth_more(self) -> bool:
+        """Be careful if that takes more smoothing; False if it takes none, or is so already."""
+        return self._smoothing.careful is not None and self.be_careful()
 
     def _smooth_up_to(self, bound: float) -> None:
         self._bound = bound
