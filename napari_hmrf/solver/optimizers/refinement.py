@@ -130,15 +130,20 @@ class Refinement:
             return False
         if not self._entrain():
             return False
+        if found.smooths_more:
+            self._iteration.smooth_more()
         self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0
                 if not self._model.mild:
                     self._doubt = self._rehearse(d.shape)
+                    if self._doubt > _BELIEVABLE and self._iteration.smooth_more():
+                        self._doubt = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # what it was is overwritten
             found.doubt = self._doubt
             found.least = self._iteration.least
+            found.smooths_more = self._iteration.smooths_more
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
         model = self._model
@@ -174,8 +179,10 @@ class Refinement:
                 self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
                 return True
-            if self._too_long or not self.estimate < 0.5 * before:
+            stays = not self.estimate < 0.5 * before
+            if self._too_long or (stays and not self._iteration.smooth_more()):
                 return False
+            found.smooths_more = self._iteration.smooths_more
             before = self.estimate
 
     def _entrain(self) -> bool:
@@ -314,6 +321,11 @@ def factorise(model: LinearModel, report: Report) -> Factors:
         If there is no memory for them, or if double precision cannot tell what holds the tissue.
     """
     if model.found.factors is None:
+        if len(model.shape) == 3:
+            raise ConvergenceError(
+                "cycles cannot be sure of this volume. Bring the softest and the stiffest tissue "
+                "closer together, or hold more of it"
+            )
         if not Factors.fit(model.shape):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue, and its factors need "
