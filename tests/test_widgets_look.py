@@ -886,3 +886,4 @@ def test_a_slice_without_a_name_is_called_one_once():
     result = SimpleNamespace(unit="mm", solution=SimpleNamespace(spacing=(1.0, 1.0)))
     seen = how_far(result, 3.0, 100, ("slice 7", "slice 3"))
     assert seen.endswith("Of slice 7; you look at slice 3.")
+    assert how_far(result, 3.4e-7, 100) == "100 %: tissue moved up to 0 mm"

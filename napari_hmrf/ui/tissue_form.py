@@ -11,7 +11,7 @@ from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -85,12 +85,8 @@ class TissueSection(_PaintedSection[MaterialTable]):
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
-            # What a dock has deformed, or drawn of it, is no tissue, nor is what holds it.
-            lambda layer: (
-                isinstance(layer, Labels | Image)
-                and "kind" not in known_of(layer)
-                and role_of(layer) != BOUNDARY
-            ),
+            # What a dock has deformed, or drawn of it, is nobody's tissue.
+            lambda layer: isinstance(layer, Labels | Image) and "kind" not in known_of(layer),
             "tissue",
             "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
             lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
