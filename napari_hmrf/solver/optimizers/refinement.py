@@ -29,6 +29,8 @@ _REHEARSED = 0.003
 _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was.
 _MARGIN = 4.0
+# By its number of axes, how doubtful a problem is at least that is not mild.
+_LEAST_DOUBT = {2: 1.0, 3: 4.0}
 _REHEARSAL_CYCLES = 40
 # What a round of a rehearsal must leave of its error at most, for another one.
 _GAIN = 0.5
@@ -130,7 +132,7 @@ class Refinement:
             return False
         if not self._entrain():
             return False
-        if found.smooths_more:
+        while self._iteration.care < found.care:
             self._iteration.smooth_more()
         self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
@@ -138,12 +140,12 @@ class Refinement:
                 self._doubt = 1.0
                 if not self._model.mild:
                     self._doubt = self._rehearse(d.shape)
-                    if self._doubt > _BELIEVABLE and self._iteration.smooth_more():
+                    while self._doubt > _BELIEVABLE and self._smooth_more():
                         self._doubt = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # what it was is overwritten
             found.doubt = self._doubt
             found.least = self._iteration.least
-            found.smooths_more = self._iteration.smooths_more
+            found.care = self._iteration.care
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
         model = self._model
@@ -151,7 +153,7 @@ class Refinement:
         # What bodies do on their own is seen for certain, but not what lies between close ones.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = model.mild and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _LEAST_DOUBT[len(model.shape)])
         if moves is not None and moves.close:
             doubt *= _MARGIN
         while True:
@@ -168,7 +170,10 @@ class Refinement:
             try:
                 correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
             except FloatingPointError:
-                return False
+                if not self._smooth_more():
+                    return False
+                balance = self._model.balance(d, load)
+                continue
             if step is None:
                 return False
             host.add(d, correction, balance.unit)
@@ -180,10 +185,17 @@ class Refinement:
             if self.estimate <= tolerance:
                 return True
             stays = not self.estimate < 0.5 * before
-            if self._too_long or (stays and not self._iteration.smooth_more()):
+            if self._too_long or (stays and not self._smooth_more()):
                 return False
-            found.smooths_more = self._iteration.smooths_more
+            found.care = self._iteration.care
             before = self.estimate
+
+    def _smooth_more(self) -> bool:
+        """Go over to better cycles, if there are any, and begin them with numbers."""
+        more = self._iteration.smooth_more()
+        if more:
+            self._model.clear()
+        return more
 
     def _entrain(self) -> bool:
         """Find what bodies take along; False if that cannot be told."""
