@@ -27,10 +27,8 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 # than what is true.
 _REHEARSED = 0.003
 _BELIEVABLE = 3.0
-# How much more doubtful a problem may be than its rehearsal was.
+# How much more doubtful a problem may be than its rehearsal was, and any volume is.
 _MARGIN = 4.0
-# By its number of axes, how doubtful a problem is at least that is not mild.
-_LEAST_DOUBT = {2: 1.0, 3: 4.0}
 _REHEARSAL_CYCLES = 40
 # What a round of a rehearsal must leave of its error at most, for another one.
 _GAIN = 0.5
@@ -53,6 +51,8 @@ class Refinement:
     model : LinearModel
     smoothing : Smoothing
     report : callable
+    firm : bool
+        Whether what is held stops all motions about equally well.
 
     Attributes
     ----------
@@ -67,9 +67,15 @@ class Refinement:
     """
 
     def __init__(
-        self, max_iterations: int, model: LinearModel, smoothing: Smoothing, report: Report
+        self,
+        max_iterations: int,
+        model: LinearModel,
+        smoothing: Smoothing,
+        report: Report,
+        firm: bool = True,
     ) -> None:
         self._most, self._model, self._report = max_iterations, model, report
+        self._mild = model.mild and firm
         self._iteration = ConjugateGradients(Cycle(model, smoothing))
         self._patience = smoothing.patience
         self.estimate = math.inf
@@ -127,7 +133,7 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
-        if not self._model.mild and self._factors_first and Factors.fit(self._model.shape):
+        if not self._mild and self._factors_first and Factors.fit(self._model.shape):
             self._factors_tried = True
             return False
         if not self._entrain():
@@ -138,7 +144,7 @@ class Refinement:
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0
-                if not self._model.mild:
+                if not self._mild:
                     self._doubt = self._rehearse(d.shape)
                     while self._doubt > _BELIEVABLE and self._smooth_more():
                         self._doubt = self._rehearse(d.shape)
@@ -148,12 +154,12 @@ class Refinement:
             found.care = self._iteration.care
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
-        model = self._model
+        model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
         # What bodies do on their own is seen for certain, but not what lies between close ones.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
-        sure = model.mild and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _LEAST_DOUBT[len(model.shape)])
+        sure = self._mild and not volume and model.material.compressible and sees_bodies
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else 1.0)
         if moves is not None and moves.close:
             doubt *= _MARGIN
         while True:
