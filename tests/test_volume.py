@@ -240,6 +240,41 @@ def test_no_axis_is_another():
         np.testing.assert_allclose(found, expected.transpose(*turn, 3)[..., turn], atol=2e-3)
 
 
+def error_of_a_hollow_sphere(n):
+    """Rms error of u(r) = r + b / r^2 in a shell whose inner and outer skins are prescribed."""
+    places = np.moveaxis((np.indices((n, n, n)) - (n - 1) / 2) / (n / 2), 0, -1)
+    r = np.linalg.norm(places, axis=-1)
+    tissue = (r > 0.3) & (r < 0.97)
+    skins = tissue & ((r < 0.45) | (r > 0.82))  # as thick on every grid
+    exact = 0.05 * (1 + 0.1 / np.maximum(r, 0.1) ** 3)[..., None] * places
+    c = np.repeat(skins[..., None], 3, axis=-1).astype(float)
+    problem = Problem(exact, c, tissue.astype(float), spacing=(2 / n,) * 3)
+    found = solve(problem, ElasticPrior(0.3), optimizer=Multigrid(1e-4))
+    off = np.linalg.norm(found.displacement - exact, axis=-1)[tissue & ~skins]
+    return float(np.sqrt((off**2).mean()))
+
+
+def test_lames_hollow_sphere_is_approached_with_the_square_of_the_voxel():
+    coarse, fine = error_of_a_hollow_sphere(32), error_of_a_hollow_sphere(56)
+    assert 1.7 < np.log(coarse / fine) / np.log(56 / 32) < 2.6
+
+
+def test_a_volume_that_hangs_on_little_is_rehearsed_and_what_is_reported_holds():
+    """A ball that is held at its poles: how it turns between them is met late."""
+    places = np.moveaxis(np.indices((20, 16, 16)), 0, -1) / (20, 16, 16) - 0.475
+    m = (np.linalg.norm(places, axis=-1) < 0.5).astype(float)
+    y, c = np.zeros((*m.shape, 3)), np.zeros((*m.shape, 3))
+    c[[0, -1]] = 1
+    y[-1] = np.random.default_rng(0).normal(size=(16, 16, 3))
+    heard = []
+    found = solve(
+        Problem(y, c, m), optimizer=Multigrid(0.01), progress=lambda m: heard.append(m.message)
+    )
+    assert any(message.startswith("rehearsal") for message in heard)
+    exact = solve(Problem(y, c, m), optimizer=Multigrid(1e-5), initial=found)
+    assert np.abs(found.displacement - exact.displacement).max() <= found.convergence.error
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_reported_holds_or_is_refused(seed):
     """Hard tissue: random blobs far stiffer than what is around, void, little that is held."""

@@ -37,6 +37,8 @@ class Firm(NamedTuple):
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
+    #: As `grip` says it, of a volume.
+    grip: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Whether that is held, too: to hold more of the same tissue, as a brush does, frees none.
@@ -80,13 +82,37 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
+    grip(problem)
+
+
+def grip(problem: Problem) -> float:
+    """How firmly what is observed holds tissue against its rigid motions.
+
+    Of the motion that is stopped least, the sum of squares at all that is held, where the far end
+    of tissue moves by about 1; over the size of its surface, roughly.
+
+    Raises
+    ------
+    ProblemError
+        As of `check_held`.
+    """
     held = problem.known
-    if any(known.covers(problem.tissue, held) for known in _firm):
-        return
+    for known in _firm:
+        if known.covers(problem.tissue, held):
+            return known.grip
     free = free_motion(problem, held)
     if free is not None:
         raise refusal(free)
-    _firm[:] = [Firm(problem.tissue, held)]
+    found = 0.0
+    if problem.is_volume:
+        pieces, count = _pieces(problem.stiffness)
+        sizes = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
+        stopped = _modes(pieces, count, held)
+        found = min(
+            float(stops[0]) / sizes[cluster].sum() ** (2 / 3) for cluster, _, stops, _ in stopped
+        )
+    _firm[:] = [Firm(problem.tissue, held, found)]
+    return found
 
 
 def refusal(free: FreeMotion) -> ProblemError:
@@ -216,6 +242,16 @@ def _free_modes(
     """Find how each cluster of pieces that hang together could move."""
     # Yields ------ cluster : ndarray of int The pieces, from 0. strength : ndarray What it costs
     # them to move. modes : ndarray, shape (ways, pieces, motions) The motions that cost nothing.
+    for cluster, strength, stops, modes in _modes(pieces, count, held):
+        free = stops <= _NOTHING * max(stops[-1], 1.0)
+        if free.any():
+            yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), len(cluster), -1)
+
+
+def _modes(
+    pieces: Labels, count: int, held: npt.NDArray[np.bool_]
+) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions, Motions]]:
+    """Find what it costs each cluster to move, and these motions, the cheapest first."""
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
@@ -235,10 +271,7 @@ def _free_modes(
             ways = _motions(tuple(mine.T[:axes]), along, shape)
             _tie(costs, place[mine[:, -2]], ways, place[mine[:, -1]])
         strength = costs.reshape(freedom * len(cluster), -1)
-        stops, modes = np.linalg.eigh(strength)
-        free = stops <= _NOTHING * max(stops[-1], 1.0)
-        if free.any():
-            yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), -1, freedom)
+        yield cluster, strength, *np.linalg.eigh(strength)
 
 
 def _sites(pieces: Labels) -> Labels:

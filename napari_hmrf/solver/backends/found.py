@@ -79,8 +79,8 @@ class Found:
         How much less cycles report than is true, where that has been tried.
     least : float
         The least eigenvalue that cycles have met.
-    smooths_more : bool
-        Whether that was with cycles that smooth more than usual.
+    care : int
+        How often cycles had to smooth more for that.
     factors : Factors or None
         Of the system, where cycles cannot be trusted.
     entrained : Entrained or None
@@ -90,7 +90,7 @@ class Found:
     def __init__(self) -> None:
         self.doubt: float | None = None
         self.least = 1.0
-        self.smooths_more = False
+        self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None
         self._known: list[tuple[weakref.ref[Any], Quality]] = []

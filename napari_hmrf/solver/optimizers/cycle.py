@@ -44,10 +44,12 @@ STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
 NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
 # Up to which ratio of lambda to mu the former does.
 _MOST_RATIO = 50.0
-#: For volumes that coarse levels turn out to see less well: free surfaces, contrast, oblong voxels.
-CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
+#: For volumes that coarse levels turn out to see less well, beside free surfaces, of high contrast
+#: or of oblong voxels; and for those that they hardly see.
+MOST_CAREFUL_VOLUME = Smoothing(0.003, 40, 0.002, 80, visits=2)
+CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2, careful=MOST_CAREFUL_VOLUME)
 #: For volumes; and for those that resist changes of volume much more than those of shape.
-STRETCHING_VOLUME = Smoothing(0.1, 2, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
+STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
 NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.05, 6, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
 # Up to which ratio of lambda to mu the former does.
 _MOST_RATIO_VOLUME = 20.0
@@ -79,8 +81,8 @@ class Cycle:
         rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
-        #: Whether it has gone over to `Smoothing.careful`.
-        self.smooths_more = False
+        #: How often it has gone over to `Smoothing.careful`.
+        self.care = 0
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
@@ -90,10 +92,10 @@ class Cycle:
         A smoother that amplifies what lies beyond its bound makes a preconditioner that is not
         positive, which conjugate gradients notice.
         """
-        if self._bound >= self._worst:
-            return False
         if self._smoothing.careful is not None:
-            self._smoothing, self.smooths_more = self._smoothing.careful, True
+            self._smoothing, self.care = self._smoothing.careful, self.care + 1
+        elif self._bound >= self._worst:
+            return False
         self._smooth_up_to(self._worst)
         return True
 

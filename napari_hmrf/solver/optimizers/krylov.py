@@ -79,9 +79,9 @@ class ConjugateGradients:
         return self._cycle.steps
 
     @property
-    def smooths_more(self) -> bool:
-        """Whether it has gone over to better cycles."""
-        return self._cycle.smooths_more
+    def care(self) -> int:
+        """How often it has gone over to better cycles."""
+        return self._cycle.care
 
     def smooth_more(self) -> bool:
         """Take better cycles from now on, of which nothing is known; False if there are none."""

@@ -141,6 +141,11 @@ class CpuLevel:
             self._smooth(np.float32(scale), np.float32(momentum))
             self.correction, self._other = self._other, self.correction
 
+    def clear(self) -> None:
+        """Make the correction zero, and what else a cycle begins with."""
+        self.correction.fill(0)
+        self._other.fill(0)
+
     def vector(self, values: Vector | None = None) -> Vector:
         """Return zeros, or these planes."""
         if values is not None:

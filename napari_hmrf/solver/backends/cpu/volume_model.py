@@ -45,7 +45,8 @@ class CpuVolumeLevel(CpuLevel):
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
-        # What is held is wanted by the next level only, and until then: `clear` follows.
+        # What is held is wanted by the next level only, and until then: `clear` follows, as
+        # kernels write within the spans only, and beyond them there must be 0.
         self.pins = self._other
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
@@ -54,11 +55,6 @@ class CpuVolumeLevel(CpuLevel):
         """Put the sites near those that the finer level holds on springs."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self._spring(finer)
-
-    def clear(self) -> None:
-        """The kernels write within the spans only: beyond them there must be 0."""
-        for vector in (self.correction, self._other):
-            vector.fill(0)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -137,8 +133,7 @@ class CpuVolumeModel(HostModel):
         before = self._held
         super().hold(held)
         if self._held is not before:
-            for level in self.levels:
-                level.clear()
+            self.clear()
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (share, shape) = self.levels[0], self._exact
