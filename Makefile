@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 HEADLESS := sh scripts/headless.sh
+PLUGINS := -p hypothesispytest -p napari -p pytest-qt -p timeout -p xdist
 # How many random problems `make trust` solves on each, and which.
 LOOPS ?= 5000
 SHADERS ?= 500
@@ -49,8 +50,10 @@ demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
 # Three processes: some of them wait, for a window or for shaders, while two cores compute.
+# The plugins are named: of those that pytest finds by itself it rewrites all modules, and all of
+# napari is one.
 test: setup-for-windows
-	@$(HEADLESS) $(RUN) -m pytest -n 3 --dist worksteal
+	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 3 --dist worksteal
 
 # Warnings are errors, and all of them are shown. Nothing is fetched.
 docs: setup-for-docs

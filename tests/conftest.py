@@ -8,13 +8,13 @@ import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from at_rest import AtRest
 from compiling import compile_most, compile_once
 from hypothesis import settings
+from once import draw_letters_once, read_manifests_once
 from patience import LONG, LONG_MS
 from screen import Screen
 
@@ -27,6 +27,9 @@ settings.load_profile("any machine")
 os.environ["NAPARI_HMRF_COMPILE"] = "here"
 # napari reads no settings of the person at this machine, and writes none, which takes long.
 os.environ["NAPARI_CONFIG"] = ""
+# A window makes hundreds of thousands of objects that stay as long as it does: Python need not look
+# so often which of them are garbage.
+gc.set_threshold(50_000, 20, 20)
 
 _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -69,18 +72,10 @@ def pytest_runtest_setup(item):
     loops, what tests are made of. What is new since the last one is little.
     """
     if _WINDOWS & set(item.fixturenames):
-        _read_manifests_once()
+        read_manifests_once()
+        draw_letters_once()
         gc.collect()
         gc.freeze()
-
-
-@cache
-def _read_manifests_once():
-    """Have each window find the plugins that the first one found; to read them again takes long."""
-    from npe2 import PluginManifest
-
-    found = list(PluginManifest.discover())
-    PluginManifest.discover = lambda paths=(): iter(found)
 
 
 @pytest.fixture(autouse=True)

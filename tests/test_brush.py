@@ -66,9 +66,9 @@ def ring(middle=(30, 25), radius=14.0, count=40):
 
 
 def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, history):
-    assert drag(brush, paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "pinned tissue"
+    assert drag(brush, paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "held tissue"
     assert history.drawing.marks == (Stroke("pin", (((10, 10), (20, 10), (30, 10)),), 4.0),)
-    assert history.edits.undo().word == "pinned tissue"
+    assert history.edits.undo().word == "held tissue"
     assert not history.drawing.marks
 
 

@@ -82,7 +82,7 @@ def test_what_is_pinned_stays(brushing, settle):
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
     assert seen_paint(person)[20, 28] == number_of("pin")
     assert seen_paint(person)[26, 28] == 0
-    assert widget.history.undo_word == "pinned tissue"
+    assert widget.history.undo_word == "held tissue"
 
 
 def test_what_is_freed_is_held_by_nothing(brushing, settle):

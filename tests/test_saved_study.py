@@ -106,6 +106,36 @@ def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, 
     )
 
 
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_nothing_moves(
+    made, wait_for, tmp_path, moves
+):
+    viewer = ViewerModel()
+    viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
+    first = made(viewer)
+    first.tissue_from_intensity()
+    if moves:
+        first.drawing = DRAWING
+    wait_for(lambda: not first.busy)
+    path = first.save_study(tmp_path / "case")
+    other = ViewerModel()
+    second = made(other)
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    assert second.curve == first.curve
+    (map_of_stiffness,) = (each for each in other.layers if "stiffness" in each.name)
+    assert map_of_stiffness.visible != moves
+    second.undo()
+    assert second.status == "There is nothing to take back."
+    assert second.drawing == first.drawing
+    labels = Tissue(labels=np.ones(SHAPE, np.uint8), materials=(Material(1, "gel", 1.0),))
+    motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())
+    pictures = Pictures(np.ones(SHAPE), name="image")
+    study = Study(Grid(SHAPE, (1.0, 1.0)), labels, motion, pictures=pictures)
+    second.open_study(save_study(tmp_path / "painted", study))
+    assert other.layers["Tissue"].visible != moves
+
+
 def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
     made, run, wait_for, tmp_path
 ):

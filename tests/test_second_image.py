@@ -69,10 +69,46 @@ def test_landmarks_that_are_taken_back_leave_no_numbers_and_nothing_to_compare_w
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
     dock.undo()
     wait_for(lambda: not dock.residual and not dock.busy)
+    assert "residual (mm)" not in viewer.layers["is"].features
     dock._form.result.reference.reset_choices()
     assert dock._form.result.reference.offered == [], "the result is none any more"
     dock.redo()
     wait_for(lambda: "apart before" in dock.residual)
+
+
+def test_points_that_are_moved_are_measured_anew(compared, wait_for):
+    viewer, dock, _, _ = compared
+    Screen(dock).choose("is")
+    dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    further = WHERE + BY + np.array([[0, 10], [0, 0], [0, 0]])
+    viewer.layers["ought"].data = further
+    left = viewer.layers["is"].features["residual (mm)"].to_numpy()
+    np.testing.assert_allclose(left, [8.0, 0, 0], atol=0.02)
+    viewer.layers["ought"].data = further[:2]
+    assert not dock.residual, "they are no pairs any more"
+    assert "residual (mm)" not in viewer.layers["is"].features
+
+
+def test_a_second_image_is_seen_although_nothing_moves_yet_and_when_nothing_does_again(
+    compared, wait_for
+):
+    viewer, dock, before, after = compared
+    dock.start()
+    wait_for(lambda: not dock.busy)
+    dock.compare_with = after
+    shown = viewer.layers["before deformed, elastic"]
+    for _ in range(2):
+        assert viewer.layers.index(after) > viewer.layers.index(shown)
+        assert [each.colormap.name for each in (before, shown, after)] == [
+            "magenta", "magenta", "green"
+        ]  # fmt: skip
+        dock.drawing = Drawing((Arrow(at=(20, 20), by=(0, 2), radius=4.0),))
+        wait_for(lambda: dock.solution is not None and not dock.busy)
+        dock.undo()
+        wait_for(lambda: not dock.busy)
+    dock.compare_with = None
+    assert {before.colormap.name, shown.colormap.name} == {"gray"}
 
 
 def test_landmarks_that_the_field_does_not_know_test_it(compared, wait_for):

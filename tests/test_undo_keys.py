@@ -60,6 +60,48 @@ def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
     assert (tissue.data != painted).any()
 
 
+def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(seated):
+    person, dock = seated
+    tissue, screen = dock.tissue, Screen(dock)
+    clean = tissue.data.copy()
+    screen.click_row("gel")
+    person.paint((1, 1), (1, 4), (1, 8))
+    painted = tissue.data.copy()
+    screen.cell("gel", "Stiffness").write("33")
+    person.paint((18, 1), (18, 4), (18, 8))
+    assert screen.button("Undo").toolTip() == "Take back: painted in 'Tissue' (Ctrl+Z)"
+    assert not screen.button("Redo").isEnabled()
+    screen.press("Undo")
+    assert (tissue.data == painted).all()
+    assert dock.status == "Took back: painted in 'Tissue'."
+    screen.press("Undo")
+    assert dock.materials[1].stiffness != 33
+    screen.press("Undo")
+    assert (tissue.data == clean).all()
+    for _ in range(2):
+        screen.press("Redo")
+    assert dock.materials[1].stiffness == 33
+    person.paint((10, 1), (10, 4), (10, 8))
+    assert not screen.button("Redo").isEnabled(), "something new was done"
+
+
+def test_paint_that_was_there_before_the_dock_is_taken_back_after_all_else(
+    make_napari_viewer, small_sample, qtbot, at_rest
+):
+    viewer = make_napari_viewer(show=True)
+    _, tissue, _ = small_sample(viewer)
+    clean = tissue.data.copy()
+    tissue.paint((5, 5), 3)
+    dock = quick(dock_in(viewer))
+    at_rest()
+    viewer.layers.selection.active = tissue
+    tissue.paint((12, 12), 3)
+    dock.undo()
+    assert (tissue.data != clean).any()
+    dock.undo()
+    assert (tissue.data == clean).all()
+
+
 def test_a_closed_dock_leaves_the_keys_to_napari(seated):
     person, dock = seated
     tissue = dock.tissue

@@ -190,10 +190,16 @@ def test_what_was_taken_back_is_not_asked_for_and_what_was_painted_is(window, cl
     dock.make_layers()
     at_rest()
     assert not dock.unsaved
+    viewer.layers.selection.active = viewer.layers["Tissue"]
     viewer.layers["Tissue"].fill((0, 5, 5), 1)
     assert dock.unsaved
-    assert Asked(dock, "discard")
+    dock.undo()
+    assert not dock.unsaved
+    dock.redo()
+    assert dock.unsaved
+    asked = Asked(dock, "discard")
     assert close(dock)
+    assert len(asked.questions) == 1
 
 
 def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, monkeypatch):

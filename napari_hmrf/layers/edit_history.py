@@ -29,6 +29,8 @@ CURVE = "curve"
 CHOICE = "choice"
 #: And that of a viewer with what tissue is taken to be.
 MODEL = "model"
+#: And that with the number of strokes that napari's brush has painted in a layer.
+PAINT = "paint"
 
 
 @dataclass(frozen=True)
@@ -96,26 +98,27 @@ class ViewerSteps:
         self._viewer = weakref.proxy(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
         self._keys: UndoKeys | None = None
+        # Whether napari paints, and not an undo or a redo.
+        self._painting = False
         self.edits.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
 
     def undo(self) -> None:
         """Take back what was done last, and go to where that was."""
-        if not self._interrupted():
+        if not self._interrupted() and not self._before_us("undo", self.edits.next_undo):
             self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Do again what was taken back last, and go to where that is."""
-        if not self._interrupted():
+        if not self._interrupted() and not self._before_us("redo", self.edits.next_redo):
             self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
-    def choose(self, name: str) -> None:
-        """Undo or redo as the keys do: the active layer's paint if it was last, or what is ours."""
-        active = self._viewer.layers.selection.active
-        if self._keys is None:
-            getattr(self, name)()
-        else:
-            self._keys.choose(active, name)
+    def painted(self, layer: Any) -> None:
+        """Have a stroke of napari's brush be a step among the others."""
+        slot = Slot(PAINT, layer)
+        strokes, self._painting = self.edits.open(slot, 0), True
+        self.edits.do(slot, strokes + 1, f"painted in '{layer.name}'")
+        self._painting = False
 
     @property
     def undo_tooltip(self) -> str:
@@ -148,13 +151,21 @@ class ViewerSteps:
 
     def where(self, slot: Any) -> str:
         """Where something is edited, in words, if there is more than one place; else nothing."""
-        if slot.what != DRAWING:
+        if slot.what not in (DRAWING, CHOICE):
             return ""
         images = {id(each.layer) for each in self.edits.slots if each.what == DRAWING}
         where = "" if slot.place is None else slot.place.name
         if len(images) > 1:
             where += f" of '{slot.layer.name}'" if where else f"'{slot.layer.name}'"
         return where
+
+    def _before_us(self, name: str, step: Step | None) -> bool:
+        """Take back, or do again, paint of the active layer that was there before anybody asked."""
+        layer = self._viewer.layers.selection.active
+        known = step is None and bool(paint_steps(layer, name))
+        if known:
+            getattr(layer, name)()
+        return known
 
     def _interrupted(self) -> bool:
         return any(owner.interrupt() for owner in tuple(self._owners))
@@ -191,10 +202,14 @@ class ViewerSteps:
             if axis not in plane:
                 dims.set_point(axis + missing, float(there[axis]))
 
-    def _on_changed(self, slot: Any, value: Any) -> None:
-        """Have the layer carry its table; whoever shows it listens for itself."""
+    def _on_changed(self, slot: Any, value: Any, before: Any) -> None:
+        """Have the layer carry its table, or its paint; whoever shows it listens for itself."""
         if slot.what in (TISSUE, BOUNDARY):
             value.give_to(slot.layer, slot.what)
+        elif slot.what == PAINT and not self._painting:
+            name = "undo" if value < before else "redo"
+            if paint_steps(slot.layer, name):  # napari keeps no more than a hundred
+                getattr(slot.layer, name)()
 
     def _on_removed(self, event: Any) -> None:
         gone = event.value
@@ -209,8 +224,8 @@ def steps_of(viewer: Any) -> ViewerSteps:
 class UndoKeys:
     """Have what was done last taken back, by the same keys for paint and for all else.
 
-    napari binds them to paint wherever a Labels layer is the active one. There they take back
-    paint unless an edit of ours came after it, or no paint is left.
+    napari binds them to paint wherever a Labels layer is the active one; there its strokes become
+    steps of ours.
 
     Parameters
     ----------
@@ -220,18 +235,14 @@ class UndoKeys:
     """
 
     def __init__(self, viewer: Any, steps: ViewerSteps) -> None:
-        self._steps, self._edits, self._selection = steps, steps.edits, viewer.layers.selection
-        #: Whether what was done last was an edit of ours.
-        self._ours = False
+        self._steps, self._selection = steps, viewer.layers.selection
         # What is done to leave the keys, of all layers and of the active one, as they were.
         self._all, self._of_layer = self._bind(viewer), ExitStack()
-        self._edits.moved.connect(self._on_moved)
         self._selection.events.active.connect(self._on_active)
         self._on_active()
 
     def release(self) -> None:
         """Leave all keys as they were."""
-        self._edits.moved.disconnect(self._on_moved)
         self._selection.events.active.disconnect(self._on_active)
         self._of_layer.close()
         self._all.close()
@@ -240,7 +251,7 @@ class UndoKeys:
         bound = ExitStack()
         for key, name in KEYS.items():
             with suppress(ValueError):  # somebody else's
-                owner.bind_key(key, lambda each, name=name: self.choose(each, name))
+                owner.bind_key(key, lambda _, name=name: getattr(self._steps, name)())
                 bound.callback(owner.bind_key, key, None)
         return bound
 
@@ -253,18 +264,5 @@ class UndoKeys:
             active.events.paint.connect(self._on_paint)
             self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
 
-    def choose(self, owner: Any, name: str) -> None:
-        """Take back, or do again, what is ours, or a layer's paint."""
-        step = self._edits.next_undo
-        later = name == "undo" and self._ours and step is not None
-        if paint_steps(owner, name) and not later:
-            getattr(owner, name)()
-        else:
-            getattr(self._steps, name)()
-
-    def _on_moved(self) -> None:
-        # Something new leaves nothing to be done again.
-        self._ours = self._edits.next_undo is not None and self._edits.next_redo is None
-
-    def _on_paint(self, *_: Any) -> None:
-        self._ours = False
+    def _on_paint(self, event: Any) -> None:
+        self._steps.painted(event.source)

@@ -398,6 +398,11 @@ class ResultLayers:
         known = self._results.setdefault(source, {})
         return known.setdefault(where, Result(self._viewer, source, where))
 
+    def pictures_of(self, source: Any) -> list[Any]:
+        """The layers that show a layer as it has moved, of all slices."""
+        found = (result.layer("image") for result in self._results.get(source, {}).values())
+        return [layer for layer in found if layer is not None]
+
     def of(self, arrows: Any) -> Result:
         """The result that a layer of arrows holds, be it from a file."""
         for result in self._all():

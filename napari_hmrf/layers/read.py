@@ -387,5 +387,5 @@ def study_layers(study: Study) -> dict[str, Any]:
         look = {"contrast_limits": (0, 1), "opacity": 0.3}
         add("confidence", "How sure", counts, look)
     for part, layer in made.items():  # paint would tint the picture that has moved
-        layer.visible = part == ("image" if "image" in made else "tissue")
+        layer.visible = not study.moves or part == ("image" if "image" in made else "tissue")
     return made

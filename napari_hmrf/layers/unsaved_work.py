@@ -7,9 +7,6 @@ from typing import Any
 
 from napari_hmrf.layers.edit_history import Slot, steps_of
 
-#: Of what cannot be taken back by our steps.
-_PAINT = "paint"
-
 
 class UnsavedWork:
     """Knows which slices no file holds as they are; of a viewer there is one (`shared`).
@@ -38,7 +35,7 @@ class UnsavedWork:
         there = self._edits.slots
 
         def differs(slot: Slot, before: Any) -> bool:
-            return slot.what == _PAINT or (slot in there and self._edits.get(slot) != before)
+            return slot in there and bool(self._edits.get(slot) != before)
 
         return tuple(
             here
@@ -54,11 +51,12 @@ class UnsavedWork:
         here : Slot
             The drawing of the slice.
         slot : Slot, optional
-            What is edited, if that can be taken back; else it is unsaved until it is saved.
+            What is edited; without, the slice is unsaved until it is saved, whatever is taken back.
         before : object
             What that held.
         """
-        self._before.setdefault(here, {}).setdefault(slot or here._replace(what=_PAINT), before)
+        held = object() if slot is None else before
+        self._before.setdefault(here, {}).setdefault(slot or here, held)
 
     def save(self, here: Slot) -> None:
         """A slice is in a file as it is now, or is not wanted any more."""

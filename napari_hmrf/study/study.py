@@ -247,6 +247,13 @@ class Study:
         parts = {"prior": self.prior.parameters, "optimizer": self.optimizer.parameters}
         return model_name(parts)
 
+    @property
+    def moves(self) -> bool:
+        """Whether anything is said of how tissue moves, but that its edge is held."""
+        motion = self.motion
+        given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
+        return any(given)
+
     def named(self, *parts: str) -> Named:
         """What people call a part: the first of these that has a name."""
         known = (self.names[part] for part in parts if part in self.names)

@@ -60,8 +60,8 @@ class DockSteps:
         choices.settled.connect(partial(self.note, by_itself=True))
         form.tissue.editor.plot.edited.connect(self._take_curve)
         form.tissue.editor.plot.settled.connect(lambda _: self._model.end())
-        form.footer.undo.changed.connect(lambda _: steps.choose("undo"))
-        form.footer.redo.changed.connect(lambda _: steps.choose("redo"))
+        form.footer.undo.changed.connect(lambda _: steps.undo())
+        form.footer.redo.changed.connect(lambda _: steps.redo())
         StepKeys(native, steps)
         self._heard = Listening(
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
@@ -149,8 +149,8 @@ class DockSteps:
 def _step(slot: Slot, before: Any, now: Any) -> str:
     """What was done, in words; "" if it is no step."""
     if slot == _THE_MODEL:
-        same = all(before[name] == now[name] for name in ("model", "plane"))
-        return "" if same else "chose another model"
+        other = (name for name in ("model", "plane") if before[name] != now[name])
+        return next((f"chose another {name}" for name in other), "")
     if slot.what == CHOICE:
         return next(word for name, word in _CHOSEN.items() if before[name] != now[name])
     return change(before, now, slot.layer.name)

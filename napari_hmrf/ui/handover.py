@@ -17,7 +17,7 @@ from napari_hmrf.ui.events import single_shot
 _log = logging.getLogger("napari_hmrf")
 _Answer = Callable[[Any], None]
 # What those who wait for an errand are told.
-_DOING = "a picture that is being drawn; closing 'Soft tissue' stops that"
+_DOING = "a picture that is being drawn"
 
 
 class Newest(QObject):

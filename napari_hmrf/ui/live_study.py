@@ -361,7 +361,8 @@ class LiveStudy:
 
     def _on_poll(self) -> None:
         footer, monitor = self._form.footer, self._follower.monitor
-        waited, what = time.monotonic() - self._since, "Following the last edit"
+        waited, moves = time.monotonic() - self._since, bool(self._pointer.drawing.marks)
+        what = "Following the last edit" if moves or self.latest else "Getting ready"
         if not (self._follower.busy or self.settling):
             self._poll.stop()
             self._stop()

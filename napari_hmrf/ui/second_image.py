@@ -5,13 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from napari.layers.base import ActionType
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import LandmarkPairs, landmark_pairs
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
@@ -38,6 +41,7 @@ class SecondImage:
 
     def __init__(self, viewer: Any, form: DockForm, view: ResultView, live: LiveStudy) -> None:
         self._viewer, self._view, self._live, self._form = viewer, view, live, form.result
+        self._results = shared(viewer, ResultLayers)
         self._image = form.image
         self._pair = form.motion.boundary.landmarks
         # The layers that are drawn in another way, and how they were before.
@@ -46,19 +50,28 @@ class SecondImage:
         self._place: tuple[Any, int] | None = None
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (view.looked, *(choice.changed for choice in choices))
-        self._heard = Listening(*((change, self.look) for change in changes))
+        self._heard = Listening(
+            (viewer.layers.events.inserted, self.look), *((change, self.look) for change in changes)
+        )
+        self._points = Listening()
+        # Of which layer, and in which column, it is said how far its points are from their places.
+        self._said: tuple[Any, str] | None = None
 
     def release(self) -> None:
         """The dock is closed, or its window is gone."""
         self._heard.release()
+        self._points.release()
         self._draw(None, [])
 
     def look(self, *_: Any) -> None:
         """Show the second image over the first, and say how far landmarks are apart."""
-        shown = self._view.shown
-        moved = (self._image.value, None if shown is None else shown.layer("image"))
-        self._draw(self._form.second.value, [layer for layer in moved if layer is not None])
-        self._form.landmarks.say(self._measured())
+        image = self._image.value
+        moved = [] if image is None else [image, *self._results.pictures_of(image)]
+        self._draw(self._form.second.value, moved)
+        self._points.release()
+        pair = {self._pair.where.value, self._pair.should.value} - {None}
+        self._points = Listening(*((layer.events.data, self._on_points) for layer in pair))
+        self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Draw an image over others that move; those drawn so before are as they were."""
@@ -88,6 +101,17 @@ class SecondImage:
             if layer in layers and layers.index(layer) > layers.index(other):
                 layers.move(layers.index(other), layers.index(layer) + 1)
 
+    def _on_points(self, event: Any) -> None:
+        if event.action in (ActionType.ADDED, ActionType.REMOVED, ActionType.CHANGED):
+            self._measure()
+
+    def _measure(self) -> None:
+        """Say how far landmarks are apart; what was said of points before is no longer so."""
+        said, self._said = self._said, None
+        if said is not None and said[1] in said[0].features:
+            said[0].features = said[0].features.drop(columns=said[1])
+        self._form.landmarks.say(self._measured())
+
     def _measured(self) -> str:
         """How far landmarks were and are apart; each pair's goes to the features of its layer."""
         shown, where = self._view.shown, self._pair.where.value
@@ -103,7 +127,8 @@ class SecondImage:
         if where is not None:
             column = np.full(len(where.data), np.nan)
             column[pairs.numbers] = left
-            where.features = where.features.assign(**{f"residual ({unit})": column})
+            self._said = where, f"residual ({unit})"
+            where.features = where.features.assign(**{self._said[1]: column})
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"

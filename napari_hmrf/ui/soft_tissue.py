@@ -250,7 +250,8 @@ class SoftTissue(Dock):
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
         self._live_study.look()
-        self._pointer.set_drawing(drawing, "took over a drawing")
+        by_itself = self._choices.by_itself
+        self._pointer.set_drawing(drawing, "" if by_itself else "took over a drawing")
 
     def at(self, position: Any) -> Probe | None:
         """Say what happens to the tissue that is seen at a point of the world; None beside it."""
@@ -432,7 +433,6 @@ class SoftTissue(Dock):
         pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
-        self._watch.painted.connect(self._unsaved.painted)
         self._watch.first_came.connect(self._on_first)
 
     def _show_tool(self) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.io.study_file import load_study, save_study
+from napari_hmrf.layers.edit_history import CURVE
+from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.models import details_of, family_of
@@ -41,3 +43,6 @@ def open_into(dock: Any, viewer: Any, path: str | Path) -> None:
         if np.ndim(study.prior.poisson) == 0:
             dock.poisson = float(study.prior.poisson)
     dock.drawing = study.motion.drawing
+    for layer in viewer.layers:
+        if known_of(layer).get("kind") == CURVE and study.moves:
+            layer.visible = False

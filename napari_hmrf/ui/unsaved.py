@@ -20,7 +20,14 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import SUFFIX, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
-from napari_hmrf.layers.edit_history import CHOICE, DRAWING, MODEL, Slot, steps_of
+from napari_hmrf.layers.edit_history import (
+    CHOICE,
+    DRAWING,
+    MODEL,
+    PAINT,
+    Slot,
+    steps_of,
+)
 from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study import Study
@@ -112,15 +119,10 @@ class Unsaved(QObject):
             study_files.open_into(self._dock, self._viewer, path)
         self._choices.begin()
 
-    def painted(self) -> None:
-        """A layer that is read was painted on."""
-        if isinstance(here := self._pointer.history.slot, Slot):
-            self._work.note(here)
-            self._resting.start()
-
     def _on_edited(self, slot: Slot, _: Any, before: Any) -> None:
-        if slot.what in (CHOICE, MODEL):
-            return  # made again in a moment
+        others = slot.what == PAINT and slot.layer not in self._choices.values.values()
+        if slot.what in (CHOICE, MODEL) or others:
+            return  # made again in a moment, or no part of the study
         edits = self._steps.edits
         here = slot if slot.what == DRAWING else self._pointer.history.slot
         # What changes with something else, as a choice that follows new layers does, is no step.

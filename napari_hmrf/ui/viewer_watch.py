@@ -46,8 +46,6 @@ class ViewerWatch:
 
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
-    #: A layer that is read was painted on by napari's brush.
-    painted = Signal()
 
     def __init__(
         self,
@@ -170,8 +168,6 @@ class ViewerWatch:
         """The pixels of a layer, or their place, may be others."""
         if self._reads(event.source):
             self._live.touch()
-            if event.type == "paint":
-                self.painted.emit()
 
     def _reads(self, layer: Any) -> bool:
         """Whether a layer is among those that are read."""

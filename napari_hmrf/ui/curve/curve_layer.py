@@ -6,10 +6,11 @@ from typing import Any
 
 from napari.layers import Layer
 
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.label_colours import stiffness_colours
 from napari_hmrf.layers.metadata import TISSUE
 from napari_hmrf.layers.result_layers import layer_on
-from napari_hmrf.layers.viewer_layers import same_selection, still_there, update_layer
+from napari_hmrf.layers.viewer_layers import same_selection, shared, still_there, update_layer
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.curve.editor import CurveEditor
 
@@ -25,7 +26,7 @@ class CurveLayer:
     Attributes
     ----------
     layer : napari.layers.Image or None
-        Directly above the image, while there is a curve; nothing is read from it.
+        Above the image, moved or not, while there is a curve; nothing is read from it.
     """
 
     def __init__(self, viewer: Any, editor: CurveEditor) -> None:
@@ -60,7 +61,9 @@ class CurveLayer:
             update_layer(self.layer, made)
         else:
             self.layer = Layer.create(*made)
+            layers = self._viewer.layers
+            below = [image, *shared(self._viewer, ResultLayers).pictures_of(image)]
             with same_selection(self._viewer):
-                self._viewer.layers.insert(self._viewer.layers.index(image) + 1, self.layer)
+                layers.insert(max(map(layers.index, below)) + 1, self.layer)
         # From less than the softest, so that only what is void lies below.
         self.layer.contrast_limits = min(softest / 2, stiffest / 256), stiffest

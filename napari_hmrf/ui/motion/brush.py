@@ -14,10 +14,10 @@ from napari_hmrf.ui.motion.hands import Hand, Origin, unmoved
 _STEP = 0.1
 #: What was painted, for the words of the steps.
 WORDS: dict[Action, str] = {
-    "pin": "pinned tissue",
+    "pin": "held tissue",
     "free": "freed tissue",
-    "move": "painted a move",
-    "expand": "painted what expands",
+    "move": "painted a push",
+    "expand": "painted what grows",
     "confidence": "painted confidence",
     "tissue": "painted tissue",
 }

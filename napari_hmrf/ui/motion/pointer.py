@@ -183,9 +183,12 @@ class Pointer:
             corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
-        """Have another drawing, as one step."""
+        """Have another drawing, as one step; without a word it is none."""
         self.release()
-        self.history.do(drawing, word)
+        if word:
+            self.history.do(drawing, word)
+        else:
+            self.history.edits.amend(self.history.slot, drawing)
 
     def clear(self) -> None:
         """Remove all that is drawn."""
