@@ -43,6 +43,7 @@ from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
+from napari_hmrf.samples.head import HeadPhantom, head_phantom
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
     Phantom,
@@ -87,6 +88,7 @@ __all__ = [
     "Field",
     "FileFormatError",
     "Grid",
+    "HeadPhantom",
     "HmrfError",
     "Landmark",
     "LandmarkFile",
@@ -120,6 +122,7 @@ __all__ = [
     "export_field",
     "folds",
     "green_lagrange_strain",
+    "head_phantom",
     "inverse_map",
     "is_solution_file",
     "is_study_file",

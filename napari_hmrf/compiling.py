@@ -1,7 +1,8 @@
 """Compile all loops for the processor, and keep them: ``python -m napari_hmrf.compiling``.
 
 Solves a small problem in every way there is, as only what is called is compiled; what somebody
-waits for comes next. Prints how many of them are done.
+waits for comes next. What few need (`kept.APART`) is compiled only if somebody waits for it. Prints
+how many of them are done.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
-_SIZE = 40
+_SIZE, _SLICES = 40, 12
 
 
 class _Overtaken(Exception):
@@ -70,6 +71,7 @@ def jobs() -> list[Job]:
         solving("blanket-schedule", blanket, schedule, square),
         solving("blanket-converged", blanket, Multigrid(), square),
         solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
+        Job("volume", _volume),
     ]
 
 
@@ -81,6 +83,12 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
         m[18:23, 12:17] = np.inf
     problem = Problem(c, c, m, spacing=spacing)
     solve(problem, prior, optimizer=optimizer, backend="cpu")
+
+
+def _volume() -> None:
+    c = np.zeros((_SLICES, _SLICES, _SLICES, 3))
+    c[0] = c[-1] = 1
+    solve(Problem(c, c, np.ones(c.shape[:3])), ElasticPrior(0.3), backend="cpu")
 
 
 def _pictures() -> None:
@@ -104,6 +112,12 @@ def run(job: Job, tell: Callable[[Stage], object]) -> None:
     """Do a job on the compute thread itself, saying how far it is."""
     with watched(job.name, tell):
         job.run()
+
+
+def _wanted(todo: list[Job]) -> list[Job]:
+    """What of it is to be done: all but what nobody waits for and few need."""
+    wanted = compiler.wanted()
+    return [job for job in todo if job.name not in kept.APART or job.name == wanted]
 
 
 def _next(todo: list[Job]) -> None:
@@ -135,13 +149,15 @@ def main() -> int:
     os.environ[loops.HERE] = "here"  # it must not wait for itself
     compiled = False
     try:
-        todo = jobs()
-        for number in range(1, len(todo) + 1):
+        todo = [job for job in jobs() if job.name in kept.APART or not kept.mark().exists()]
+        number = 0
+        while rest := _wanted(todo):
             _next(todo)
             if not _kept():
                 break
-            print(f"{number} of {number + len(todo)}", flush=True)
-        compiled = not todo
+            number += 1
+            print(f"{number} of {number + len(rest) - 1}", flush=True)
+        compiled = all(job.name in kept.APART for job in todo)
     finally:
         compiler.end(compiled)
     return 0 if compiled else 1

@@ -362,3 +362,21 @@ def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
     monkeypatch.setattr(kept, "folder", lambda: tmp_path / "file" / "folder")
     assert not compiler.begin()
     assert not loops.ready()
+
+
+def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkeypatch):
+    done = []
+    names = ["elastic", "volume"]
+    made = [compiling.Job(name, lambda name=name: done.append(name)) for name in names]
+    monkeypatch.setattr(compiling, "jobs", lambda: list(made))
+    monkeypatch.setattr(compiling, "_kept", lambda: True)
+    monkeypatch.setattr(compiler, "give_way", lambda: None)
+    monkeypatch.setenv("NAPARI_HMRF_COMPILE", "there")
+    assert compiling.main() == 0
+    assert done == ["elastic"]
+    assert kept.compiled("")
+    assert not kept.compiled("volume")
+    compiler._wanted_file().write_text("volume", encoding="utf-8")
+    assert compiling.main() == 0
+    assert done == ["elastic", "volume"]
+    assert kept.compiled("volume")

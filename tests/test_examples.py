@@ -85,3 +85,13 @@ def test_a_drag_that_goes_on_as_it_did_is_the_same_field_for_less_work(said):
     assert len(apart) == 8
     assert max(apart) < 0.003, "both are within the tolerance, a thousandth of a pixel"
     assert number("# iterations in all", text) < number("each time, #", text)
+
+
+def test_in_a_volume_a_tumour_grows_at_the_cost_of_what_is_around_it(said):
+    text = said("volume")
+    volumes = {name: float(share) for name, share in re.findall(r"(\w+): .* is ([\d.]+) %", text)}
+    assert volumes["tumour"] > 130
+    assert max(volumes["brain"], volumes["ventricles"]) < 100
+    before, after = re.findall(r"(\d+) before, (\d+) after", text)[0]
+    assert int(after) > 1.3 * int(before)
+    assert number("within # px", text) <= 0.001

@@ -133,7 +133,7 @@ def test_images_on_different_grids_are_refused_with_both_shapes(field, shape):
     assert str(shape) in str(caught.value)
 
 
-@pytest.mark.parametrize("shape", [(0, 5), (1, 1), (5,), (3, 4, 5), ()])
+@pytest.mark.parametrize("shape", [(0, 5), (1, 1), (5,), (0, 4, 5), (1, 1, 1), (2, 2, 2, 2), ()])
 def test_grids_that_cannot_deform_are_refused(shape):
     ndim = len(shape)
     with pytest.raises(ProblemError) as caught:
@@ -141,9 +141,16 @@ def test_grids_that_cannot_deform_are_refused(shape):
     assert caught.value.field == "stiffness"
 
 
-def test_a_volume_is_told_to_come_slice_by_slice():
-    with pytest.raises(ProblemError, match="slice by slice"):
-        Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), np.ones((3, 4, 5)))
+def test_a_volume_has_three_components_and_three_spacings():
+    m = np.ones((3, 4, 5))
+    problem = Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(2, 1, 1))
+    assert problem.is_volume
+    assert problem.unit == pytest.approx(2 ** (1 / 3))
+    assert Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m).spacing == (1, 1, 1)
+    with pytest.raises(ProblemError, match=r"\(3, 4, 5, 3\) is needed"):
+        Problem(np.zeros((3, 4, 5, 2)), np.ones((3, 4, 5, 3)), m)
+    with pytest.raises(ProblemError, match="Give 3 positive"):
+        Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(1, 1))
 
 
 def test_images_in_another_order_are_told_the_right_one():

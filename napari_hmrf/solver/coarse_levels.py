@@ -3,7 +3,8 @@
 Here coarse site i lies *on* fine site 2 i (the quadtree's sites lie between), so a level has
 ``size // 2 + 1`` sites along an axis. A coarse element has the mean Lame parameters of the four it
 covers, void counted as 0. In two dimensions an element's energy does not depend on its size, so the
-kernels need to know nothing else.
+kernels need to know nothing else. In three it grows with its side: there it has twice the mean of
+the eight.
 
 A site that is held does not move on the finest level. A coarse site near it is on a spring
 instead: pinning every coarse site that touches a fine one would make the correction useless near
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, Lame, element_forces
+from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, Lame, lame_ratio
 
 #: A level this small (sites along its longer axis) is the last one.
 COARSEST = 5
@@ -42,31 +43,33 @@ def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
     The first is that of a uniform grid (its symbol), which mixtures hardly exceed; the second that
     of the worst single element, which no mixture can. Both grow with lambda / mu.
     """
-    nu = material.largest_poisson
-    return _bounds(2 * nu / (1 - (2 * nu if material.strain else nu)), material.shape)
+    return _bounds(lame_ratio(material.largest_poisson, material.strain), material.shape)
 
 
 @lru_cache(maxsize=16)
-def _bounds(ratio: float, shape: ElementShape) -> tuple[float, float]:
-    grid = Lame(np.full((4, 4), ratio), np.ones((4, 4)))
-    stencil = np.zeros((3, 3, 2, 2))
-    for component in (0, 1):
-        impulse = np.zeros((5, 5, 2))
-        impulse[2, 2, component] = 1
-        stencil[..., component] = element_forces(grid, shape, impulse)[3:0:-1, 3:0:-1]
-    usual = 0.0
-    at = np.arange(-1, 2)
-    for row in np.linspace(0, np.pi, 9):
-        for col in np.linspace(-np.pi, np.pi, 17):
-            wave = np.exp(1j * (row * at[:, None] + col * at))
-            usual = max(usual, _largest(np.einsum("ij,ijkl->kl", wave, stencil), stencil[1, 1]))
-    one = Lame(grid.first[:1, :1], grid.shear[:1, :1])
-    corners = np.eye(8).reshape(8, 2, 2, 2)
-    element = np.array([element_forces(one, shape, corner).ravel() for corner in corners])
+def _bounds(ratio: float, shape: Any) -> tuple[float, float]:
+    ndim = 2 if isinstance(shape, ElementShape) else 3
+    grid = Lame(np.full((4,) * ndim, ratio), np.ones((4,) * ndim))
+    stencil = np.zeros((*(3,) * ndim, ndim, ndim))
+    around = (slice(3, 0, -1),) * ndim
+    for component in range(ndim):
+        impulse = np.zeros((*(5,) * ndim, ndim))
+        impulse[(*(2,) * ndim, component)] = 1
+        stencil[..., component] = shape.forces(grid, impulse)[around]
+    # A wave and its opposite have the same spectrum: along the first axis half of them will do.
+    half, whole = np.linspace(0, np.pi, 9), np.linspace(-np.pi, np.pi, 17)
+    numbers = np.stack(np.meshgrid(half, *[whole] * (ndim - 1)), axis=-1)
+    waves = np.exp(1j * np.tensordot(numbers, np.indices((3,) * ndim) - 1, 1))
+    symbols = np.tensordot(waves, stencil, ndim)
+    usual = _largest(symbols, stencil[(1,) * ndim])
+    one = Lame(*(each[(slice(1),) * ndim] for each in grid))
+    size = ndim * 2**ndim
+    corners = np.eye(size).reshape(size, *(2,) * ndim, ndim)
+    element = np.array([shape.forces(one, corner).ravel() for corner in corners])
     return usual, _largest(element, element)
 
 
-def _largest(matrix: npt.NDArray[Any], of_diagonal: npt.NDArray[Any]) -> float:
-    """The largest eigenvalue of a Hermitian matrix in units of a diagonal."""
+def _largest(matrices: npt.NDArray[Any], of_diagonal: npt.NDArray[Any]) -> float:
+    """The largest eigenvalue of Hermitian matrices in units of a diagonal."""
     scale = np.sqrt(np.diag(of_diagonal).real)
-    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[-1])
+    return float(np.linalg.eigvalsh(matrices / np.outer(scale, scale)).max())

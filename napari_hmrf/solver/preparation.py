@@ -19,11 +19,15 @@ from napari_hmrf.solver.problem import Problem
 
 #: The job that brings all loops.
 EVERYTHING = ""
+# Of a small problem, by its number of axes.
+_SIZES = {2: 40, 3: 12}
 _prepared: set[tuple[str | bool, ...]] = set()
 
 
 def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
     """Which job of `napari_hmrf.compiling` brings the loops of a solve, or most of them."""
+    if len(spacing) == 3:
+        return "volume"
     if isinstance(prior, ElasticPrior):
         return "elastic" if prior.kernels == ElasticPrior().kernels else "slipping"
     name = "schedule" if isinstance(optimizer, ICM) else "converged"
@@ -63,18 +67,19 @@ def prepare(
     """Compile what a schedule needs by running it on a small problem, once per process.
 
     Small, but with levels between others, something to find, and more sites than would be solved
-    without a cycle. Square pixels have kernels of their own.
+    without a cycle. Square pixels have kernels of their own, and volumes.
     """
-    rehearsal = optimizer.rehearsal()
+    rehearsal, axes = optimizer.rehearsal(), len(spacing)
     square = len(set(spacing)) == 1
-    key = (device.name, device.renderer, loops.in_use(), prior.kernels, repr(rehearsal), square)
+    name = f"{axes} axes", device.name, device.renderer
+    key = (*name, loops.in_use(), prior.kernels, repr(rehearsal), square)
     if key in _prepared:
         return
-    size = 40
-    y, c, m = np.zeros((size, size, 2)), np.zeros((size, size, 2)), np.ones((size, size))
+    grid = (_SIZES[axes],) * axes
+    y, c, m = np.zeros((*grid, axes)), np.zeros((*grid, axes)), np.ones(grid)
     c[0] = c[-1] = 1
     y[-1] = 1
-    small = Problem(y, c, m, spacing=(1.0, 1.0) if square else (1.0, 2.0))
+    small = Problem(y, c, m, spacing=(1.0,) * axes if square else (1.0, 2.0, 2.0)[:axes])
     tissue = prior.rehearsal(small.shape)
 
     def go_on(_: Monitor) -> None:

@@ -21,6 +21,8 @@ FloatArray = npt.NDArray[np.float32]
 MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
 _SMALLEST_STIFFNESS = 1e-30
+# The spacing of those who give none.
+_EVEN = (1.0, 1.0)
 #: The longest displacement that can be meant, in diagonals of the image.
 MAX_REACH = 2.0
 _LARGEST = float(np.finfo(np.float32).max)
@@ -34,19 +36,20 @@ class Problem:
 
     Parameters
     ----------
-    observed : array_like, shape (H, W, 2)
-        Observed (boundary) displacement, y in the equations: components in (row, col) order, in
-        the unit of `spacing`. Material displacement: the tissue at X was seen to move to X + y(X).
-        Ignored, and stored as zero, where `confidence` is zero.
-    confidence : array_like, shape (H, W, 2)
+    observed : array_like, shape (H, W, 2) or (D, H, W, 3)
+        Observed (boundary) displacement, y in the equations: components in (row, col) order, of a
+        volume (plane, row, col), in the unit of `spacing`. Material displacement: the tissue at X
+        was seen to move to X + y(X). Ignored, and stored as zero, where `confidence` is zero.
+    confidence : array_like, shape (H, W, 2) or (D, H, W, 3)
         Confidence in each component of `observed`, c in the equations: from 0 (none) to 1
         (complete).
-    stiffness : array_like, shape (H, W)
+    stiffness : array_like, shape (H, W) or (D, H, W)
         Young's modulus, m in the equations, in any unit: only ratios matter. ``0`` means no tissue
         (void): no clique touches such a site and it has no displacement. ``inf`` means rigid
         tissue, for `ElasticPrior`: what touches of it moves as one body.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction, in any unit of length.
+    spacing : sequence of float, shape (2,) or (3,)
+        Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
+        any unit of length; by default 1 along each axis.
 
     Raises
     ------
@@ -65,10 +68,12 @@ class Problem:
         confidence: npt.ArrayLike,
         stiffness: npt.ArrayLike,
         *,
-        spacing: Sequence[float] = (1.0, 1.0),
+        spacing: Sequence[float] = _EVEN,
     ) -> None:
-        m = _as_image(stiffness)
-        pixel = _checked_spacing(spacing, m.ndim)
+        # With one value for each pixel as what is observed, stiffness is no volume.
+        image = isinstance(observed, np.ndarray) and observed.ndim == 2
+        m = _as_image(stiffness, (2,) if image else (2, 3))
+        pixel = _checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
         _check_grid(m)
         c = _as_float32("confidence", confidence)
         y = _as_float32("observed", observed)
@@ -104,8 +109,13 @@ class Problem:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The grid: (H, W)."""
+        """The grid: (H, W) or (D, H, W)."""
         return tuple(self.stiffness.shape)
+
+    @property
+    def is_volume(self) -> bool:
+        """Whether the grid has three axes."""
+        return self.stiffness.ndim == 3
 
     @cached_property
     def tissue(self) -> npt.NDArray[np.bool_]:
@@ -202,17 +212,15 @@ def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
     return m
 
 
-def _as_image(stiffness: npt.ArrayLike) -> FloatArray:
+def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2,)) -> FloatArray:
     image = _as_float32("stiffness", stiffness)
-    if image.ndim != 2:
-        hint = ""
-        if image.ndim == 3:
-            swapped = image.shape[-1] == 2  # one value for each component
-            order = "Give observed, confidence and stiffness in this order."
-            hint = order if swapped else "3-D grids are not supported yet: solve slice by slice"
+    if image.ndim not in axes:
+        swapped = image.ndim == 3 and image.shape[-1] == 2  # one value for each component
+        hint = "Give observed, confidence and stiffness in this order." if swapped else ""
+        volume = " or a volume (D, H, W)" if 3 in axes else ""
         raise ProblemError(
             "stiffness",
-            f"has shape {image.shape}, but a 2-D image (H, W) is needed. {hint}".rstrip(),
+            f"has shape {image.shape}, but a 2-D image (H, W){volume} is needed. {hint}".rstrip(),
         )
     return image
 

@@ -1,14 +1,16 @@
 """Whether what is observed determines how elastic tissue moves.
 
 A piece of tissue can move as a rigid body in three ways (along rows, along columns, and turning) at
-no cost. What is observed of it must stop all three, or there is no one answer. Two pieces that meet
-in a single site are hinged there: each may still turn by itself.
+no cost, in a volume in six. What is observed of it must stop all of them, or there is no one
+answer. Two pieces that meet in a single site, or in a volume along an edge, are hinged there: each
+may still turn by itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +24,12 @@ from napari_hmrf.solver.problem import Problem
 _NOTHING = 1e-9
 # Of a motion that costs nothing: pieces that take so small a part in it are at rest.
 _REST = 1e-6
-_MOTIONS = ("along rows", "along columns", "by turning")
+_STEPS = ("along planes", "along rows", "along columns")
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
+#: How far sites move along an axis, by the number of a motion.
+Ways = dict[int, Motions]
 
 
 class Firm(NamedTuple):
@@ -33,14 +37,16 @@ class Firm(NamedTuple):
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
+    #: As `grip` says it, of a volume.
+    grip: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Whether that is held, too: to hold more of the same tissue, as a brush does, frees none.
 
         Parameters
         ----------
-        tissue : ndarray of bool, shape (H, W)
-        held : ndarray of bool, shape (H, W, 2)
+        tissue : ndarray of bool, shape (H, W) or (D, H, W)
+        held : ndarray of bool, of as many components as axes
         """
         return np.array_equal(self.tissue, tissue) and not (self.held > held).any()
 
@@ -76,13 +82,37 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and how it could move.
     """
+    grip(problem)
+
+
+def grip(problem: Problem) -> float:
+    """How firmly what is observed holds tissue against its rigid motions.
+
+    Of the motion that is stopped least, the sum of squares at all that is held, where the far end
+    of tissue moves by about 1; over the size of its surface, roughly.
+
+    Raises
+    ------
+    ProblemError
+        As of `check_held`.
+    """
     held = problem.known
-    if any(known.covers(problem.tissue, held) for known in _firm):
-        return
+    for known in _firm:
+        if known.covers(problem.tissue, held):
+            return known.grip
     free = free_motion(problem, held)
     if free is not None:
         raise refusal(free)
-    _firm[:] = [Firm(problem.tissue, held)]
+    found = 0.0
+    if problem.is_volume:
+        pieces, count = _pieces(problem.stiffness)
+        sizes = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
+        stopped = _modes(pieces, count, held)
+        found = min(
+            float(stops[0]) / sizes[cluster].sum() ** (2 / 3) for cluster, _, stops, _ in stopped
+        )
+    _firm[:] = [Firm(problem.tissue, held, found)]
+    return found
 
 
 def refusal(free: FreeMotion) -> ProblemError:
@@ -116,10 +146,12 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
         )
     for cluster, strength, modes in _free_modes(pieces, count, held):
         mode = modes[0]
-        worst = int(np.argmax((mode**2).sum(axis=1)))
-        nothing = np.trace(strength[3 * worst : 3 * worst + 3, 3 * worst : 3 * worst + 3]) == 0
-        how = f"could still move {_MOTIONS[int(np.argmax(np.abs(mode[worst])))]}"
-        piece_modes = np.zeros((count + 1, 3))
+        worst, ways = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
+        mine = slice(ways * worst, ways * worst + ways)
+        nothing = np.trace(strength[mine, mine]) == 0
+        names = (*_STEPS[-pieces.ndim :], *["by turning"] * ways)
+        how = f"could still move {names[int(np.argmax(np.abs(mode[worst])))]}"
+        piece_modes = np.zeros((count + 1, ways))
         piece_modes[cluster + 1] = mode
         return FreeMotion(
             _sites(np.where(pieces == cluster[worst] + 1, pieces, 0)) > 0,
@@ -148,7 +180,7 @@ def free_motions(
     """
     pieces, count = _pieces(problem.stiffness)
     for cluster, _, modes in _free_modes(pieces, count, held):
-        piece_modes = np.zeros((count + 1, 3))
+        piece_modes = np.zeros((count + 1, modes.shape[2]))
         ways = []
         for mode in modes:
             piece_modes[cluster + 1] = mode
@@ -191,9 +223,17 @@ def free_pieces(
 
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
     """Number the pieces of elements, from 1; an element has its first site's index."""
-    rows = np.minimum(m[:-1], m[1:])
-    pieces, count = scipy.ndimage.label(np.minimum(rows[:, :-1], rows[:, 1:]) > 0)
+    whole = m > 0
+    for axis in range(m.ndim):
+        whole = np.logical_and(*_neighbours(whole, axis))
+    pieces, count = scipy.ndimage.label(whole)
     return pieces, int(count)
+
+
+def _neighbours(values: npt.NDArray[Any], axis: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """All but the last along an axis, and all but the first."""
+    before = (slice(None),) * axis
+    return values[(*before, slice(None, -1))], values[(*before, slice(1, None))]
 
 
 def _free_modes(
@@ -201,86 +241,114 @@ def _free_modes(
 ) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
     """Find how each cluster of pieces that hang together could move."""
     # Yields ------ cluster : ndarray of int The pieces, from 0. strength : ndarray What it costs
-    # them to move. modes : ndarray, shape (ways, pieces, 3) The motions that cost nothing.
-    shape = held.shape[:2]
+    # them to move. modes : ndarray, shape (ways, pieces, motions) The motions that cost nothing.
+    for cluster, strength, stops, modes in _modes(pieces, count, held):
+        free = stops <= _NOTHING * max(stops[-1], 1.0)
+        if free.any():
+            yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), len(cluster), -1)
+
+
+def _modes(
+    pieces: Labels, count: int, held: npt.NDArray[np.bool_]
+) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions, Motions]]:
+    """Find what it costs each cluster to move, and these motions, the cheapest first."""
+    shape = held.shape[:-1]
+    axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
-    around = np.pad(pieces, 1)
-    i, j, component = np.nonzero(held)
-    corners = around[i, j], around[i, j + 1], around[i + 1, j], around[i + 1, j + 1]
-    piece = np.max(corners, axis=0)
-    of, ways = piece - 1, _motions(i, j, component, shape)
-    hinged = _hinges(around) if count > 1 else np.zeros((0, 4), dtype=int)
+    of_sites = _sites(pieces)
+    holds = [np.nonzero(held[..., along] & (of_sites > 0)) for along in range(axes)]
+    held_of = [of_sites[sites] - 1 for sites in holds]
+    hinged = _hinges(pieces) if count > 1 else np.zeros((0, axes + 2), dtype=int)
     for cluster in _clusters(hinged, count):
         place = np.full(count, -1)
         place[cluster] = np.arange(len(cluster))
-        here = (piece > 0) & (place[of] >= 0)
-        strength = np.zeros((3 * len(cluster), 3 * len(cluster)))
-        _tie(strength, place[of[here]], ways[here])
-        mine = hinged[place[hinged[:, 2]] >= 0] if len(hinged) else hinged
-        for along in (0, 1):
-            way = _motions(mine[:, 0], mine[:, 1], np.full(len(mine), along), shape)
-            _tie(strength, place[mine[:, 2]], way, place[mine[:, 3]])
-        stops, modes = np.linalg.eigh(strength)
-        free = stops <= _NOTHING * max(stops[-1], 1.0)
-        if free.any():
-            yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), -1, 3)
+        costs = np.zeros((len(cluster), freedom) * 2)
+        mine = hinged[place[hinged[:, -2]] >= 0]
+        for along, (sites, of) in enumerate(zip(holds, held_of, strict=True)):
+            here = place[of] >= 0
+            ways = _motions(tuple(index[here] for index in sites), along, shape)
+            _tie(costs, place[of[here]], ways)
+            ways = _motions(tuple(mine.T[:axes]), along, shape)
+            _tie(costs, place[mine[:, -2]], ways, place[mine[:, -1]])
+        strength = costs.reshape(freedom * len(cluster), -1)
+        yield cluster, strength, *np.linalg.eigh(strength)
 
 
 def _sites(pieces: Labels) -> Labels:
     """The piece of each site, of the elements around it; 0 if it is in none."""
     around = np.pad(pieces, 1)
-    rows = np.maximum(around[:-1], around[1:])
-    both: Labels = np.maximum(rows[:, :-1], rows[:, 1:])
-    return both
+    for axis in range(pieces.ndim):
+        around = np.maximum(*_neighbours(around, axis))
+    return around
 
 
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
-    """The displacement (H, W, 2) of sites whose pieces move so (H, W, 3)."""
+    """The displacement (H, W, 2) of sites whose pieces move so (H, W, motions)."""
     # A turn moves sites by as much as they are apart the other way.
-    i, j = (np.asarray(index) for index in np.indices(modes.shape[:2]))
-    each = [_motions(i, j, np.full_like(i, along), i.shape) for along in (0, 1)]
-    field = np.stack([(way * modes).sum(axis=-1) for way in each], axis=-1)
-    return np.asarray(field * np.array(spacing[::-1]) / max(spacing))
+    sites = tuple(map(np.asarray, np.indices(modes.shape[:-1])))
+    field = np.zeros((*modes.shape[:-1], len(sites)))
+    for along in range(len(sites)):
+        for number, way in _motions(sites, along, modes.shape[:-1]).items():
+            field[..., along] += way * modes[..., number]
+    return np.asarray(field * min(spacing) / np.array(spacing))
 
 
-def _motions(
-    i: npt.NDArray[Any], j: npt.NDArray[Any], along: npt.NDArray[Any], shape: tuple[int, ...]
-) -> Motions:
-    """How far sites move along an axis in each of the three rigid motions."""
-    turn = np.where(along == 0, shape[1] / 2 - j, i - shape[0] / 2) / max(shape)
-    return np.stack([along == 0, along == 1, turn], axis=-1).astype(np.float64)
+def _turns(axes: int) -> list[tuple[int, int]]:
+    """The planes in which a body can turn: from the first axis to the second."""
+    return list(combinations(range(axes), 2))
+
+
+def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
+    """How far sites move along an axis in each of the rigid motions that move them there."""
+    from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
+    made = {along: np.ones(np.shape(sites[0]))}
+    for number, (first, second) in enumerate(_turns(len(shape)), start=len(shape)):
+        if along == first:
+            made[number] = -from_middle[second] / max(shape)
+        elif along == second:
+            made[number] = from_middle[first] / max(shape)
+    return made
 
 
 def _tie(
-    strength: Motions,
+    costs: Motions,
     piece: npt.NDArray[Any],
-    way: Motions,
+    ways: Ways,
     other: npt.NDArray[Any] | None = None,
 ) -> None:
-    """Add what it costs pieces to move as `way` says, or to move so against others, in place."""
-    blocks = strength.reshape(len(strength) // 3, 3, -1, 3).swapaxes(1, 2)
-    squares = way[:, :, None] * way[:, None, :]
-    np.add.at(blocks, (piece, piece), squares)
+    """Add what it costs pieces to move as `ways` say, or to move so against others, in place."""
+    count = len(costs)
+    pairs = [(piece, piece, 1.0)]
     if other is not None:
-        np.add.at(blocks, (other, other), squares)
-        np.add.at(blocks, (piece, other), -squares)
-        np.add.at(blocks, (other, piece), -squares)
+        pairs += [(other, other, 1.0), (piece, other, -1.0), (other, piece, -1.0)]
+    for (row, one), (col, two) in product(ways.items(), repeat=2):
+        for first, second, sign in pairs:
+            cost = np.bincount(first * count + second, one * two, minlength=count**2)
+            costs[:, row, :, col] += sign * cost.reshape(count, count)
 
 
-def _hinges(around: Labels) -> npt.NDArray[np.int64]:
-    """Sites where two pieces meet in a corner: (row, col, piece, other piece), from 0."""
-    found = []
-    falling = around[:-1, :-1], around[1:, 1:]
-    for one, other in (falling, (around[:-1, 1:], around[1:, :-1])):
-        i, j = np.nonzero((one > 0) & (other > 0) & (one != other))
-        found.append(np.stack([i, j, one[i, j] - 1, other[i, j] - 1], axis=-1))
+def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
+    """Sites where two pieces meet: their indices, piece and other piece, from 0."""
+    most, axes = _sites(pieces), pieces.ndim
+    # Numbers as the other pieces have, of which the least is the greatest.
+    least = _sites(np.where(pieces > 0, most.max() + 1 - pieces, 0))
+    sites = np.nonzero((most > 0) & (most + least != most.max() + 1))
+    around, found = np.pad(pieces, 1), []
+    corners = [
+        around[tuple(index + step for index, step in zip(sites, corner, strict=True))]
+        for corner in product((0, 1), repeat=axes)
+    ]
+    for one, other in combinations(corners, 2):
+        meet = (one > 0) & (other > 0) & (one != other)
+        places = [index[meet] for index in sites]
+        found.append(np.stack([*places, one[meet] - 1, other[meet] - 1], axis=-1))
     return np.concatenate(found)
 
 
 def _clusters(hinged: npt.NDArray[np.int64], count: int) -> list[npt.NDArray[np.int64]]:
     """Pieces that hang together by hinges."""
     graph = scipy.sparse.coo_matrix(
-        (np.ones(len(hinged)), (hinged[:, 2], hinged[:, 3])), shape=(count, count)
+        (np.ones(len(hinged)), (hinged[:, -2], hinged[:, -1])), shape=(count, count)
     )
     number, cluster = scipy.sparse.csgraph.connected_components(graph, directed=False)
     order = np.argsort(cluster, kind="stable")

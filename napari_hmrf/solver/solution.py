@@ -220,9 +220,9 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     schema=1,
     what="napari-hmrf result",
     arrays={
-        "displacement": array_file.Kind(("<f4",), (3,)),
+        "displacement": array_file.Kind(("<f4",), (3, 4)),
         "energy": array_file.Kind(("<f8",), (1,)),
-        "tissue": array_file.Kind(("|b1",), (2,)),
+        "tissue": array_file.Kind(("|b1",), (2, 3)),
     },
     describe=_describe,
     parse=_parse,

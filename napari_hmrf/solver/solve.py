@@ -18,7 +18,13 @@ import numpy as np
 
 from napari_hmrf.arguments import shown
 from napari_hmrf.errors import ArgumentError, BackendError, Cancelled
-from napari_hmrf.solver.backends import BACKEND_NAMES, COMPILING, host, open_backend
+from napari_hmrf.solver.backends import (
+    BACKEND_NAMES,
+    COMPILING,
+    FOR_VOLUMES,
+    host,
+    open_backend,
+)
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
@@ -63,13 +69,13 @@ def solve(
     ----------
     problem : Problem
     prior : SeilerPrior or ElasticPrior, optional
-        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``.
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``, for images.
     optimizer : ICM or Multigrid, optional
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
         level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
-        and logs once which.
+        and logs once which. Volumes take the compiled loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
@@ -237,7 +243,9 @@ def run_here(
     report(Monitor("preparing", 0.0))
     started = time.perf_counter()
     job = job_of(prior, optimizer, problem.spacing)
-    device, reason = open_backend(backend, checkpoint, lambda: provide_loops(job, report))
+    device, reason = open_backend(
+        backend, checkpoint, lambda: provide_loops(job, report), problem.is_volume
+    )
     try:
         _announce(device.renderer, reason)
         prepare(device, prior, optimizer, problem.spacing, report)
@@ -293,7 +301,7 @@ def _announce(renderer: str, reason: str) -> None:
     if message not in _announced:
         _announced.add(message)
         # A fallback is told even where nobody has set up logging.
-        fallback = reason not in ("asked for", "a GPU is there", COMPILING)
+        fallback = reason not in ("asked for", "a GPU is there", COMPILING, FOR_VOLUMES)
         _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
 
 

@@ -146,13 +146,13 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
 
     Parameters
     ----------
-    labels : array_like of int, shape (H, W)
+    labels : array_like of int, shape ([D,] H, W)
     materials : iterable of Material
         One for each value in `labels`, 0 included; more do no harm.
 
     Returns
     -------
-    ndarray, shape (H, W), float32
+    ndarray, shape ([D,] H, W), float32
         The stiffness of a `Problem`; infinite where tissue is rigid.
 
     Raises
@@ -184,7 +184,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
 
     Returns
     -------
-    float or ndarray, shape (H, W), float32
+    float or ndarray, shape ([D,] H, W), float32
         `poisson` of an `ElasticPrior`: one number if all tissue has the same. 0 in void and in
         what is rigid, which have none.
 
@@ -265,10 +265,12 @@ def _read(
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
     """Labels as an image, those in it, and their rows by label."""
     image = as_numbers(field, labels)
-    if image.dtype.kind not in "biu" or image.ndim != 2:
+    axes = (2, 3) if kind is Material else (2,)
+    if image.dtype.kind not in "biu" or image.ndim not in axes:
+        needed = "a 2-D image (H, W)" + (" or a volume (D, H, W)" if 3 in axes else "")
         raise ProblemError(
             field,
-            f"has labels of type {image.dtype}, shape {image.shape}, but a 2-D image (H, W) of "
+            f"has labels of type {image.dtype}, shape {image.shape}, but {needed} of "
             "whole numbers is needed, one per material.",
         )
     table: dict[int, Any] = {}

@@ -16,11 +16,14 @@ BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
 #: Why a software rasteriser is taken where nobody asked for it.
 COMPILING = "until the loops for the processor are compiled"
+#: Why the compiled loops are taken where a volume is solved.
+FOR_VOLUMES = "only the compiled loops solve volumes"
 
 __all__ = [
     "BACKEND_NAMES",
     "BATCH_SECONDS",
     "COMPILING",
+    "FOR_VOLUMES",
     "Backend",
     "BackendName",
     "Checkpoint",
@@ -31,7 +34,10 @@ __all__ = [
 
 
 def open_backend(
-    name: str, checkpoint: Checkpoint, provide_loops: Callable[[], None] = loops.use
+    name: str,
+    checkpoint: Checkpoint,
+    provide_loops: Callable[[], None] = loops.use,
+    volume: bool = False,
 ) -> tuple[Backend[Any], str]:
     """Make a backend ready; on the compute thread only.
 
@@ -46,6 +52,8 @@ def open_backend(
     provide_loops : callable
         Called before the loops are taken where they may not be compiled yet: has that done, and
         waits for it. By default they are compiled as they are called.
+    volume : bool
+        Whether it is for a volume, which takes the compiled loops.
 
     Returns
     -------
@@ -63,6 +71,14 @@ def open_backend(
         return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
+    if volume:
+        if name != "auto":
+            raise BackendError(
+                f"{name} solves images only; volumes are solved by the compiled loops. Take "
+                'backend="cpu", or "auto"'
+            )
+        provide_loops()
+        return _compiled(checkpoint), FOR_VOLUMES
     from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
 
     compiled = loops.ready()

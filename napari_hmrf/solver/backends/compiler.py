@@ -74,10 +74,17 @@ Report = Callable[[Stage], None]
 # Whoever needs loops
 
 
-def compile_meanwhile() -> None:
-    """Have another process compile the loops, unless one does or has."""
-    started = _State.compiler is not None
-    if started or loops.compile_here() or kept.mark().exists() or _someone_compiles():
+def compile_meanwhile(job: str = "") -> None:
+    """Have another process compile the loops, unless one does or has.
+
+    Parameters
+    ----------
+    job : str
+        The loops that are needed; by default all that anybody may need.
+    """
+    ours = _State.compiler
+    started = ours is not None and (job not in kept.APART or ours.poll() is None)
+    if started or loops.compile_here() or kept.compiled(job) or _someone_compiles():
         return
     folder = kept.folder()  # before the environment is copied
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
@@ -108,7 +115,7 @@ def provide(job: str, report: Report) -> None:
     if not (loops.compile_here() or kept.compiled(job)):
         with suppress(OSError):
             _wanted_file().write_text(job, encoding="utf-8")
-        compile_meanwhile()
+        compile_meanwhile(job)
         while not kept.compiled(job):
             if not (_at_work() or kept.compiled(job)):
                 loops.compile_alone()

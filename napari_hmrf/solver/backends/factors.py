@@ -106,5 +106,7 @@ class Factors:
 
     @staticmethod
     def fit(shape: tuple[int, ...]) -> bool:
-        """Whether there is the memory for those of a grid (H, W)."""
-        return bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)
+        """Whether there is the memory for those of a grid (H, W); volumes have none."""
+        return len(shape) == 2 and bool(
+            Factors.needed(shape) < _FREE * psutil.virtual_memory().available
+        )

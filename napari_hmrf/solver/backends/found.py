@@ -79,6 +79,8 @@ class Found:
         How much less cycles report than is true, where that has been tried.
     least : float
         The least eigenvalue that cycles have met.
+    care : int
+        How often cycles had to smooth more for that.
     factors : Factors or None
         Of the system, where cycles cannot be trusted.
     entrained : Entrained or None
@@ -88,6 +90,7 @@ class Found:
     def __init__(self) -> None:
         self.doubt: float | None = None
         self.least = 1.0
+        self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None
         self._known: list[tuple[weakref.ref[Any], Quality]] = []

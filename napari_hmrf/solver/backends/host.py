@@ -1,8 +1,11 @@
-"""Displacements in double precision, kept on the host whatever the backend: see `linear`."""
+"""Displacements in double precision, kept on the host whatever the backend: see `linear`.
+
+What is said of images, (H, W, 2), is true of volumes, (D, H, W, 3).
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +24,9 @@ _spare: list[tuple[Planes, HeldPlanes]] = []
 in_child_of_fork(_spare.clear)
 
 
-def _exact() -> Any:
-    """Return the loops, or before they are compiled their twins in NumPy."""
-    if loops.in_use():
+def _exact(axes: int = 2) -> Any:
+    """Return the loops, or before they are compiled, and for volumes, their twins in NumPy."""
+    if loops.in_use() and axes == 2:
         from napari_hmrf.solver.backends.cpu import exact
 
         return exact
@@ -37,9 +40,9 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
 
     Elsewhere it is that of `start`, or zero.
     """
-    exact = _exact()
+    exact, axes = _exact(len(problem.shape)), len(problem.shape)
 
-    shape = (2, *(size + 4 for size in problem.shape))
+    shape = (axes, *(size + 4 for size in problem.shape))
     if _spare and _spare[0][0].shape == shape:
         d, held = _spare.pop()
     else:
@@ -48,12 +51,29 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
     given = [] if start is None else start.weighted
     terms = [(loops.only_read(values), weight) for values, weight in given]
     # Where there is no more to begin with, something that counts 0 times.
-    about = problem.observed, problem.known, 1 / problem.unit
-    first, second = [*terms, (problem.observed, 0.0), (problem.observed, 0.0)][:2]
-    exact.prescribe(*about, *first, *second, d, held)
-    for values, weight in terms[2:]:
-        exact.blend(values, weight, held, d)
+    nothing = problem.observed, 0.0
+    (first, one), (second, two) = [*terms, nothing, nothing][:2]
+    for at in slices(problem.shape):
+        parts = d[at.planes], held[at.planes]
+        about = problem.observed[at.sites], problem.known[at.sites], 1 / problem.unit
+        exact.prescribe(*about, first[at.sites], one, second[at.sites], two, *parts)
+        for values, weight in terms[2:]:
+            exact.blend(values[at.sites], weight, parts[1], parts[0])
     return d, held
+
+
+class Slice(NamedTuple):
+    """Where a slice of a volume is: among the sites of the grid, and in planes."""
+
+    sites: Any
+    planes: Any
+
+
+def slices(grid: tuple[int, ...]) -> list[Slice]:
+    """An image, or the slices of a volume: NumPy takes less memory for one by one."""
+    if len(grid) == 2:
+        return [Slice(..., ...)]
+    return [Slice(number, np.s_[:, number + 2]) for number in range(grid[0])]
 
 
 def reuse(d: Planes, held: HeldPlanes) -> None:
@@ -68,13 +88,16 @@ def noise(shape: tuple[int, ...]) -> Planes:
     """Return the same random displacement each time: of all lengths at once, from -1 to 1."""
     made: Planes = np.zeros(shape)
     random = np.random.default_rng(0)
-    field = np.zeros((shape[0], 1, 1), dtype=np.float32)
-    while field.shape[1] < shape[1] - 4 or field.shape[2] < shape[2] - 4:
-        field = field.repeat(2, axis=1).repeat(2, axis=2)
+    axes = range(1, len(shape))
+    field = np.zeros((shape[0], *(1 for _ in axes)), dtype=np.float32)
+    while any(field.shape[axis] < shape[axis] - 4 for axis in axes):
+        for axis in axes:
+            field = field.repeat(2, axis=axis)
         field += random.random(field.shape, dtype=np.float32) - np.float32(0.5)
-        field = field[:, : shape[1] - 4, : shape[2] - 4]
-    made[:, 2:-2, 2:-2] = field
-    return made / max(float(np.abs(made).max()), _TINY)
+        field = field[(slice(None), *(slice(shape[axis] - 4) for axis in axes))]
+    made[_inside(made)] = field
+    made /= max(float(made.max()), -float(made.min()), _TINY)
+    return made
 
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
@@ -82,10 +105,10 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
     if displacement.dtype == np.float64:
         displacement *= unit * tissue[..., None]
         return bool(np.isfinite(displacement).all())
-    exact = _exact()
-
-    finite = np.zeros(len(displacement), dtype=np.bool_)
-    exact.settle(displacement, tissue, np.float32(unit), finite)
+    exact, finite = _exact(tissue.ndim), np.zeros(tissue.shape[:-1], dtype=np.bool_)
+    for at in slices(tissue.shape):
+        parts = displacement[at.sites], tissue[at.sites], np.float32(unit), finite[at.sites]
+        exact.settle(*parts)
     return bool(finite.all())
 
 
@@ -95,17 +118,22 @@ def combined(start: Beginning) -> Planes:
 
 
 def planes(values: npt.NDArray[Any]) -> Planes:
-    """Return values (H, W, 2) as planes."""
-    made = np.zeros((2, *(size + 4 for size in values.shape[:2])))
-    made[:, 2:-2, 2:-2] = np.moveaxis(values, -1, 0)
+    """Return values (H, W, 2) or (D, H, W, 3) as planes."""
+    made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
+    made[_inside(made)] = np.moveaxis(values, -1, 0)
     return made
+
+
+def _inside(planes: npt.NDArray[Any]) -> tuple[slice, ...]:
+    """Where planes are the grid, and not its ring."""
+    return (slice(None), *[slice(2, -2)] * (planes.ndim - 1))
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
     """Add scale * correction to a displacement, in place."""
-    exact = _exact()
-
-    exact.add(d, correction, scale)
+    exact = _exact(d.ndim - 1)
+    for at in slices(tuple(size - 4 for size in d.shape[1:])):
+        exact.add(d[at.planes], correction[at.planes], scale)
 
 
 def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], float]:
@@ -116,8 +144,11 @@ def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], flo
     most = max(float(d.max()), -float(d.min()))
     rounding = most * float(np.finfo(np.float32).eps) / 2
     if 2 * rounding > tolerance:
-        exactly = np.moveaxis(d[:, 2:-2, 2:-2], 0, -1).copy()
+        exactly = np.moveaxis(d[_inside(d)], 0, -1).copy()
         return exactly, most * float(np.finfo(np.float64).eps) / 2
-    made = np.empty((d.shape[1] - 4, d.shape[2] - 4, 2), dtype=np.float32)
-    _exact().gather(d, made)
+    grid = tuple(size - 4 for size in d.shape[1:])
+    made = np.empty((*grid, len(d)), dtype=np.float32)
+    exact = _exact(len(grid))
+    for at in slices(grid):
+        exact.gather(d[at.planes], made[at.sites])
     return made, rounding

@@ -91,5 +91,10 @@ class HostModel:
         """Write (load - A d) / unit to `_rest`; its largest absolute value, and its norm."""
         raise NotImplementedError
 
+    def clear(self) -> None:
+        """Make all corrections zero."""
+        for level in self.levels:
+            level.clear()
+
     def close(self) -> None:
         """Nothing to do: memory goes with the last reference."""

@@ -16,6 +16,8 @@ _LOOPS = Path(__file__).parent / "cpu"
 _PACKAGE = "napari_hmrf"
 #: The modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
+#: Jobs of `napari_hmrf.compiling` that are done only for those who ask for them.
+APART = ("volume",)
 #: What tells numba where to keep loops.
 _TOLD = "NUMBA_CACHE_DIR"
 
@@ -53,8 +55,8 @@ def mark(job: str = "") -> Path:
 
 
 def compiled(job: str) -> bool:
-    """Whether the loops of a job, or all of them, are compiled."""
-    return mark().exists() or mark(job).exists()
+    """Whether the loops of a job are compiled, or all that anybody may need."""
+    return (job not in APART and mark().exists()) or mark(job).exists()
 
 
 @cache

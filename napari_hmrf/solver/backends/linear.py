@@ -230,6 +230,10 @@ class LinearModel(Protocol):
         """The diagonal of A on the finest level, whatever is held."""
         ...
 
+    def clear(self) -> None:
+        """Make all corrections zero: numbers may have overflowed."""
+        ...
+
     def forget(self) -> None:
         """Keep nothing for a later solve: numbers have overflowed."""
         ...

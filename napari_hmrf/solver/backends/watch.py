@@ -24,7 +24,8 @@ LOOPS = {
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
-    "": 52,
+    "volume": 16,
+    "": 62,
 }
 
 

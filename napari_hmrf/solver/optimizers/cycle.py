@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from napari_hmrf.solver.backends.linear import LinearModel, Steps
-from napari_hmrf.solver.priors.elements import ElasticMaterial
+from napari_hmrf.solver.priors.elements import ElasticMaterial, lame_ratio
 
 
 class Smoothing(NamedTuple):
@@ -23,6 +23,9 @@ class Smoothing(NamedTuple):
         there: what V-cycles lose with every level, that wins back, for a fifth more work.
     patience : int
         Cycles after which factors are the shorter way.
+    careful : Smoothing or None
+        What to go over to where this turns out to amplify something; by default the same, for any
+        mixture of materials.
     """
 
     part: float
@@ -31,6 +34,7 @@ class Smoothing(NamedTuple):
     coarsest_sweeps: int
     visits: int = 1
     patience: int = 60
+    careful: Smoothing | None = None
 
 
 #: For models that stretch: elastic tissue.
@@ -40,6 +44,15 @@ STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
 NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
 # Up to which ratio of lambda to mu the former does.
 _MOST_RATIO = 50.0
+#: For volumes that coarse levels turn out to see less well, beside free surfaces, of high contrast
+#: or of oblong voxels; and for those that they hardly see.
+MOST_CAREFUL_VOLUME = Smoothing(0.003, 40, 0.002, 80, visits=2)
+CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2, careful=MOST_CAREFUL_VOLUME)
+#: For volumes; and for those that resist changes of volume much more than those of shape.
+STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
+NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.05, 6, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
+# Up to which ratio of lambda to mu the former does.
+_MOST_RATIO_VOLUME = 20.0
 #: For models of means of neighbours, which are not symmetric.
 AVERAGING = Smoothing(0.3, 2, 0.02, 20)
 #: For models that bend: their spectra are wider, and bilinear transfer leaves more to do.
@@ -48,8 +61,9 @@ BENDING = Smoothing(0.1, 4, 0.005, 40)
 
 def smoothing_of(material: ElasticMaterial) -> Smoothing:
     """How much to smooth elastic tissue."""
-    nu = material.largest_poisson
-    ratio = 2 * nu / (1 - (2 * nu if material.strain else nu))
+    ratio = lame_ratio(material.largest_poisson, material.strain)
+    if material.m.ndim == 3:
+        return STRETCHING_VOLUME if ratio <= _MOST_RATIO_VOLUME else NEARLY_INCOMPRESSIBLE_VOLUME
     return STRETCHING if ratio <= _MOST_RATIO else NEARLY_INCOMPRESSIBLE
 
 
@@ -67,6 +81,8 @@ class Cycle:
         rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
+        #: How often it has gone over to `Smoothing.careful`.
+        self.care = 0
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
@@ -76,10 +92,16 @@ class Cycle:
         A smoother that amplifies what lies beyond its bound makes a preconditioner that is not
         positive, which conjugate gradients notice.
         """
-        if self._bound >= self._worst:
+        if self._smoothing.careful is not None:
+            self._smoothing, self.care = self._smoothing.careful, self.care + 1
+        elif self._bound >= self._worst:
             return False
         self._smooth_up_to(self._worst)
         return True
+
+    def smooth_more(self) -> bool:
+        """Be careful if that takes more smoothing; False if it takes none, or is so already."""
+        return self._smoothing.careful is not None and self.be_careful()
 
     def _smooth_up_to(self, bound: float) -> None:
         self._bound = bound

@@ -79,6 +79,18 @@ class ConjugateGradients:
         return self._cycle.steps
 
     @property
+    def care(self) -> int:
+        """How often it has gone over to better cycles."""
+        return self._cycle.care
+
+    def smooth_more(self) -> bool:
+        """Take better cycles from now on, of which nothing is known; False if there are none."""
+        if not self._cycle.smooth_more():
+            return False
+        self._spectrum = _Spectrum()
+        return True
+
+    @property
     def least(self) -> float:
         """The least eigenvalue met, in any run."""
         return self._spectrum.least

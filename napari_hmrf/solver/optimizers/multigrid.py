@@ -27,10 +27,13 @@ from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
 # What is this part of the tolerance, or less, is as good as nothing.
 _NOTHING = 0.01
+# What holds a volume less firmly may be less than coarse levels see.
+_MILD_GRIP = 0.05
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,8 @@ class Multigrid:
         else:
             check_bent(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
-        refinement = Refinement(self.max_iterations, model, smoothing, report)
+        firm = not problem.is_volume or grip(problem) >= _MILD_GRIP
+        refinement = Refinement(self.max_iterations, model, smoothing, report, firm)
         try:
             if limit is None:
                 model.hold(observed)

@@ -27,7 +27,7 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 # than what is true.
 _REHEARSED = 0.003
 _BELIEVABLE = 3.0
-# How much more doubtful a problem may be than its rehearsal was.
+# How much more doubtful a problem may be than its rehearsal was, and any volume is.
 _MARGIN = 4.0
 _REHEARSAL_CYCLES = 40
 # What a round of a rehearsal must leave of its error at most, for another one.
@@ -51,6 +51,8 @@ class Refinement:
     model : LinearModel
     smoothing : Smoothing
     report : callable
+    firm : bool
+        Whether what is held stops all motions about equally well.
 
     Attributes
     ----------
@@ -65,9 +67,15 @@ class Refinement:
     """
 
     def __init__(
-        self, max_iterations: int, model: LinearModel, smoothing: Smoothing, report: Report
+        self,
+        max_iterations: int,
+        model: LinearModel,
+        smoothing: Smoothing,
+        report: Report,
+        firm: bool = True,
     ) -> None:
         self._most, self._model, self._report = max_iterations, model, report
+        self._mild = model.mild and firm
         self._iteration = ConjugateGradients(Cycle(model, smoothing))
         self._patience = smoothing.patience
         self.estimate = math.inf
@@ -125,28 +133,33 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
-        if not self._model.mild and self._factors_first and Factors.fit(self._model.shape):
+        if not self._mild and self._factors_first and Factors.fit(self._model.shape):
             self._factors_tried = True
             return False
         if not self._entrain():
             return False
+        while self._iteration.care < found.care:
+            self._iteration.smooth_more()
         self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0
-                if not self._model.mild:
+                if not self._mild:
                     self._doubt = self._rehearse(d.shape)
+                    while self._doubt > _BELIEVABLE and self._smooth_more():
+                        self._doubt = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # what it was is overwritten
             found.doubt = self._doubt
             found.least = self._iteration.least
+            found.care = self._iteration.care
         if found.doubt is None or found.doubt > _BELIEVABLE:
             return False
-        model = self._model
+        model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
         # What bodies do on their own is seen for certain, but not what lies between close ones.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
-        sure = model.mild and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, 1.0)
+        sure = self._mild and not volume and model.material.compressible and sees_bodies
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else 1.0)
         if moves is not None and moves.close:
             doubt *= _MARGIN
         while True:
@@ -163,7 +176,10 @@ class Refinement:
             try:
                 correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
             except FloatingPointError:
-                return False
+                if not self._smooth_more():
+                    return False
+                balance = self._model.balance(d, load)
+                continue
             if step is None:
                 return False
             host.add(d, correction, balance.unit)
@@ -174,9 +190,18 @@ class Refinement:
                 self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
                 return True
-            if self._too_long or not self.estimate < 0.5 * before:
+            stays = not self.estimate < 0.5 * before
+            if self._too_long or (stays and not self._smooth_more()):
                 return False
+            found.care = self._iteration.care
             before = self.estimate
+
+    def _smooth_more(self) -> bool:
+        """Go over to better cycles, if there are any, and begin them with numbers."""
+        more = self._iteration.smooth_more()
+        if more:
+            self._model.clear()
+        return more
 
     def _entrain(self) -> bool:
         """Find what bodies take along; False if that cannot be told."""
@@ -314,6 +339,11 @@ def factorise(model: LinearModel, report: Report) -> Factors:
         If there is no memory for them, or if double precision cannot tell what holds the tissue.
     """
     if model.found.factors is None:
+        if len(model.shape) == 3:
+            raise ConvergenceError(
+                "cycles cannot be sure of this volume. Bring the softest and the stiffest tissue "
+                "closer together, or hold more of it"
+            )
         if not Factors.fit(model.shape):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue, and its factors need "

@@ -5,7 +5,8 @@ is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the
 
     U = 1/2 integral of  lambda (e_rr + e_cc)^2 + 2 mu (e_rr^2 + e_cc^2) + mu (gamma_rc)^2
 
-so that the most probable field is the finite-element solution, with the pixels as its mesh.
+so that the most probable field is the finite-element solution, with the pixels as its mesh. In a
+volume elements are blocks of 2 x 2 x 2 sites (`priors.hexahedra`), and all six strains count.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from napari_hmrf.solver.priors.elements import (
     Float64Array,
     Lame,
     differences,
-    element_forces,
     lame_parameters,
     of_elements,
     stiffest,
 )
-from napari_hmrf.solver.problem import Problem, as_numbers
+from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
+from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words
 from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
@@ -42,11 +43,11 @@ POISSON_RANGE = (0.0, 0.499)
 
 @dataclass(frozen=True, eq=False)
 class ElasticPrior:
-    """Plane linear elasticity.
+    """Linear elasticity: plane in an image, and in three dimensions in a volume.
 
     Parameters
     ----------
-    poisson : float or array_like, shape (H, W)
+    poisson : float or array_like, shape (H, W) or (D, H, W)
         Poisson's ratio, 0 to 0.499, of all tissue or of each site: how much tissue bulges when
         compressed. 0.5 would be incompressible; soft tissue is 0.45 to 0.499. Values in void do
         not matter.
@@ -54,12 +55,12 @@ class ElasticPrior:
         ``"stress"``: a thin slice, free to bulge out of the image. ``"strain"``: a slice held
         between its neighbours. There the twist of an element is not counted as a change of
         volume (selective reduced integration); counted, it would lock nearly incompressible
-        tissue.
+        tissue. A volume has no plane: it is strained in all directions, whatever is said here.
     penalty : float
         K of eq. 19: the greatest force with which a site of complete confidence is held at what
         was observed; where tissue needs more it slips. In the unit of the energy: 1 is what strains
         a pixel of the stiffest tissue by 1. ``inf``: held exactly wherever confidence is
-        above 0.
+        above 0. In a volume nothing can slip yet.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -114,11 +115,13 @@ class ElasticPrior:
         Raises
         ------
         ProblemError
-            Naming a piece of tissue that could still move freely, or rigid tissue if observations
-            may slip.
+            Naming a piece of tissue that could still move freely, rigid tissue if observations
+            may slip, or either of these in a volume.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
+        if problem.is_volume:
+            _check_volume(problem, self.penalty)
         if self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
                 "stiffness",
@@ -138,20 +141,26 @@ class ElasticPrior:
     def material(self, problem: Problem) -> ElasticMaterial:
         """What the kernels need to know of a problem's tissue."""
         shape = self.shape(problem.spacing)
-        return ElasticMaterial(problem.stiffness, self.poisson, self.plane == "strain", shape)
+        return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape)
+
+    def _strain(self, problem: Problem) -> bool:
+        """Whether tissue is free to bulge in no direction."""
+        return self.plane == "strain" or problem.is_volume
 
     def lame(self, problem: Problem) -> Lame:
         """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
         m = problem.stiffness / np.float64(stiffest(problem.stiffness))
-        first, shear = lame_parameters(m, self.poisson, self.plane == "strain")
+        first, shear = lame_parameters(m, self.poisson, self._strain(problem))
         if not problem.rigid.any():
             return Lame(first, shear)
         # Rigid tissue does not stretch: it has no energy.
         stretches = np.isfinite(of_elements(m))
         return Lame(np.where(stretches, first, 0.0), np.where(stretches, shear, 0.0))
 
-    def shape(self, spacing: tuple[float, ...]) -> ElementShape:
+    def shape(self, spacing: tuple[float, ...]) -> ElementShape | BrickShape:
         """The constants of an element of this size of pixel; only the pixel's shape matters."""
+        if len(spacing) == 3:
+            return brick_shape(spacing)
         row, col = spacing
         volume = 1.0 if self.plane == "stress" else 0.0
         return ElementShape(
@@ -162,6 +171,8 @@ class ElasticPrior:
         """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``."""
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         (first, shear), k = self.lame(problem), self.shape(problem.spacing)
+        if isinstance(k, BrickShape):
+            return k.energy(Lame(first, shear), d)
         (rr, rc), (cr, cc), (xr, xc) = differences(d)
         stretch = k.rows * rr**2 + k.cols * cc**2
         volume = first * (stretch + 2 * k.mixed * rr * cc)
@@ -175,7 +186,7 @@ class ElasticPrior:
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
-        return element_forces(self.lame(problem), self.shape(problem.spacing), d)
+        return self.shape(problem.spacing).forces(self.lame(problem), d)
 
 
 def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
@@ -188,12 +199,29 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
         return float(given)
     with np.errstate(over="ignore"):  # what is too large is out of range
         made = np.array(given, dtype=np.float32, order="C")
-    if made.ndim != 2:
+    if made.ndim not in (2, 3):
         raise ArgumentError(
-            f"poisson must be one number, or one for each pixel (H, W), not of shape {made.shape}"
+            "poisson must be one number, or one for each pixel (H, W) or voxel (D, H, W), not of "
+            f"shape {made.shape}"
         )
     made.setflags(write=False)
     return made
+
+
+def _check_volume(problem: Problem, penalty: float) -> None:
+    """Refuse what is there for images only."""
+    if penalty < math.inf:
+        raise ProblemError(
+            "stiffness",
+            f"is a volume, {grid_in_words(problem.shape)}, in which nothing that is observed may "
+            "slip yet. Leave the prior's penalty at inf.",
+        )
+    if problem.rigid.any():
+        raise ProblemError(
+            "stiffness",
+            "is infinite (rigid) somewhere, which is there for images only yet. Give that tissue "
+            "of the volume a number, or hold it.",
+        )
 
 
 def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> None:

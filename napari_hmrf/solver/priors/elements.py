@@ -13,6 +13,7 @@ The mean strains follow from D_r and D_c; the integral of what the twist adds se
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -42,18 +43,18 @@ class ElasticMaterial:
 
     Attributes
     ----------
-    m : ndarray, shape (H, W), float32
+    m : ndarray, shape (H, W) or (D, H, W), float32
         Stiffness; 0 is void. Only its ratios matter.
-    poisson : float or ndarray, shape (H, W), float32
+    poisson : float or ndarray of the same shape, float32
     strain : bool
-        Plane strain instead of plane stress.
-    shape : ElementShape
+        Plane strain instead of plane stress; a volume is strained in all directions.
+    shape : ElementShape or BrickShape
     """
 
     m: npt.NDArray[np.float32]
     poisson: float | npt.NDArray[np.float32]
     strain: bool
-    shape: ElementShape
+    shape: Any
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -78,11 +79,10 @@ class ElasticMaterial:
     @cached_property
     def mild(self) -> bool:
         """Whether a cycle is known to see every motion of such tissue."""
-        aspect = max(self.shape.rows, self.shape.cols) / self.shape.mixed
         return (
             contrast(self.m) <= MILD_CONTRAST
             and self._compactness >= MILD_COMPACTNESS
-            and aspect <= MILD_ASPECT
+            and self.shape.aspect <= MILD_ASPECT
         )
 
     @property
@@ -98,10 +98,9 @@ class ElasticMaterial:
     @cached_property
     def _compactness(self) -> float:
         """Elements for each site of tissue: 1 but for borders, 1/2 for strips of two sites."""
-        tissue = self.m > 0
-        rows = tissue[:-1] & tissue[1:]
-        whole = rows[:, :-1] & rows[:, 1:]
-        return float(np.count_nonzero(whole)) / float(np.count_nonzero(tissue))
+        # Borders take as much of each axis: of a volume's three they count as of an image's two.
+        share = np.count_nonzero(in_elements(self.m)) / np.count_nonzero(self.m > 0)
+        return float(share ** (2 / self.m.ndim))
 
     #: Sites along a side of an element.
     patch = 2
@@ -132,7 +131,10 @@ class ElasticMaterial:
 
 
 class Lame(NamedTuple):
-    """Lame's parameters of the elements, (H - 1, W - 1), relative to the stiffest; 0 in void."""
+    """Lame's parameters of the elements, relative to the stiffest; 0 in void.
+
+    There is one less along each axis than there are sites.
+    """
 
     first: Float64Array
     shear: Float64Array
@@ -160,6 +162,15 @@ class ElementShape(NamedTuple):
     twist_cols: float
     twist_volume: float
 
+    @property
+    def aspect(self) -> float:
+        """The ratio of a pixel's longer side to the shorter."""
+        return max(self.rows, self.cols) / self.mixed
+
+    def forces(self, lame: Lame, d: Float64Array) -> Float64Array:
+        """What all elements together pull at each site: the stiffness matrix times d."""
+        return element_forces(lame, self, d)
+
 
 class Differences(NamedTuple):
     """D_r, D_c and D_x of every element, each (2, H - 1, W - 1) with the component first."""
@@ -170,10 +181,32 @@ class Differences(NamedTuple):
 
 
 def of_elements(values: Float64Array) -> Float64Array:
-    """The mean of each element's four sites."""
-    along = values[:-1] + values[1:]
-    mean: Float64Array = (along[:, :-1] + along[:, 1:]) / 4
+    """The mean of each element's sites: of four, in a volume of eight."""
+    total = values
+    for behind, ahead in _pairs(values.ndim):
+        total = total[behind] + total[ahead]
+    mean: Float64Array = total / 2**values.ndim
     return mean
+
+
+def in_elements(m: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Which elements there are: those whose sites all are tissue."""
+    whole = m > 0
+    for behind, ahead in _pairs(m.ndim):
+        whole = whole[behind] & whole[ahead]
+    return whole
+
+
+def _pairs(ndim: int) -> Iterator[tuple[Any, Any]]:
+    """Along each axis, the index of all sites but the last, and of all but the first."""
+    for axis in range(ndim):
+        before = (slice(None),) * axis
+        yield (*before, slice(None, -1)), (*before, slice(1, None))
+
+
+def lame_ratio(poisson: float, strain: bool) -> float:
+    """Lambda over mu, both Lame's parameters: how much more tissue resists a change of volume."""
+    return 2 * poisson / (1 - (2 * poisson if strain else poisson))
 
 
 def contrast(m: npt.NDArray[np.float32]) -> float:
@@ -194,13 +227,13 @@ def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
 
     Parameters
     ----------
-    m : ndarray, shape (H, W)
+    m : ndarray, shape (H, W) or (D, H, W)
         Stiffness.
-    poisson : float or ndarray, shape (H, W)
+    poisson : float or ndarray of the same shape
     strain : bool
-        Plane strain instead of plane stress.
+        Plane strain, or a volume, instead of plane stress.
     """
-    whole = of_elements((m > 0).astype(np.float64)) == 1
+    whole = in_elements(m)
     young = np.where(whole, of_elements(m), 0.0)
     nu = poisson
     if isinstance(nu, np.ndarray):

@@ -128,8 +128,13 @@ class SeilerPrior:
         Raises
         ------
         ProblemError
-            If there is rigid tissue.
+            If there is rigid tissue, or a volume.
         """
+        if problem.is_volume:
+            raise ProblemError(
+                "stiffness",
+                "is a volume, but the paper's prior is there for images only. Take ElasticPrior.",
+            )
         if problem.rigid.any():
             raise ProblemError(
                 "stiffness",

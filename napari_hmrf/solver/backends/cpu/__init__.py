@@ -174,6 +174,10 @@ class CpuBackend:
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device, on all levels of multigrid."""
+        if material.m.ndim == 3:
+            from napari_hmrf.solver.backends.cpu import volume_model
+
+            return volume_model.the_model(material)
         from napari_hmrf.solver.backends.cpu.elastic_model import the_model
 
         return the_model(material)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, few
 from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.solver.backends.cpu.entraining import entrain
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of
 from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
@@ -34,18 +34,6 @@ _LARGE = 2
 
 # A step that leaves all where it is.
 _NO_STEP = np.zeros(3, dtype=np.float32)
-
-
-@lru_cache(maxsize=16)
-def _paces(steps: Steps, from_zero: bool) -> Vector:
-    """(scale, ahead, back) of each step, for displacements instead of steps."""
-    # A step's momentum takes the difference of the last two displacements; before the first step of
-    # all there is none, and if it begins at zero the second takes the first displacement itself.
-    made = np.zeros((len(steps), 3), dtype=np.float32)
-    made[:, :2] = steps
-    begun = 2 if from_zero else 1
-    made[begun:, 2] = made[begun:, 1]
-    return made
 
 
 class CpuElasticLevel(CpuLevel):
@@ -133,7 +121,7 @@ class CpuElasticLevel(CpuLevel):
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
-        paces = _paces(steps, from_zero)
+        paces = paces_of(steps, from_zero)
         about = self._about
         if from_zero:
             # What is between the first two is not kept; a third would ask for it.
@@ -193,9 +181,9 @@ class _SmallLevels:
             self._values,
             self._table,
             self._shape,
-            _paces(steps, from_zero=True),
-            _paces(steps, from_zero=False),
-            _paces(coarsest, from_zero=True),
+            paces_of(steps, from_zero=True),
+            paces_of(steps, from_zero=False),
+            paces_of(coarsest, from_zero=True),
         )
         number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
         return self._pair[0 if number % 2 == 1 else 1]

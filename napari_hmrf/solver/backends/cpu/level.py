@@ -6,7 +6,7 @@ A scalar is a plain number here: the processor is the host.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -24,10 +24,12 @@ Vector = npt.NDArray[np.float32]
 class CpuLevel:
     """The part of a level that all models share; `LinearLevel` says what each method does.
 
+    Arrays of a volume are (3, D + 4, H + 4, W + 4), and its spans are those of all its `rows`.
+
     Parameters
     ----------
     grid : tuple of int
-        Its sites, (H, W).
+        Its sites, (H, W) or (D, H, W).
     memory : iterator, optional
         Where its first vectors lie; by default in memory of their own.
 
@@ -59,13 +61,15 @@ class CpuLevel:
         self._spare: list[Vector] = []
         self.inverse = self.vector()
         self.load, self.correction, self._other = (self.vector() for _ in range(3))
-        self._rows, self._most = np.zeros((2, grid[0]))
+        self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
 
     def _spring(self, finer: Self) -> None:
         """Put the sites near those that the finer level holds on springs; `inverse` is D."""
-        vectors.restrict(finer.pins, self.pins)
+        assert self.weight is not None
+        self._restrict(finer.pins, self.pins)
         most, strength = np.float32(MOST_PINS), np.float32(SPRING)
-        vectors.spring(self.inverse, self.pins, most, strength, self.weight, self.spans)
+        inverse, pins, weight = map(rows, (self.inverse, self.pins, self.weight))
+        vectors.spring(inverse, pins, most, strength, weight, self.spans)
 
     @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
@@ -96,7 +100,16 @@ class CpuLevel:
     def _hand_down(self, coarse: Self) -> None:
         """Make what the correction leaves of the load, restricted, `coarse`'s load."""
         self._leave()
-        vectors.restrict(self._rest, coarse.load)
+        self._restrict(self._rest, coarse.load)
+
+    @staticmethod
+    def _restrict(fine: Vector, coarse: Vector) -> None:
+        """Carry forces to the next coarser level."""
+        vectors.restrict(fine, coarse)
+
+    def _take(self, coarse: Vector) -> None:
+        """Add a correction of the next coarser level, interpolated."""
+        vectors.interpolate(coarse, self.correction, self.inverse)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""
@@ -114,7 +127,7 @@ class CpuLevel:
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the coarse correction, and relax."""
-        vectors.interpolate(coarse.correction, self.correction, self.inverse)
+        self._take(coarse.correction)
         self.relax(steps, from_zero=False)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
@@ -128,6 +141,11 @@ class CpuLevel:
             self._smooth(np.float32(scale), np.float32(momentum))
             self.correction, self._other = self._other, self.correction
 
+    def clear(self) -> None:
+        """Make the correction zero, and what else a cycle begins with."""
+        self.correction.fill(0)
+        self._other.fill(0)
+
     def vector(self, values: Vector | None = None) -> Vector:
         """Return zeros, or these planes."""
         if values is not None:
@@ -135,7 +153,7 @@ class CpuLevel:
         if self._memory is not None:
             return next(self._memory)
         if not self._spare:
-            return padded(2, self.grid)
+            return padded(len(self.grid), self.grid)
         vector = self._spare.pop()
         vector.fill(0)
         return vector
@@ -150,17 +168,17 @@ class CpuLevel:
 
     def product(self, a: Vector, b: Vector) -> float:
         """The scalar product."""
-        vectors.product(a, b, self._rows)
+        vectors.product(rows(a), rows(b), self._rows)
         return float(self._rows.sum())
 
     def largest(self, a: Vector) -> float:
         """The largest absolute value."""
-        vectors.largest(a, self._most)
+        vectors.largest(rows(a), self._most)
         return float(self._most.max())
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
         """The largest absolute value of `a`, and the scalar product."""
-        vectors.weigh(a, b, self._most, self._rows)
+        vectors.weigh(rows(a), rows(b), self._most, self._rows)
         return float(self._most.max()), float(self._rows.sum())
 
     def ratio(self, a: float, b: float) -> float:
@@ -179,7 +197,8 @@ class CpuLevel:
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
         """D += length direction, rest -= length image; the square of the rest."""
-        vectors.advance(d, rest, direction, image, np.float32(length), self._rows)
+        arrays = map(rows, (d, rest, direction, image))
+        vectors.advance(*arrays, np.float32(length), self._rows)
         return float(self._rows.sum())
 
     def project(self, vector: Vector) -> None:
@@ -195,13 +214,31 @@ class CpuLevel:
         self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float
     ) -> None:
         """Direction = rest + share (direction - stride image)."""
-        vectors.lean(rest, direction, image, np.float32(share), np.float32(stride))
+        arrays = map(rows, (rest, direction, image))
+        vectors.lean(*arrays, np.float32(share), np.float32(stride))
 
     def read(self, *scalars: float) -> tuple[float, ...]:
         """Return them."""
         return scalars
 
 
+def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A volume as an image of all its rows, for loops that look at each by itself."""
+    return planes.reshape(len(planes), -1, planes.shape[-1])
+
+
+@lru_cache(maxsize=16)
+def paces_of(steps: Steps, from_zero: bool) -> Vector:
+    """(scale, ahead, back) of each step, for displacements instead of steps."""
+    # A step's momentum takes the difference of the last two displacements; before the first step of
+    # all there is none, and if it begins at zero the second takes the first displacement itself.
+    made = np.zeros((len(steps), 3), dtype=np.float32)
+    made[:, :2] = steps
+    begun = 2 if from_zero else 1
+    made[begun:, 2] = made[begun:, 1]
+    return made
+
+
 def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Planes without their ring."""
-    return planes[:, PAD:-PAD, PAD:-PAD]
+    return planes[(slice(None), *[slice(PAD, -PAD)] * (planes.ndim - 1))]

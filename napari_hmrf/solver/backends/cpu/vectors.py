@@ -2,6 +2,7 @@
 
 Arrays are padded as those of the other kernels are, by two sites of void; `inverse` is the inverse
 diagonal of the model, 0 where a component does not move. A scalar product is returned row by row.
+What looks at each row by itself takes volumes, too, as images of all their rows (`level.rows`).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -25,7 +26,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
 def row_product(a: Any, b: Any, row: int) -> float:
     """The scalar product of one row."""
     total = float32(0)
-    for component in range(2):
+    for component in range(len(a)):
         for j in range(a.shape[2]):
             total += a[component, row, j] * b[component, row, j]
     return total
@@ -36,10 +37,11 @@ def span(inverse, spans, i):
     """Where row i's moving sites begin and end."""
     first, past = int64(0), int64(0)
     for j in range(inverse.shape[2] - 4):
-        if inverse[0, i + 2, j + 2] > float32(0) or inverse[1, i + 2, j + 2] > float32(0):
-            if past == 0:
-                first = j
-            past = j + 1
+        for k in range(len(inverse)):
+            if inverse[k, i + 2, j + 2] > float32(0):
+                if past == 0:
+                    first = j
+                past = j + 1
     spans[i, 0] = first
     spans[i, 1] = past
 
@@ -48,7 +50,7 @@ def span(inverse, spans, i):
 def hold(inverse, held, pins, spans):
     """Make a diagonal its inverse, 0 where held; `pins` counts what is held: 1 or 0."""
     for i in prange(inverse.shape[1] - 4):
-        for k in range(2):
+        for k in range(len(inverse)):
             for j in range(2, inverse.shape[2] - 2):
                 diagonal, here = inverse[k, i + 2, j], held[k, i + 2, j]
                 moves = diagonal > float32(0) and not here
@@ -64,7 +66,7 @@ def spring(inverse, pins, most, strength, weight, spans):
     A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
     """
     for i in prange(inverse.shape[1] - 4):
-        for k in range(2):
+        for k in range(len(inverse)):
             for j in range(2, inverse.shape[2] - 2):
                 diagonal = inverse[k, i + 2, j]
                 pins[k, i + 2, j] = min(pins[k, i + 2, j], most)
@@ -133,7 +135,7 @@ def interpolate(coarse, fine, inverse):
 def advance(d, rest, direction, image, length, row_totals):
     """D += length * direction, rest -= length * image; `row_totals` gets the square of the rest."""
     for i in prange(d.shape[1] - 4):
-        for component in range(2):
+        for component in range(len(d)):
             for j in range(d.shape[2]):
                 d[component, i + 2, j] += length * direction[component, i + 2, j]
                 rest[component, i + 2, j] -= length * image[component, i + 2, j]
@@ -144,7 +146,7 @@ def advance(d, rest, direction, image, length, row_totals):
 def lean(rest, direction, image, share, stride):
     """Direction = rest + share * (direction - stride * image)."""
     for i in prange(direction.shape[1] - 4):
-        for component in range(2):
+        for component in range(len(direction)):
             for j in range(direction.shape[2]):
                 direction[component, i + 2, j] = rest[component, i + 2, j] + share * (
                     direction[component, i + 2, j] - stride * image[component, i + 2, j]
@@ -166,7 +168,7 @@ def row_largest(a: Any, row: int) -> Any:
     once.
     """
     most = int32(0)
-    for component in range(2):
+    for component in range(len(a)):
         bits = a[component, row].view(np.int32)
         for j in range(len(bits)):
             most = max(most, bits[j] & int32(0x7FFFFFFF))

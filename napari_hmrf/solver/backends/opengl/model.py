@@ -97,6 +97,9 @@ class GLModel:
         """The diagonal of A, whatever is held."""
         return self._host.steepness
 
+    def clear(self) -> None:
+        """Nothing to do: images have no better cycles to go over to."""
+
     def forget(self) -> None:
         """Nothing to do: no vector outlives a solve."""
 

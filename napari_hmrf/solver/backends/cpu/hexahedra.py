@@ -1,0 +1,229 @@
+"""The forces of a volume's elements, a block of sites at a time, for the loops of both precisions.
+
+Arrays are padded as those of the other kernels are, by two sites of void. An element has the number
+of its first site (least plane, row and col). `solver.priors.hexahedra` has the equations; here each
+step is one loop along a line, which vectorises:
+
+1. `_faces`: of the four sites of an element's first face, the differences along planes, along rows
+   and along both, and how much all four together differ from the next face;
+2. `_elements`: from two faces the modes, and what these pull with at either;
+3. `_gather`: what the elements before and after a face pull with at its four sites. That completes
+   the first; what the others get is carried to the next row, and to the next plane.
+
+Lines of scratch memory lie a constant apart: only so does the compiler see that none overlaps
+another. Between lines that a step reads and those that it writes a few are left out, as processors
+confuse what is written so close to what is read.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.cpu.compiled import callee, inline, shared
+
+#: Sites of a block; a line of scratch has room for its faces.
+BLOCK = 128
+_LINE = BLOCK + 16
+# The first lines of moduli, two; of pulls, seven of each component; of forces; and how many lines
+# there are. Those of faces, four of each component, come first.
+_MODULI, _PULLS, _FORCES, _LINES = 12, 18, 44, 47
+
+
+def constants(shape: Any) -> npt.NDArray[np.float64]:
+    """What the kernels need to know of a voxel's shape.
+
+    The factors of derivatives along the axes; of modes that vary along two axes, by component, a
+    third of their stiffness; of those that vary along all a ninth; and a third.
+    """
+    plane, row, col = squares = np.square(shape)
+    along_two = (
+        2 * plane + row,
+        2 * plane + col,
+        2 * row + plane,
+        2 * row + col,
+        2 * col + plane,
+        2 * col + row,
+    )
+    thirds = [each / 3 for each in along_two]
+    return np.array([*shape, *thirds, *((squares + squares.sum()) / 9), 1 / 3])
+
+
+@inline
+def _line(f, number):
+    """A line of scratch."""
+    return f[number * _LINE : (number + 1) * _LINE]
+
+
+@shared
+def _faces(d, k, z, y, begin, count, f):
+    """Step 1, of one component and `count` faces."""
+    past = begin + count + 1
+    near, right = d[k, z, y, begin:past], d[k, z, y + 1, begin:past]
+    far, across = d[k, z + 1, y, begin:past], d[k, z + 1, y + 1, begin:past]
+    all_four, planes = _line(f, 4 * k), _line(f, 4 * k + 1)
+    rows, both = _line(f, 4 * k + 2), _line(f, 4 * k + 3)
+    for x in range(count):
+        left, beside = far[x] - near[x], across[x] - right[x]
+        here = (near[x + 1] - near[x]) + (right[x + 1] - right[x])
+        all_four[x] = here + ((far[x + 1] - far[x]) + (across[x + 1] - across[x]))
+        planes[x] = left + beside
+        rows[x] = (right[x] - near[x]) + (across[x] - far[x])
+        both[x] = beside - left
+
+
+@shared
+def _moduli(shear, other, share, f, count):
+    """Mu and lambda of a line of elements, in the precision of `f`."""
+    mu, volume, one = _line(f, _MODULI), _line(f, _MODULI + 1), f.dtype.type
+    for x in range(count):
+        mu[x] = one(shear[x])
+        volume[x] = share * one(other[x])
+
+
+@shared
+def _elements(f, c, count):
+    """Step 2, of `count` elements."""
+    # u, v and w are the components; numbers say along which of the axes a mode varies: planes,
+    # rows, and cols, which faces know nothing of.
+    q0, q1, q2 = c[0], c[1], c[2]
+    u_110, u_101, v_110, v_011, w_101, w_011 = c[3], c[4], c[5], c[6], c[7], c[8]
+    u_111, v_111, w_111, third = c[9], c[10], c[11], c[12]
+    mu, first = _line(f, _MODULI), _line(f, _MODULI + 1)
+    u00, u10 = _line(f, 0), _line(f, 1)
+    u01, u11 = _line(f, 2), _line(f, 3)
+    v00, v10 = _line(f, 4), _line(f, 5)
+    v01, v11 = _line(f, 6), _line(f, 7)
+    w00, w10 = _line(f, 8), _line(f, 9)
+    w01, w11 = _line(f, 10), _line(f, 11)
+    pull_u = _line(f, 18)
+    near_u10, far_u10 = _line(f, 19), _line(f, 20)
+    near_u01, far_u01 = _line(f, 21), _line(f, 22)
+    near_u11, far_u11 = _line(f, 23), _line(f, 24)
+    pull_v = _line(f, 25)
+    near_v10, far_v10 = _line(f, 26), _line(f, 27)
+    near_v01, far_v01 = _line(f, 28), _line(f, 29)
+    near_v11, far_v11 = _line(f, 30), _line(f, 31)
+    pull_w = _line(f, 32)
+    near_w10, far_w10 = _line(f, 33), _line(f, 34)
+    near_w01, far_w01 = _line(f, 35), _line(f, 36)
+    near_w11, far_w11 = _line(f, 37), _line(f, 38)
+    for x in range(count):
+        shear = mu[x]
+        u001 = u00[x]
+        u100, u101 = u10[x + 1] + u10[x], u10[x + 1] - u10[x]
+        u010, u011 = u01[x + 1] + u01[x], u01[x + 1] - u01[x]
+        u110, u111 = u11[x + 1] + u11[x], u11[x + 1] - u11[x]
+        v001 = v00[x]
+        v100, v101 = v10[x + 1] + v10[x], v10[x + 1] - v10[x]
+        v010, v011 = v01[x + 1] + v01[x], v01[x + 1] - v01[x]
+        v110, v111 = v11[x + 1] + v11[x], v11[x + 1] - v11[x]
+        w001 = w00[x]
+        w100, w101 = w10[x + 1] + w10[x], w10[x + 1] - w10[x]
+        w010, w011 = w01[x + 1] + w01[x], w01[x + 1] - w01[x]
+        w110, w111 = w11[x + 1] + w11[x], w11[x + 1] - w11[x]
+        e0, e1, e2 = q0 * u100, q1 * v010, q2 * w001
+        volume = first[x] * (e0 + e1 + e2)
+        s0, s1, s2 = shear * e0, shear * e1, shear * e2
+        s01 = shear * (q1 * u010 + q0 * v100)
+        s02 = shear * (q2 * u001 + q0 * w100)
+        s12 = shear * (q2 * v001 + q1 * w010)
+        less = third * shear
+        t01 = less * (q1 * u011 + q0 * v101)
+        t02 = less * (q2 * u011 + q0 * w110)
+        t12 = less * (q2 * v101 + q1 * w110)
+        pull_u[x] = q2 * s02
+        even, odd = q0 * (volume + s0 + s0), u_101 * shear * u101
+        near_u10[x], far_u10[x] = even - odd, even + odd
+        even, odd = q1 * s01, q1 * t01 + q2 * t02
+        near_u01[x], far_u01[x] = even - odd, even + odd
+        even, odd = u_110 * shear * u110, u_111 * shear * u111
+        near_u11[x], far_u11[x] = even - odd, even + odd
+        pull_v[x] = q2 * s12
+        even, odd = q0 * s01, q0 * t01 + q2 * t12
+        near_v10[x], far_v10[x] = even - odd, even + odd
+        even, odd = q1 * (volume + s1 + s1), v_011 * shear * v011
+        near_v01[x], far_v01[x] = even - odd, even + odd
+        even, odd = v_110 * shear * v110, v_111 * shear * v111
+        near_v11[x], far_v11[x] = even - odd, even + odd
+        pull_w[x] = q2 * (volume + s2 + s2)
+        even, odd = q0 * s02, w_101 * shear * w101
+        near_w10[x], far_w10[x] = even - odd, even + odd
+        even, odd = q1 * s12, w_011 * shear * w011
+        near_w01[x], far_w01[x] = even - odd, even + odd
+        even, odd = q0 * t02 + q1 * t12, w_111 * shear * w111
+        near_w11[x], far_w11[x] = even - odd, even + odd
+
+
+@shared
+def _gather(f, k, rows, planes, y, begin, count):
+    """Step 3, of one component."""
+    # A face is the far one of the element before.
+    past, pulls = begin + count, _PULLS + 7 * k
+    row, corner = rows[0, k, begin:past], rows[1, k, begin:past]
+    plane, force = planes[k, y, begin:past], _line(f, _FORCES + k)
+    pull = _line(f, pulls)
+    near_10, far_10 = _line(f, pulls + 1), _line(f, pulls + 2)
+    near_01, far_01 = _line(f, pulls + 3), _line(f, pulls + 4)
+    near_11, far_11 = _line(f, pulls + 5), _line(f, pulls + 6)
+    for x in range(count):
+        both, across = pull[x] - pull[x + 1], near_11[x + 1] + far_11[x]
+        even, uneven = both + across, both - across
+        along_planes, along_rows = near_10[x + 1] + far_10[x], near_01[x + 1] + far_01[x]
+        odd, apart = along_planes + along_rows, along_planes - along_rows
+        force[x] = ((even - odd) + row[x]) + plane[x]
+        plane[x] = (uneven + apart) + corner[x]
+        row[x] = uneven - apart
+        corner[x] = even + odd
+
+
+@callee
+def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
+    """The stiffness matrix times d at `count` sites of a line, for `force_of`.
+
+    Parameters
+    ----------
+    d : ndarray, shape (3, D + 4, H + 4, W + 4)
+    lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
+        Of each element mu, and lambda unless that is a fixed `share` of mu; else `share` is 1.
+    c : ndarray
+        `constants`.
+    z, y, begin, count : int
+        In the padded arrays.
+    f : ndarray
+        Scratch.
+    rows : ndarray, shape (2, 3, W + 4)
+        What the elements of the row before pull with at this row, in this plane and in the next.
+    planes : ndarray, shape (3, H + 4, W + 4)
+        What those of the plane before pull with at this one.
+    """
+    if len(f) < _LINES * _LINE:
+        return  # never; but now the compiler knows that no line is cut short
+    _faces(d, 0, z, y, begin - 1, count + 2, f)
+    _faces(d, 1, z, y, begin - 1, count + 2, f)
+    _faces(d, 2, z, y, begin - 1, count + 2, f)
+    shear = lame[0, z, y, begin - 1 : begin + count]
+    other = lame[lame.shape[0] - 1, z, y, begin - 1 : begin + count]
+    _moduli(shear, other, share, f, count + 1)
+    _elements(f, c, count + 1)
+    _gather(f, 0, rows, planes, y, begin, count)
+    _gather(f, 1, rows, planes, y, begin, count)
+    _gather(f, 2, rows, planes, y, begin, count)
+
+
+@inline
+def force_of(f, k):
+    """A component's forces, from the first site of the block on."""
+    return f[(_FORCES + k) * _LINE : (_FORCES + k + 1) * _LINE]
+
+
+@shared
+def scratch(d):
+    """Memory for one thread: lines, and what is carried to the next row and plane."""
+    lines = np.empty(_LINES * _LINE, dtype=d.dtype)
+    rows = np.zeros((2, 3, d.shape[3]), dtype=d.dtype)
+    planes = np.zeros((3, d.shape[2], d.shape[3]), dtype=d.dtype)
+    return lines, rows, planes

@@ -1,0 +1,337 @@
+"""Elastic volumes as compiled loops: what multigrid asks of its levels.
+
+Arrays are padded as those of the other kernels are, by two sites of void on every side. An element
+has the number of its first site, and parameters as `backends.cpu.hexahedra` takes them. A site that
+is prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0. `weight`, the
+diagonal of a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
+
+Each kernel divides the planes among threads, `count` of them. A thread begins with the plane above
+its first, for the sake of what that leaves to the next; what comes out of it is nobody's. Kernels
+write where something moves only (`spans`, of every padded row): beyond that there must be 0.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+import numpy as np
+from numba import float32, float64, get_num_threads, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import (
+    callee,
+    contracted_reduction,
+    inline,
+    parallel,
+    shared,
+)
+from napari_hmrf.solver.backends.cpu.forces import part
+from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
+from napari_hmrf.solver.backends.cpu.vectors import restrict_row
+
+# A thread that gets fewer planes than this makes too much of what it shares with its neighbours.
+_FEW_PLANES = 8
+
+
+def parts(depth: int) -> int:
+    """Among how many threads a level's planes are divided."""
+    return max(1, min(get_num_threads(), depth // _FEW_PLANES))
+
+
+@inline
+def _join(spans, z, y, begin, past):
+    """A span that covers another row's, too."""
+    if spans[z, y, 1] > spans[z, y, 0]:
+        if past == begin:
+            begin, past = spans[z, y, 0], spans[z, y, 1]
+        else:
+            begin, past = min(begin, spans[z, y, 0]), max(past, spans[z, y, 1])
+    return begin, past
+
+
+@shared
+def _reach(spans, z, y):
+    """Where what moves in a row, the next, and the same two of the next plane begins and ends."""
+    begin, past = spans[z, y, 0], spans[z, y, 1]
+    begin, past = _join(spans, z, y + 1, begin, past)
+    begin, past = _join(spans, z + 1, y, begin, past)
+    begin, past = _join(spans, z + 1, y + 1, begin, past)
+    return max(begin, 0) + 2, past + 2
+
+
+@shared
+def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
+    scale, ahead, back = pace
+    for x in range(len(d)):
+        rest = load[x] - (force[x] + springs * weight[x] * d[x])
+        step = scale * inverse[x] * rest + ahead * d[x]
+        out[x] = d[x] + (step - back * out[x])
+
+
+@callee
+def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, last):
+    lame, share, shape = tissue
+    weight, springs = weights
+    lines, rows, planes = scratch(d)
+    for z in range(max(first - 1, 0) + 2, last + 2):
+        rows.fill(0)
+        for y in range(2, d.shape[2] - 2):
+            begin, past = _reach(spans, z, y)
+            for x in range(begin, past, BLOCK):
+                end = min(x + BLOCK, past)
+                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                if z >= first + 2:
+                    for k in range(3):
+                        _smooth_line(
+                            force_of(lines, k),
+                            d[k, z, y, x:end],
+                            load[k, z, y, x:end],
+                            inverse[k, z, y, x:end],
+                            weight[k, z, y, x:end],
+                            springs,
+                            out[k, z, y, x:end],
+                            pace,
+                        )
+
+
+@parallel
+def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
+    """Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other; and back.
+
+    What `other` holds before is the displacement before the last step: d - other was that step.
+    """
+    for step in range(len(paces)):
+        source, target = (d, other) if step % 2 == 0 else (other, d)
+        pace = paces[step, 0], paces[step, 1], paces[step, 2]
+        tissue, weights = (lame, share, shape), (weight, springs)
+        for number in prange(count):
+            first, last = part(number, count, d.shape[1] - 4)
+            _smooth_part(source, tissue, weights, load, inverse, spans, target, pace, first, last)
+
+
+@parallel
+def start(load, inverse, d, scale):
+    """The first step from zero, of all rows: d = scale D^-1 load."""
+    for i in prange(d.shape[1]):
+        for k in range(len(d)):
+            for j in range(d.shape[2]):
+                d[k, i, j] = scale * inverse[k, i, j] * load[k, i, j]
+
+
+@shared
+def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
+    for x in range(len(d)):
+        rest = given * load[x] - (force[x] + springs * weight[x] * d[x])
+        rest = float32(scale * rest)
+        out[x] = rest if inverse[x] > float32(0) else rest - rest
+
+
+@callee
+def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
+    lame, share, shape = tissue
+    (weight, springs), (load, given, scale) = weights, loads
+    lines, rows, planes = scratch(d)
+    for z in range(max(first - 1, 0) + 2, last + 2):
+        rows.fill(0)
+        for y in range(2, d.shape[2] - 2):
+            begin, past = _reach(spans, z, y)
+            for x in range(begin, past, BLOCK):
+                end = min(x + BLOCK, past)
+                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                if z >= first + 2:
+                    for k in range(3):
+                        _rest_line(
+                            force_of(lines, k),
+                            d[k, z, y, x:end],
+                            load[k, z, y, x:end],
+                            given,
+                            inverse[k, z, y, x:end],
+                            weight[k, z, y, x:end],
+                            springs,
+                            scale,
+                            out[k, z, y, x:end],
+                        )
+
+
+@parallel
+def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
+    """Out = scale (given load - (A + W) d) in single precision where sites move, 0 elsewhere."""
+    for number in prange(count):
+        first, last = part(number, count, d.shape[1] - 4)
+        tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
+        _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last)
+
+
+@contracted_reduction
+def _work_line(force, d):
+    product, square = 0.0, 0.0
+    for x in range(len(d)):
+        product += d[x] * force[x]
+        square += force[x] * force[x]
+    return product, square
+
+
+@callee
+def _work_part(d, lame, share, shape, products, squares, first, last):
+    lines, rows, planes = scratch(d)
+    for z in range(max(first - 1, 0) + 2, last + 2):
+        rows.fill(0)
+        for y in range(2, d.shape[2] - 2):
+            for x in range(2, d.shape[3] - 2, BLOCK):
+                end = min(x + BLOCK, d.shape[3] - 2)
+                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                if z >= first + 2:
+                    for k in range(3):
+                        product, square = _work_line(force_of(lines, k), d[k, z, y, x:end])
+                        products[z - 2] += product
+                        squares[z - 2] += square
+
+
+@parallel
+def work(d, lame, share, shape, products, squares, count):
+    """Add the product of a displacement and A times it, and the square of that, by planes."""
+    for number in prange(count):
+        first, last = part(number, count, d.shape[1] - 4)
+        _work_part(d, lame, share, shape, products, squares, first, last)
+
+
+# From level to level
+
+
+@shared
+def _between(above, here, below, line):
+    """What three lines hand to the coarse plane that lies on the middle one."""
+    half = float32(0.5)
+    for x in range(len(line)):
+        line[x] = here[x] + half * (above[x] + below[x])
+
+
+@parallel
+def restrict(fine, coarse):
+    """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    for n in prange(coarse.shape[1] - 4):
+        lines = np.empty((3, fine.shape[3]), dtype=fine.dtype)
+        z = 2 * np.int64(n) + 2
+        for k in range(3):
+            for m in range(coarse.shape[2] - 4):
+                for row in range(3):
+                    y = 2 * m + 1 + row
+                    _between(fine[k, z - 1, y], fine[k, z, y], fine[k, z + 1, y], lines[row])
+                restrict_row(lines[0], lines[1], lines[2], coarse[k, n + 2, m + 2])
+
+
+@callee
+def _interpolate_row(near, right, far, across, inverse, line, fine):
+    half, quarter = float32(0.5), float32(0.25)
+    for x in range(len(line)):
+        line[x] = quarter * ((near[x] + right[x]) + (far[x] + across[x]))
+    for x in range((len(fine) - 3) // 2):
+        here, between = line[x + 2], half * (line[x + 2] + line[x + 3])
+        fine[2 * x + 2] += here if inverse[2 * x + 2] > float32(0) else float32(0)
+        fine[2 * x + 3] += between if inverse[2 * x + 3] > float32(0) else float32(0)
+
+
+@parallel
+def interpolate(coarse, fine, inverse):
+    """Add a coarse correction, trilinear, to the sites that move."""
+    for number in prange(fine.shape[1] - 4):
+        n = np.int64(number)
+        line = np.empty(coarse.shape[3], dtype=fine.dtype)
+        near, z = n // 2 + 2, n + 2
+        far = near + n % 2
+        for k in range(3):
+            for m in range(fine.shape[2] - 4):
+                left, y = m // 2 + 2, m + 2
+                right = left + m % 2
+                one, other = coarse[k, near, left], coarse[k, near, right]
+                third, last = coarse[k, far, left], coarse[k, far, right]
+                _interpolate_row(one, other, third, last, inverse[k, z, y], line, fine[k, z, y])
+
+
+# What levels know of tissue
+
+
+@shared
+def _sum_line(near, right, far, across, line):
+    """Of each element the sum of its corners; 0 if one of them is 0."""
+    for x in range(len(line)):
+        one, other = float64(near[x]), float64(near[x + 1])
+        low, total = min(one, other), one + other
+        one, other = float64(right[x]), float64(right[x + 1])
+        low, total = min(low, min(one, other)), total + (one + other)
+        one, other = float64(far[x]), float64(far[x + 1])
+        low, total = min(low, min(one, other)), total + (one + other)
+        one, other = float64(across[x]), float64(across[x + 1])
+        low, total = min(low, min(one, other)), total + (one + other)
+        line[x] = total if low > 0 else 0.0
+
+
+@parallel
+def elements(m, each, one, scale, lame):
+    """The parameters of each element: of the means of its sites; 0 if one of them is void.
+
+    With `one` Poisson's ratio for all, mu is `scale` times the sum of its corners. Else ratios are
+    those of `each` site, and `scale` is for Young's modulus.
+    """
+    for n in prange(m.shape[0] - 1):
+        total, ratio = np.empty(m.shape[2] - 1), np.empty(m.shape[2] - 1)
+        for y in range(m.shape[1] - 1):
+            shear = lame[0, n + 2, y + 2, 2:]
+            _sum_line(m[n, y], m[n, y + 1], m[n + 1, y], m[n + 1, y + 1], total)
+            if one:
+                for x in range(len(total)):
+                    shear[x] = scale * total[x]
+            else:
+                first = lame[lame.shape[0] - 1, n + 2, y + 2, 2:]
+                for x in range(len(total)):
+                    four = float64(each[n, y, x]) + float64(each[n, y + 1, x])
+                    four += float64(each[n + 1, y, x]) + float64(each[n + 1, y + 1, x])
+                    ratio[x] = 0.125 * four
+                    four = float64(each[n, y, x + 1]) + float64(each[n, y + 1, x + 1])
+                    four += float64(each[n + 1, y, x + 1]) + float64(each[n + 1, y + 1, x + 1])
+                    ratio[x] += 0.125 * four
+                for x in range(len(total)):
+                    nu = ratio[x] if total[x] > 0 else 0.0  # what void is said to be does not count
+                    mu = scale * total[x] / (2 + 2 * nu)
+                    shear[x] = mu
+                    first[x] = 2 * mu * nu / (1 - 2 * nu)
+
+
+@parallel
+def coarsen(fine, coarse):
+    """A coarse element's parameters, in its own unit: the sum of its eight over four."""
+    quarter = float32(0.25)
+    for n in prange(coarse.shape[1] - 4):
+        for k in range(len(coarse)):
+            for y in range(coarse.shape[2] - 4):
+                out = coarse[k, n + 2, y + 2]
+                near, right = fine[k, 2 * n + 2, 2 * y + 2], fine[k, 2 * n + 2, 2 * y + 3]
+                far, across = fine[k, 2 * n + 3, 2 * y + 2], fine[k, 2 * n + 3, 2 * y + 3]
+                for x in range(len(out) - 4):
+                    one = (near[2 * x + 2] + right[2 * x + 2]) + (
+                        far[2 * x + 2] + across[2 * x + 2]
+                    )
+                    other = near[2 * x + 3] + right[2 * x + 3]
+                    other += far[2 * x + 3] + across[2 * x + 3]
+                    out[x + 2] = quarter * (one + other)
+
+
+@parallel
+def diagonal(lame, share, shape, out):
+    """The diagonal of the stiffness matrix."""
+    for n in prange(lame.shape[1] - 4):
+        z, last = n + 2, lame.shape[0] - 1
+        for k in range(3):
+            stretch, slide = share * shape[k] * shape[k], float32(16) * shape[9 + k]
+            for y in range(2, lame.shape[2] - 2):
+                line = out[k, z, y]
+                near, right = lame[0, z - 1, y - 1], lame[0, z - 1, y]
+                far, across = lame[0, z, y - 1], lame[0, z, y]
+                for x in range(len(line) - 4):
+                    one = (near[x + 1] + right[x + 1]) + (far[x + 1] + across[x + 1])
+                    other = (near[x + 2] + right[x + 2]) + (far[x + 2] + across[x + 2])
+                    line[x + 2] = slide * (one + other)
+                near, right = lame[last, z - 1, y - 1], lame[last, z - 1, y]
+                far, across = lame[last, z, y - 1], lame[last, z, y]
+                for x in range(len(line) - 4):
+                    one = (near[x + 1] + right[x + 1]) + (far[x + 1] + across[x + 1])
+                    other = (near[x + 2] + right[x + 2]) + (far[x + 2] + across[x + 2])
+                    line[x + 2] += stretch * (one + other)

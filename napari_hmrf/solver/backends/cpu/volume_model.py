@@ -1,0 +1,192 @@
+"""Elastic volumes on the processor: their levels, and their forces in double precision."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside, paces_of, rows
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.host_model import HostModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
+from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio, stiffest
+
+
+class CpuVolumeLevel(CpuLevel):
+    """One level's elements and springs.
+
+    Attributes
+    ----------
+    lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
+        Parameters of the elements; 0 in void.
+    share : float
+        What they mean, as `backends.cpu.hexahedra` says.
+    """
+
+    def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
+        super().__init__(grid)
+        self.lame = padded(parameters, grid)
+        self.weight, self.pins = (None, self._other) if finest else (self.vector(), self.vector())
+        depth, height = (size + 2 * PAD for size in grid[:2])
+        #: Where what moves in each padded row begins and ends.
+        self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
+        self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
+        #: Among how many threads its planes are divided.
+        self.parts = volume.parts(grid[0])
+        self.share = np.float32(1)
+        self.shape: Vector = np.zeros(0, dtype=np.float32)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on the finest level."""
+        # What is held is wanted by the next level only, and until then: `clear` follows, as
+        # kernels write within the spans only, and beyond them there must be 0.
+        self.pins = self._other
+        volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
+
+    def hold_as(self, finer: CpuVolumeLevel) -> None:
+        """Put the sites near those that the finer level holds on springs."""
+        volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        self._spring(finer)
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        paces = paces_of(steps, from_zero)
+        if from_zero:
+            arrays = map(rows, (self.load, self.inverse, self.correction))
+            volume.start(*arrays, paces[0, 0])
+            paces = paces[1:]
+        about = self.load, self.lame, self.share, self.inverse, *self._springs, self.shape
+        volume.smooth(self.correction, self._other, *about, self.reach, paces, self.parts)
+        if len(paces) % 2 == 1:
+            self.correction, self._other = self._other, self.correction
+
+    def _hand_down(self, coarse: CpuVolumeLevel) -> None:
+        # Its first step after this does not ask for the one before.
+        self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
+        self._restrict(self._other, coarse.load)
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Image = A direction; their scalar product."""
+        self._rest_of(direction, direction, np.float32(0), np.float32(-1), image)
+        return self.product(direction, image)
+
+    def _rest_of(
+        self, d: Vector, load: Vector, given: np.float32, scale: np.float32, out: Vector
+    ) -> None:
+        about = self.lame, self.share, self.inverse, *self._springs, self.shape, self.reach
+        volume.rest(d, load, given, *about, scale, out, self.parts)
+
+    @staticmethod
+    def _restrict(fine: Vector, coarse: Vector) -> None:
+        volume.restrict(fine, coarse)
+
+    def _take(self, coarse: Vector) -> None:
+        volume.interpolate(coarse, self.correction, self.inverse)
+
+
+class CpuVolumeModel(HostModel):
+    """`LinearModel` of an elastic volume.
+
+    Parameters
+    ----------
+    material : ElasticMaterial
+    """
+
+    def __init__(self, material: ElasticMaterial) -> None:
+        count = 1 if isinstance(material.poisson, float) else 2
+        self.levels = [
+            CpuVolumeLevel(grid, count, number == 0)
+            for number, grid in enumerate(grids(material.m.shape))
+        ]
+        self._rest = self.levels[0].vector()
+        self.assemble(material)
+
+    def assemble(self, material: ElasticMaterial) -> None:
+        """Take another material of the same grid, with as many parameters."""
+        self.material = material
+        self.bounds = smoother_bounds(material)
+        self._held = None
+        constants = hexahedra.constants(material.shape)
+        m, nu, most = material.m, material.poisson, stiffest(material.m)
+        lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
+        if isinstance(nu, float):
+            share = lame_ratio(nu, strain=True)
+            volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
+        else:
+            volume.elements(m, nu, False, scale, lame)
+        for level in self.levels:
+            level.shape, level.share = constants.astype(np.float32), np.float32(share)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            volume.coarsen(fine.lame, coarse.lame)
+        self._exact: tuple[Any, ...] = np.float64(share), constants
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        before = self._held
+        super().hold(held)
+        if self._held is not before:
+            self.clear()
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        finest, (share, shape) = self.levels[0], self._exact
+        given = (d, 0.0) if load is None else (load, 1.0)
+        about = finest.lame, share, finest.inverse, finest.inverse, 0.0, shape, finest.reach
+        volume.rest(d, *given, *about, 1 / unit, self._rest, finest.parts)
+        most, square = finest.weigh(self._rest, self._rest)
+        return most, math.sqrt(square)
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """- A d everywhere, in double precision."""
+        share, _ = self._exact
+        first = self.levels[0].lame[..., PAD : -PAD - 1, PAD : -PAD - 1, PAD : -PAD - 1]
+        lame = Lame(share * first[-1].astype(np.float64), first[0].astype(np.float64))
+        exactly = d if low is None else d + low
+        return host.planes(-self.material.shape.forces(lame, np.moveaxis(inside(exactly), 0, -1)))
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """The elastic energy, and the norm of the forces."""
+        finest, (share, shape) = self.levels[0], self._exact
+        products, squares = np.zeros((2, self.shape[0]))
+        volume.work(d, finest.lame, share, shape, products, squares, finest.parts)
+        return float(products.sum()) / 2, math.sqrt(squares.sum())
+
+    @property
+    def steepness(self) -> Planes:
+        """The diagonal of the stiffness matrix."""
+        finest = self.levels[0]
+        out = finest.vector()
+        volume.diagonal(finest.lame, finest.share, finest.shape, out)
+        return np.asarray(out, dtype=np.float64)
+
+    def forget(self) -> None:
+        """Be not the last model any more: what is left in its vectors may be no number."""
+        _last[:] = ()
+
+
+_last: list[CpuVolumeModel] = []
+in_child_of_fork(_last.clear)
+
+
+def the_model(material: ElasticMaterial) -> CpuVolumeModel:
+    """Return the model of a material: the last one, if it is the same tissue again.
+
+    As `elastic_model.the_model`.
+    """
+
+    def layout(each: ElasticMaterial) -> tuple[Any, ...]:
+        return each.m.shape, isinstance(each.poisson, float)
+
+    if not _last or layout(_last[0].material) != layout(material):
+        _last[:] = ()  # its memory, first
+        _last.append(CpuVolumeModel(material))
+    elif _last[0].material != material:
+        _last[0].assemble(material)
+    return _last[0]

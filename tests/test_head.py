@@ -1,0 +1,66 @@
+"""The head in three dimensions is what its description says, and its tumour grows."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+
+from napari_hmrf import ArgumentError, head_phantom, solve, warp
+from napari_hmrf.field.strain import jacobian_determinant
+
+
+@pytest.fixture(scope="module")
+def small():
+    return head_phantom(48)
+
+
+@pytest.fixture(scope="module")
+def grown(small):
+    return solve(small.problem)
+
+
+def test_each_part_is_there_in_its_place_and_of_its_size(small):
+    counts = np.bincount(small.tissue_labels.ravel(), minlength=4) * np.prod(small.spacing)
+    brain, ventricles, tumour = counts[1:] / 1e6
+    assert brain + ventricles + tumour == pytest.approx(
+        4 / 3 * np.pi * 0.62 * 0.84 * 0.66, rel=0.02
+    ), "in litres"
+    assert tumour == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.02)
+    assert 0.015 < ventricles < 0.03
+    assert label(small.tissue_labels > 0)[1] == label(small.tissue_labels == 3)[1] == 1
+    bone = (small.image > 200) & (small.tissue_labels == 0)
+    assert bone.any()
+    assert small.image[0].mean() < 5, "air around it"
+
+
+def test_the_tumour_grows_and_the_brain_stays_in_its_skull(small, grown):
+    labels = small.tissue_labels
+    after = warp(labels, grown.displacement, spacing=small.spacing, tissue=labels > 0, order=0)
+    larger = (after == 3).sum() / (labels == 3).sum()
+    assert 1.5 < larger < 1.25**3
+    assert ((after > 0) == (labels > 0)).mean() > 0.99
+    ratio = jacobian_determinant(grown.displacement, spacing=small.spacing, tissue=labels > 0)
+    assert np.median(ratio[labels == 3]) == pytest.approx(1.25**3, rel=0.001)
+    assert np.nanmean(ratio[labels == 2]) < 0.98, "ventricles are squeezed"
+
+
+def test_motion_is_in_millimetres_whatever_the_size_of_a_voxel(small, grown):
+    fine = head_phantom(64)
+    other = solve(fine.problem)
+    far, near = (
+        np.linalg.norm(each.displacement, axis=-1)[of.tissue_labels == 1].mean()
+        for each, of in ((grown, small), (other, fine))
+    )
+    assert far == pytest.approx(near, rel=0.15)
+
+
+def test_it_is_drawn_alike_each_time_and_cannot_be_written_to(small):
+    again = head_phantom(48)
+    np.testing.assert_array_equal(again.image, small.image)
+    with pytest.raises(ValueError, match="read-only"):
+        small.image[0, 0, 0] = 1
+
+
+@pytest.mark.parametrize("size", [23, 30.5, "large", None])
+def test_what_is_no_size_is_refused(size):
+    with pytest.raises(ArgumentError, match="size"):
+        head_phantom(size)
