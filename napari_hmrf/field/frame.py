@@ -15,6 +15,9 @@ from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]
 
+#: The axes of a volume's world, as layers carry them: called after the side of the patient that
+#: each leads to, here with the letters of that and of the side it comes from.
+PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
 #: The attributes of a layer, and keyword arguments of a new one, that say where it lies.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 #: What a file holds of a `Frame`.
