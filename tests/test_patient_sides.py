@@ -1,13 +1,15 @@
 """Left and right of the patient stand at the edges of the canvas, where an image says so."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import dock_in, quick
 from napari.components import ViewerModel
 from napari.layers import Image
-from qtpy.QtWidgets import QLabel
+from qtpy.QtWidgets import QFileDialog, QLabel
+from screen import Screen
 from screen import head as table_head
 
 from napari_hmrf import Arrow, Drawing
@@ -205,3 +207,67 @@ def test_the_status_bar_says_it_of_what_is_under_the_cursor(qtbot, wait_for, tmp
     length = re.search(r"moves (\S+) mm", said)[1]
     assert f"moves {length} mm ({length} R)" in said, "and not that it moves to the left"
     assert dock.solution.frame["axis_labels"] == ("superior", "posterior", "left"), "kept in files"
+
+
+def test_a_slice_is_called_by_where_it_lies_before_it_is_saved_and_after(
+    qtbot, wait_for, tmp_path, monkeypatch
+):
+    proposed = []
+
+    def choose(*given):
+        proposed.append(given[2])
+        return str(tmp_path / given[2]), ""
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", choose)
+    viewer, path = ViewerModel(), head(tmp_path)
+    ((data, attributes, _),) = open_scan(path)(path)
+    viewer.add_image(data, **{**attributes, "name": "a/b: head"})
+    viewer.dims.set_current_step(0, 17)
+    first = SoftTissue(viewer)
+    qtbot.addWidget(first.native)
+    wait_for(lambda: not first.busy)
+    first.drawing = Drawing((Arrow(at=(12, 12), by=(0.0, -3.0), radius=2.0),))
+    wait_for(lambda: first.solution is not None and not first.busy)
+    made = "a/b: head deformed, elastic (S 5.5 mm)"
+    assert made in viewer.layers, "it is the 18th of 24 slices 1 mm apart"
+    assert first.status.startswith("S 5.5 mm: tissue moved")
+    Screen(first).press("Save study ...")
+    assert proposed == ["a-b- head S 5.5 mm.study"]
+    viewer.dims.set_current_step(0, 0)
+    assert "Of S 5.5 mm; you look at I 11.5 mm" in first._form.result.how_far.value
+    again = ViewerModel()
+    second = SoftTissue(again)
+    qtbot.addWidget(second.native)
+    second.open_study(tmp_path / proposed[0])
+    wait_for(lambda: second.solution is not None and not second.busy)
+    second.deform()
+    wait_for(lambda: not second.busy)
+    assert made in again.layers
+
+
+@pytest.mark.parametrize(
+    ("step", "number", "name"),
+    [
+        (1.2, 5, "I 14.14 mm"),
+        (-1.2, 5, "I 26.14 mm"),
+        (1.2, 30, "S 15.86 mm"),
+        (0.0004, 1, "I 20.1352 mm"),
+        (40.0, 7, "S 259.9 mm"),
+    ],
+)
+@pytest.mark.parametrize("angle", [0, 15])
+@pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")
+def test_slices_that_are_aslant_are_called_by_their_place_along_the_normal(
+    step, number, name, angle
+):
+    matrix = np.eye(4)
+    cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    matrix[:2, :2] = [[cosine * step, -sine], [sine * step, cosine]]
+    matrix[:2, 3] = np.array([[cosine, -sine], [sine, cosine]]) @ [-20.1356, 3.0]
+    known = {"units": ("mm",) * 3, "axis_labels": tuple(PATIENT_AXES)}
+    image = Image(np.zeros((40, 4, 4)), affine=matrix, **known)
+    frame = replace(frame_of(image), index=(number, 0, 0))
+    assert frame.slice_seen == name
+    assert frame.slice_name == f"superior = {number}", "what files tell results apart by"
+    unknown = replace(frame, units=("pixel",) * 3)
+    assert unknown.slice_seen == f"superior = {number}"
