@@ -7,7 +7,7 @@ from npe2 import PluginManifest
 from patience import LONG_MS
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QDockWidget
+from qtpy.QtWidgets import QApplication, QDockWidget, QStyle, QStyleOptionComboBox
 from screen import Screen
 
 from napari_hmrf.errors import HmrfError
@@ -86,6 +86,26 @@ def test_words_take_no_more_room_than_they_need_and_move_no_button(window, at_re
     found.say("One line.")
     footer.warn("")
     wait_for(lambda: footer.height() == least)
+
+
+def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(window, at_rest, wait_for):
+    found = dock()
+    found._viewer.layers["MR"].data = np.arange(1600, dtype=np.float32).reshape(40, 40)
+    Screen(found).press("Tissue from brightness")
+    found.tool = "tissue"
+    found.start()
+    wait_for(lambda: not found.busy)
+    at_rest()
+    editor, preset = found._form.tissue.editor, found.fields.preset.native
+    assert found.native.width() < 360, "as wide as it usually is"
+    for box in (editor.scale.native, editor.between.native, preset):
+        looks = QStyleOptionComboBox()
+        box.initStyleOption(looks)
+        style = QStyle.ComplexControl.CC_ComboBox, looks, QStyle.SubControl.SC_ComboBoxEditField
+        room = box.style().subControlRect(*style, box).width()
+        assert box.fontMetrics().horizontalAdvance(box.currentText()) <= room, box.currentText()
+    unit = editor.unit
+    assert unit.fontMetrics().horizontalAdvance("unit") + 4 <= unit.contentsRect().width()
 
 
 def test_what_is_opened_is_scrolled_to(window, at_rest, wait_for):

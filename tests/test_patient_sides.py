@@ -1,20 +1,25 @@
 """Left and right of the patient stand at the edges of the canvas, where an image says so."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import dock_in, quick
 from napari.components import ViewerModel
 from napari.layers import Image
-from qtpy.QtWidgets import QLabel
+from qtpy.QtWidgets import QFileDialog, QLabel
+from screen import Screen
+from screen import head as table_head
 
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import open_scan
+from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, save_image
-from napari_hmrf.layers.screen_directions import Sides, step_in_patient
-from napari_hmrf.layers.slice_view import frame_of
+from napari_hmrf.layers.screen_directions import Directions, Sides
+from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 pytest.importorskip("SimpleITK")
@@ -116,15 +121,73 @@ def test_they_go_with_the_dock(window):
     assert dock.sides == Sides()
 
 
-@pytest.mark.parametrize("stored", ["LPS", "RAS"])
-def test_a_step_is_said_by_the_sides_of_the_patient(tmp_path, stored):
-    path = head(tmp_path, DIRECTIONS[stored])
+def test_fields_and_table_speak_of_the_patient_as_the_status_bar_does(window, wait_for):
+    viewer, dock, image = window()
+    dock.image = image
+    dock.tool = "move"
+    dock.start()
+    wait_for(lambda: not dock.busy)
+    fields = dock.fields
+    assert (fields.by_row.label, fields.by_col.label) == ("to P (mm)", "to L (mm)")
+    assert "to L, the patient's left" in fields.by_col.tooltip
+    assert "below 0: to R, the patient's right" in fields.by_col.tooltip
+    fields.by_col.value = -5.0
+    assert fields.words == "Push 5 R"
+    fields.components.value = "col"
+    assert fields.words == "Push 5 R, R-L only"
+    box = fields.components.native
+    words = [box.itemText(at) for at in range(box.count())]
+    assert words[1:] == ["A-P only (rows)", "R-L only (columns)"]
+    table = dock._form.motion.boundary.table
+    place = frame_of(image).placement()
+    table.layer = viewer.add_labels(np.zeros(image.data.shape, int), name="walls", **place)
+    table.rows = (BoundaryRule(1, "move"),)
+    assert table_head(table, 3).startswith("to P")
+    assert table_head(table, 4).startswith("to L")
+    said = " ".join([fields.by_row.label, fields.by_col.label, *words, fields.words])
+    assert not {"up", "down", "left", "right"} & set(re.findall(r"\w+", said))
+
+
+def oblique(angle, mirrored):
+    """A head that lies turned in the scanner, its columns stored to the left or to the right."""
+    turn, sign = np.eye(4), -1 if mirrored else 1
+    cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    turn[1:3, 1:3] = [[cosine, -sine * sign], [sine, cosine * sign]]
+    return Image(np.zeros((4, 20, 20)), affine=turn, axis_labels=tuple(PATIENT_AXES))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("angle", [0, 20, -40, 70, 90, 180, -110])
+def test_of_a_turned_or_mirrored_scan_the_letters_are_the_patient_s(angle, mirrored):
+    image = oblique(angle, mirrored)
+    ways = Directions.of(frame_of(image))
+    towards = {"P": (1, 0), "A": (-1, 0), "L": (0, 1), "R": (0, -1)}
+    for axis, typed in enumerate(((3.0, 0.0), (0.0, 3.0))):
+        goes = np.subtract(
+            image.data_to_world((0, *ways.along(typed))), image.data_to_world((0, 0, 0))
+        )
+        letter = ways.label(axis).removeprefix("to ")
+        np.testing.assert_allclose(goes[1:], np.multiply(3, towards[letter]), atol=1e-6)
+        assert ways.step(typed) == f"3 {letter}"
+        opposite = {"P": "A", "A": "P", "L": "R", "R": "L"}[letter]
+        assert ways.step(tuple(np.negative(typed))) == f"3 {opposite}"
+
+
+@pytest.mark.parametrize("stored", DIRECTIONS)
+def test_letters_do_not_depend_on_the_camera_or_on_how_a_file_is_stored(tmp_path, stored):
+    viewer, path = ViewerModel(), head(tmp_path, DIRECTIONS[stored])
     ((data, attributes, _),) = open_scan(path)(path)
-    frame = frame_of(Image(data, **attributes))
-    sign = 1 if stored == "LPS" else -1
-    assert step_in_patient(frame, (sign * 1.25, sign * -0.5)) == "1.25 P, 0.5 R"
-    assert step_in_patient(frame, (0.0, sign * 2.0)) == "2 L"
-    assert step_in_patient(frame_of(Image(np.zeros((4, 4)))), (1.0, 1.0)) == ""
+    image = viewer.add_image(data, **attributes)
+    frame = frame_of(image, View.of(viewer.dims))
+    ways = Directions.of(frame, viewer)
+    camera = getattr(viewer, "scene", viewer).camera
+    camera.orientation2d = ("up", "left")
+    assert Directions.of(frame, viewer) == ways
+    (at,) = np.argwhere(np.asarray(data) == 200)  # to the left, the front and the top
+    centre = np.array(data.shape) // 2
+    said = ways.step(ways.seen(tuple(np.sign(at - centre)[list(frame.plane)].astype(float))))
+    assert {part.split()[1] for part in said.split(", ")} == {"A", "L"}
+    assert Directions.of(frame_of(Image(np.zeros((4, 4))))).step((1.0, 1.0)) == "1 down, 1 right"
 
 
 def test_the_status_bar_says_it_of_what_is_under_the_cursor(qtbot, wait_for, tmp_path):
@@ -144,3 +207,67 @@ def test_the_status_bar_says_it_of_what_is_under_the_cursor(qtbot, wait_for, tmp
     length = re.search(r"moves (\S+) mm", said)[1]
     assert f"moves {length} mm ({length} R)" in said, "and not that it moves to the left"
     assert dock.solution.frame["axis_labels"] == ("superior", "posterior", "left"), "kept in files"
+
+
+def test_a_slice_is_called_by_where_it_lies_before_it_is_saved_and_after(
+    qtbot, wait_for, tmp_path, monkeypatch
+):
+    proposed = []
+
+    def choose(*given):
+        proposed.append(given[2])
+        return str(tmp_path / given[2]), ""
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", choose)
+    viewer, path = ViewerModel(), head(tmp_path)
+    ((data, attributes, _),) = open_scan(path)(path)
+    viewer.add_image(data, **{**attributes, "name": "a/b: head"})
+    viewer.dims.set_current_step(0, 17)
+    first = SoftTissue(viewer)
+    qtbot.addWidget(first.native)
+    wait_for(lambda: not first.busy)
+    first.drawing = Drawing((Arrow(at=(12, 12), by=(0.0, -3.0), radius=2.0),))
+    wait_for(lambda: first.solution is not None and not first.busy)
+    made = "a/b: head deformed, elastic (S 5.5 mm)"
+    assert made in viewer.layers, "it is the 18th of 24 slices 1 mm apart"
+    assert first.status.startswith("S 5.5 mm: tissue moved")
+    Screen(first).press("Save study ...")
+    assert proposed == ["a-b- head S 5.5 mm.study"]
+    viewer.dims.set_current_step(0, 0)
+    assert "Of S 5.5 mm; you look at I 11.5 mm" in first._form.result.how_far.value
+    again = ViewerModel()
+    second = SoftTissue(again)
+    qtbot.addWidget(second.native)
+    second.open_study(tmp_path / proposed[0])
+    wait_for(lambda: second.solution is not None and not second.busy)
+    second.deform()
+    wait_for(lambda: not second.busy)
+    assert made in again.layers
+
+
+@pytest.mark.parametrize(
+    ("step", "number", "name"),
+    [
+        (1.2, 5, "I 14.14 mm"),
+        (-1.2, 5, "I 26.14 mm"),
+        (1.2, 30, "S 15.86 mm"),
+        (0.0004, 1, "I 20.1352 mm"),
+        (40.0, 7, "S 259.9 mm"),
+    ],
+)
+@pytest.mark.parametrize("angle", [0, 15])
+@pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")
+def test_slices_that_are_aslant_are_called_by_their_place_along_the_normal(
+    step, number, name, angle
+):
+    matrix = np.eye(4)
+    cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    matrix[:2, :2] = [[cosine * step, -sine], [sine * step, cosine]]
+    matrix[:2, 3] = np.array([[cosine, -sine], [sine, cosine]]) @ [-20.1356, 3.0]
+    known = {"units": ("mm",) * 3, "axis_labels": tuple(PATIENT_AXES)}
+    image = Image(np.zeros((40, 4, 4)), affine=matrix, **known)
+    frame = replace(frame_of(image), index=(number, 0, 0))
+    assert frame.slice_seen == name
+    assert frame.slice_name == f"superior = {number}", "what files tell results apart by"
+    unknown = replace(frame, units=("pixel",) * 3)
+    assert unknown.slice_seen == f"superior = {number}"

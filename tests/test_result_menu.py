@@ -275,6 +275,20 @@ def test_a_result_from_a_file_is_measured_by_the_labels_that_are_there(result, t
 # Files
 
 
+def test_each_way_of_the_field_is_asked_for_by_its_own_name(result, monkeypatch):
+    dock, _ = result()
+    said = []
+    answer = lambda *given: (said.append(given[1:3]), ("", ""))[1]  # noqa: E731
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", answer)
+    for entry in ("field for images", "field for points", "as film"):
+        Screen(dock).entry("More", f"Save {entry}").trigger()
+    assert said == [
+        ("Save field for images", "field-for-images.mha"),
+        ("Save field for points", "field-for-points.mha"),
+        ("Save as film", "film.gif"),
+    ]
+
+
 @pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
 def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_path, ending):
     pytest.importorskip("SimpleITK")

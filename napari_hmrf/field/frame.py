@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -10,11 +11,14 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from napari_hmrf.field.units import is_unit, unit_factor
+from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
 from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]
 
+#: The axes of a volume's world, as layers carry them: called after the side of the patient that
+#: each leads to, here with the letters of that and of the side it comes from.
+PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
 #: The attributes of a layer, and keyword arguments of a new one, that say where it lies.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 #: What a file holds of a `Frame`.
@@ -143,23 +147,41 @@ class Frame:
 
     @property
     def slice_seen(self) -> str:
-        """The same by the number that the viewer's slider shows: for people to read.
+        """The same for people to read: in a patient by where it lies, such as "S 22 mm".
 
-        A slider counts from the end of the world where the coordinates are lowest, which is the
-        last slice of an axis that runs backwards.
+        Else it is by the number that the viewer's slider shows. A slider counts from the end of
+        the world where the coordinates are lowest, which is the last slice of an axis that runs
+        backwards; and a study that is opened again has one slice, the first.
         """
-        if not self.sliders:
-            return self.slice_name
         world = np.array(self.matrix) @ np.array([*self.index, 1.0])
         seen = list(self.index)
-        for axis in self.others:
+        for axis in self.others if self.sliders else ():
             start, step = self.sliders[axis]
             seen[axis] = round((float(world[axis]) - start) / step) if step else seen[axis]
-        return self._named(seen)
+        return self._named(seen, placed=True)
 
-    def _named(self, numbers: Sequence[int]) -> str:
+    def _in_patient(self, axis: int) -> str:
+        """Where the slice lies across an axis; "" if that is none of a patient."""
+        letters, unit = PATIENT_AXES.get(self.axis_labels[axis]), self.units[axis]
+        if letters is None or unit == "pixel":
+            return ""
+        # Along the normal, so that all of a slice that is aslant lies at one place.
+        matrix = np.array(self.matrix)
+        normal = np.linalg.inv(matrix)[axis, :-1]
+        towards = math.copysign(float(np.linalg.norm(normal)), normal[axis])
+        far = float(normal @ (matrix @ [*self.index, 1.0])[:-1]) / towards
+        # To a hundredth of the way to the next slice, or finer.
+        digits = max(2 + math.ceil(math.log10(abs(towards))), 0)
+        # What a file or an inverse has lost is less than that.
+        far = round(round(far, digits + 4), digits)
+        return f"{letters[int(far < 0)]} {abs(far):.12g} {unit_symbol(unit)}"
+
+    def _named(self, numbers: Sequence[int], placed: bool = False) -> str:
         names = []
         for axis in self.others:
+            if placed and (place := self._in_patient(axis)):
+                names.append(place)
+                continue
             label = self.axis_labels[axis]
             named = not label.lstrip("-").isdigit()
             if not named and len(self.others) == 1:

@@ -24,7 +24,7 @@ from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
-from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.field.warp import as_field
@@ -224,10 +224,6 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     return Field(field, tuple(image.GetOrigin()), turn)
 
 
-#: The axes of a volume's world by where in the patient they lead to, as layers carry them.
-PATIENT_AXES = ("superior", "posterior", "left")
-
-
 def is_field_file(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a displacement field, by its head; False where SimpleITK is missing."""
     source = Path(path)
@@ -273,7 +269,7 @@ class Place(NamedTuple):
             (unit,) * n,
             index=(number, *(0,) * (n - 1)) if n > 2 else None,
             affine=turn,
-            axis_labels=PATIENT_AXES if n == 3 else ("y", "x"),
+            axis_labels=tuple(PATIENT_AXES) if n == 3 else ("y", "x"),
         )
 
 

@@ -1,4 +1,4 @@
-"""Which way a slice runs: its rows and columns on the screen, and its sides in the patient.
+"""Which way the rows and columns of a slice run: on the screen, or in the patient where known.
 
 Scans say how they lie in the patient. Layers carry it in the names of their axes, and so do studies
 and results.
@@ -12,21 +12,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from napari.layers import Image, Labels
 
-from napari_hmrf.field.frame import Frame
-from napari_hmrf.io.fields import PATIENT_AXES
+from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.layers.compat import camera_of
 
 #: Columns whose direction is less than this aside from that of the rows have no way of their own.
 _ASIDE = 0.5
-_OPPOSITE = {"down": "up", "up": "down", "right": "left", "left": "right", "": ""}
-#: Where an axis leads to, and where it comes from, as letters at the edges of a picture.
-_LETTERS = dict(zip(PATIENT_AXES, (("S", "I"), ("P", "A"), ("L", "R")), strict=True))
-#: What is less than this is not worth saying, in mm.
-_LEAST = 0.005
+#: Ways that are opposite, and how both are called together.
+_BOTH = {
+    ("up", "down"): "up and down",
+    ("left", "right"): "left and right",
+    ("S", "I"): "S-I",
+    ("A", "P"): "A-P",
+    ("R", "L"): "R-L",
+}
+_OPPOSITE = {way: other for pair in _BOTH for way, other in (pair, pair[::-1])} | {"": ""}
+#: Which side of the patient a letter stands for.
+_SIDES = {"S": "head", "I": "feet", "A": "front", "P": "back", "R": "right", "L": "left"}
 
 
 class Directions(NamedTuple):
-    """Where a step of one pixel goes, as it is seen: the nearest way of the screen; "" if sheared.
+    """Where a step of one pixel goes: the nearest way of the patient, or of the screen.
+
+    Of an image that knows how it lies in the patient ways are letters, as at the edges of the
+    canvas: its left is not that of the screen. They are "" if the pixels are sheared.
 
     Components of a displacement keep the order and the sign of the pixels: a medical image that is
     stored mirrored is seen mirrored back, and its columns then run to the left. Of a layer that is
@@ -34,7 +42,7 @@ class Directions(NamedTuple):
 
     Attributes
     ----------
-    rows, cols : {"down", "up", "right", "left", ""}
+    rows, cols : {"down", "up", "right", "left", "S", "I", "A", "P", "R", "L", ""}
     turn : float
         By how much the rows are turned from the way they have the name of, towards that of the
         columns, in radians.
@@ -56,9 +64,13 @@ class Directions(NamedTuple):
         axes = list(frame.plane)
         linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
         linear = linear / np.linalg.norm(linear, axis=0)
-        # Where the world's rows and columns run on the canvas.
-        down, right = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
-        ways = str(down), str(right)
+        # Where the world's rows and columns run in the patient, or on the canvas.
+        names = [frame.axis_labels[axis] for axis in axes]
+        if all(name in PATIENT_AXES for name in names):
+            ways = [PATIENT_AXES[name][0] for name in names]
+        else:
+            canvas = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
+            ways = [str(way) for way in canvas]
         main = int(np.abs(linear[:, 0]).argmax())
         seen = linear[[main, 1 - main]]
         if abs(seen[1, 1]) < _ASIDE:
@@ -94,23 +106,24 @@ class Directions(NamedTuple):
         return f"How far {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
 
     def label(self, axis: int) -> str:
-        """Of numbers along the rows (0) or the columns (1): "down", "right"."""
-        return self[:2][axis] or ("along rows", "along columns")[axis]
+        """Of numbers along the rows (0) or the columns (1): "down", "right", "to R"."""
+        way = self[:2][axis] or ("along rows", "along columns")[axis]
+        return f"to {way}" if way in _SIDES else way
 
     def only(self, axis: int) -> str:
-        """Speaking of one axis alone, which is the image's: "up and down only (rows)"."""
+        """Speaking of one axis alone, which is the image's: "A-P only (rows)"."""
         name, both = ("rows", "columns")[axis], self.both(axis)
         return f"{both} only ({name})" if both else f"along the image's {name} only"
 
     def both(self, axis: int) -> str:
-        """An axis without a sense: "up and down"; "" at an angle."""
+        """An axis without a sense: "up and down", "A-P"; "" at an angle."""
         way = self[:2][axis]
         if not way or self.turn:
             return ""
-        return "up and down" if way in ("up", "down") else "left and right"
+        return next(words for ways, words in _BOTH.items() if way in ways)
 
     def step(self, seen: tuple[float, float]) -> str:
-        """A step along the ways named in words: "5 down, 10 right"."""
+        """A step along the ways named in words: "5 down, 10 right", "5 P, 10 R"."""
         if not self.rows:
             return f"({seen[0]:g}, {seen[1]:g})"
         parts = [
@@ -122,6 +135,8 @@ class Directions(NamedTuple):
 
 
 def _to(way: str) -> str:
+    if way in _SIDES:
+        return f"to {way}, the patient's {_SIDES[way]}"
     return f"to the {way}" if way in ("right", "left") else way
 
 
@@ -143,24 +158,10 @@ class Sides(NamedTuple):
         pictures = (each for each in viewer.layers if isinstance(each, Image | Labels))
         for layer in filter(lambda each: each.visible, pictures):
             for axis, label in enumerate(layer.axis_labels):
-                if label in _LETTERS:
-                    known[axis + dims.ndim - layer.ndim] = _LETTERS[label]
+                if label in PATIENT_AXES:
+                    known[axis + dims.ndim - layer.ndim] = PATIENT_AXES[label]
         ends = [known.get(axis, ("", "")) for axis in dims.displayed]
         down, right = (str(way) for way in camera_of(viewer).orientation2d)
         bottom, top = ends[0] if down == "down" else ends[0][::-1]
         end, begin = ends[1] if right == "right" else ends[1][::-1]
         return cls(top, bottom, begin, end)
-
-
-def step_in_patient(frame: Frame, step: tuple[float, float]) -> str:
-    """A step along rows and columns by the sides it leads to, "1.2 A, 0.5 R"; "" if unknown."""
-    if not all(frame.axis_labels[axis] in _LETTERS for axis in frame.plane):
-        return ""
-    sides = np.array(frame.matrix)[:-1, list(frame.plane)]
-    parts = sides / np.linalg.norm(sides, axis=0) @ step
-    said = [
-        f"{abs(part):.3g} {_LETTERS[label][int(part < 0)]}"
-        for label, part in zip(frame.axis_labels, parts.tolist(), strict=True)
-        if label in _LETTERS and abs(part) >= _LEAST
-    ]
-    return ", ".join(said)

@@ -95,7 +95,7 @@ class DockForm:
         return self.tissue.table, self.motion.boundary.table
 
     def show_place(self, unit: str, ways: Directions) -> None:
-        """Say in which unit lengths are, and which way rows and columns run on the screen."""
+        """Say in which unit lengths are, and which way rows and columns run."""
         self.motion.fields.show_place(unit, ways)
         self.motion.boundary.table.show_place(unit, ways)
 

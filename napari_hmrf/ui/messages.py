@@ -59,8 +59,8 @@ _WHEN_PLANE: dict[Plane, str] = {
     "strain": "Squeezed tissue can give way only within the image, as deep in a body.",
 }
 _HOW_MUCH = (
-    "The one or the other changes the field by a few per cent to more than half, the more the "
-    "nearer Poisson's ratio is to 0.5: compare both."
+    "Try both choices: their fields differ by a few per cent to more than half of the movement. "
+    "They differ most where Poisson's ratio is near 0.5."
 )
 ABOUT_POISSON = (
     "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "

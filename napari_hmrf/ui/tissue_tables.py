@@ -128,7 +128,7 @@ class BoundaryTable(LabelTable):
 
     @property
     def columns(self) -> list[Column]:
-        """Distances in the unit of the image, along the ways of the screen."""
+        """Distances in the unit of the image, along the ways of the patient or the screen."""
         unit, ways = self._place
         return [
             *super().columns,
@@ -162,7 +162,7 @@ class BoundaryTable(LabelTable):
         ]
 
     def show_place(self, unit: str, ways: Directions) -> None:
-        """Say in which unit amounts are, and which way rows and columns run on the screen."""
+        """Say in which unit amounts are, and which way rows and columns run."""
         if (unit, ways) != self._place:
             self._place = unit, ways
             self._fill()
@@ -208,7 +208,7 @@ def _distance(
             raise ValueError(f"A distance must be a number, in {unit}")
         return changed(rule, far)
 
-    words = title.replace(" ", "\n")  # the dock is narrow
+    words = title.replace("along ", "along\n")  # the dock is narrow
     return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed, lambda _: f"in {unit}")
 
 

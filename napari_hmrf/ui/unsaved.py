@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import threading
 import time
 import weakref
@@ -40,6 +41,8 @@ from napari_hmrf.ui.remembered_settings import settings
 Answer = Literal["save", "discard", "cancel"]
 Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
+#: What file names do not hold everywhere.
+_NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
 #: How long nothing must be edited until it is kept against a crash, in milliseconds.
 _REST = 1000
 #: Those of all docks there are.
@@ -99,7 +102,7 @@ class Unsaved(QObject):
         """Ask where to save the study, and save it; whether it was."""
         here, name = self._pointer.history.slot, "study"
         if isinstance(here, Slot):
-            name = f"{here.layer.name} {_slice(here)}".strip()
+            name = _NO_FILE_NAME.sub("-", f"{here.layer.name} {_slice(here)}".strip())
         known = self._work.paths.get(here, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"

@@ -44,7 +44,9 @@ class CurveEditor(QtWidgets.QWidget):
             0, "Of tissue of that intensity: how stiff beside the rest, or a Young's modulus"
         )
         tip = "The unit, such as kPa, where stiffnesses are measured ones; shown only"
-        self.unit = QtWidgets.QLineEdit(placeholderText="unit", maximumWidth=52, toolTip=tip)
+        self.unit = QtWidgets.QLineEdit(placeholderText="unit", toolTip=tip)
+        self.unit.setFixedWidth(30)  # the dock is narrow
+        self.unit.setStyleSheet("padding: 0")
         tip = "Add a point, halfway to the next"
         self.add = QtWidgets.QPushButton("+", maximumWidth=28, toolTip=tip)
         tip = "Remove the selected point (Delete)"
@@ -97,7 +99,8 @@ class CurveEditor(QtWidgets.QWidget):
         ):
             line = QtWidgets.QHBoxLayout()
             for widget in row:
-                line.addWidget(widget, int(isinstance(widget, wide)))
+                # What has the longer words is the wider.
+                line.addWidget(widget, widget.sizeHint().width() * isinstance(widget, wide))
                 if isinstance(widget, wide):
                     policy = widget.sizePolicy().Policy
                     widget.setSizePolicy(policy.Ignored, policy.Fixed)

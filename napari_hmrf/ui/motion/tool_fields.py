@@ -180,7 +180,7 @@ class ToolFields(Container):
         self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:
-        """Say in which unit lengths are, and which way the rows and columns run on the screen.
+        """Say in which unit lengths are, and which way the rows and columns run.
 
         What is typed keeps its meaning, along the rows and columns: words and angles change.
         """

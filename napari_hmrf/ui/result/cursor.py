@@ -14,7 +14,7 @@ from napari_hmrf.field.tissue_point import Points, Probe
 from napari_hmrf.layers.field_layer import frame_in, place_at, tissue_of
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
 from napari_hmrf.layers.result_layers import Name
-from napari_hmrf.layers.screen_directions import Directions, step_in_patient
+from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.layer_names import full_resolution
@@ -94,8 +94,7 @@ class UnderCursor:
         if overlay is not None and overlay.picture is not None:
             strain = float(overlay.picture[found.row, found.col])
             more.insert(0, strain_of(overlay.name, strain))
-        patient = step_in_patient(answer.frame, found.displacement)
-        return at_point(answer.unit, found, ways, more, shown.percent, patient)
+        return at_point(answer.unit, found, ways, more, shown.percent)
 
     def _stiffness(self, problem: Problem | None, found: Probe) -> str:
         tissue, frame = self._tissue, self._place
@@ -144,18 +143,15 @@ def at_point(
     ways: Directions,
     more: Sequence[str] = (),
     percent: int = FULL,
-    patient: str = "",
 ) -> str:
     """What is under the cursor, in a line short enough for the status bar.
 
-    It is of the whole deformation, however much (`percent`) of it is seen. Where the sides of the
-    `patient` are known the step is said by them, as "left" could be either's.
+    It is of the whole deformation, however much (`percent`) of it is seen.
     """
     down, along = (_rounded(part) for part in ways.seen(found.displacement))
     length = _rounded(found.length)
     parts = [
-        f"moves {length:g} {unit}"
-        + (f" ({patient or ways.step((down, along))})" if length else ""),
+        f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
         f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])

@@ -205,11 +205,11 @@ class ResultMenu:
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
-            ("field for images", _BACK, self.save_field, "field.mha", _FIELDS),
-            ("field for points", _FORTH, forth, "field.mha", _FIELDS),
+            ("field for images", _BACK, self.save_field, "field-for-images.mha", _FIELDS),
+            ("field for points", _FORTH, forth, "field-for-points.mha", _FIELDS),
             ("as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
-            ask = partial(self._ask, save, name, kinds)
+            ask = partial(self._ask, save, f"Save {title}", name, kinds)
             add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
 
     def _on_save(self, *_: Any) -> None:
@@ -234,12 +234,13 @@ class ResultMenu:
         layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
         seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
         save = partial(save_measurements, rows=rows, unit=unit)
-        ask = partial(self._ask, save, "measurements.csv", "Tables (*.csv)")
+        title = "Save measurements"
+        ask = partial(self._ask, save, title, "measurements.csv", "Tables (*.csv)")
         button.clicked.connect(lambda _: ask())
         seen.show()
 
-    def _ask(self, save: Callable[[str], Any], name: str, kinds: str) -> None:
-        path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, "Save", name, kinds)
+    def _ask(self, save: Callable[[str], Any], title: str, name: str, kinds: str) -> None:
+        path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, title, name, kinds)
         if path:
             attempt(partial(save, path), self._say)
 
