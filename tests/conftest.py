@@ -227,7 +227,22 @@ def made(monkeypatch):
 
 
 @pytest.fixture
-def open_window(make_napari_viewer, qtbot, at_rest):
+def unstyled(monkeypatch):
+    """Windows in Qt's own style: of napari's, each widget is measured and painted by many rules."""
+    monkeypatch.setattr("napari._qt.qt_main_window.get_stylesheet", lambda *_, **__: "")
+
+
+@pytest.fixture
+def without_controls(monkeypatch):
+    """Windows in which napari has no panel of controls for each layer."""
+    from qtpy.QtWidgets import QFrame
+
+    made = "napari._qt.layer_controls.qt_layer_controls_container.create_qt_layer_controls"
+    monkeypatch.setattr(made, lambda _: QFrame())
+
+
+@pytest.fixture
+def open_window(unstyled, make_napari_viewer, qtbot, at_rest):
     """Open a window with the dock beside an image."""
     from person import Person
 

@@ -16,6 +16,9 @@ from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
+#: What napari shows of each layer beside the canvas is seen in the tests of single tools.
+pytestmark = pytest.mark.usefixtures("unstyled", "without_controls")
+
 
 def opened(viewer):
     """The dock, elastic, which computes when it is told to."""
