@@ -35,6 +35,11 @@ _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 )
 _WINDOWS = {"make_napari_viewer", "make_napari_viewer_proxy"}
+#: Files with tests that take longest; of several processes none is to begin one as the last.
+_LONG = {
+    f"test_{name}.py"
+    for name in ("study_file", "trust", "cli", "report", "unsaved", "docks", "soak", "processes")
+}
 
 if _NO_DISPLAY:
     # Qt would end the process for want of a display; single widgets do without one.
@@ -42,7 +47,8 @@ if _NO_DISPLAY:
 
 
 def pytest_collection_modifyitems(items):
-    """Skip what needs a window where none can be opened; ``make test`` brings a display."""
+    """Begin with what takes long; skip what needs a window where none can be opened."""
+    items.sort(key=lambda item: item.path.name not in _LONG)
     if not _NO_DISPLAY:
         return
     for item in items:
