@@ -106,7 +106,7 @@ def widget(qtbot):
 
 
 @pytest.fixture
-def docked(make_napari_viewer):
+def docked(unstyled, make_napari_viewer):
     """The dock in the window of a real viewer, set to be quick."""
     return quick(dock_in(make_napari_viewer()))
 

@@ -40,7 +40,7 @@ def head(folder, direction=DIRECTIONS["LPS"]):
 
 
 @pytest.fixture
-def window(make_napari_viewer, tmp_path, at_rest):
+def window(unstyled, make_napari_viewer, tmp_path, at_rest):
     """A window with the dock beside a head that is stored in some way."""
 
     def opened(direction=DIRECTIONS["LPS"]):
