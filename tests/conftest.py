@@ -35,6 +35,11 @@ _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 )
 _WINDOWS = {"make_napari_viewer", "make_napari_viewer_proxy"}
+#: Files with tests that take longest; of several processes none is to begin one as the last.
+_LONG = {
+    f"test_{name}.py"
+    for name in ("study_file", "trust", "cli", "report", "unsaved", "docks", "soak", "processes")
+}
 
 if _NO_DISPLAY:
     # Qt would end the process for want of a display; single widgets do without one.
@@ -42,7 +47,8 @@ if _NO_DISPLAY:
 
 
 def pytest_collection_modifyitems(items):
-    """Skip what needs a window where none can be opened; ``make test`` brings a display."""
+    """Begin with what takes long; skip what needs a window where none can be opened."""
+    items.sort(key=lambda item: item.path.name not in _LONG)
     if not _NO_DISPLAY:
         return
     for item in items:
@@ -100,7 +106,7 @@ def widget(qtbot):
 
 
 @pytest.fixture
-def docked(make_napari_viewer):
+def docked(unstyled, make_napari_viewer):
     """The dock in the window of a real viewer, set to be quick."""
     return quick(dock_in(make_napari_viewer()))
 
@@ -227,7 +233,22 @@ def made(monkeypatch):
 
 
 @pytest.fixture
-def open_window(make_napari_viewer, qtbot, at_rest):
+def unstyled(monkeypatch):
+    """Windows in Qt's own style: of napari's, each widget is measured and painted by many rules."""
+    monkeypatch.setattr("napari._qt.qt_main_window.get_stylesheet", lambda *_, **__: "")
+
+
+@pytest.fixture
+def without_controls(monkeypatch):
+    """Windows in which napari has no panel of controls for each layer."""
+    from qtpy.QtWidgets import QFrame
+
+    made = "napari._qt.layer_controls.qt_layer_controls_container.create_qt_layer_controls"
+    monkeypatch.setattr(made, lambda _: QFrame())
+
+
+@pytest.fixture
+def open_window(unstyled, make_napari_viewer, qtbot, at_rest):
     """Open a window with the dock beside an image."""
     from person import Person
 

@@ -28,7 +28,7 @@ def click(at_rest):
 
 
 @pytest.fixture
-def deformed(make_napari_viewer, small_sample, run, settle):
+def deformed(unstyled, make_napari_viewer, small_sample, run, settle):
     """A window with the dock and a result: gel, held left, pushed 3 px right at the right."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer)

@@ -23,6 +23,9 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
 
+#: What napari shows of each layer beside the canvas is seen where tissue is pulled, in test_grab.
+pytestmark = pytest.mark.usefixtures("without_controls")
+
 
 def displacement(widget):
     """How the tissue that is seen moves."""

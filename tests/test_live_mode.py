@@ -395,7 +395,7 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_res
 
 
 @pytest.fixture
-def at_work(make_napari_viewer, small_sample, run, qtbot, at_rest):
+def at_work(unstyled, make_napari_viewer, small_sample, run, qtbot, at_rest):
     """A person with a brush before a real window, and a result that follows."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))

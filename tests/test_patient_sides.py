@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def head(folder, direction=DIRECTIONS["LPS"]):
 
 
 @pytest.fixture
-def window(make_napari_viewer, tmp_path, at_rest):
+def window(unstyled, make_napari_viewer, tmp_path, at_rest):
     """A window with the dock beside a head that is stored in some way."""
 
     def opened(direction=DIRECTIONS["LPS"]):
@@ -70,10 +71,11 @@ def edge_of_mark(viewer, image):
 
 
 @pytest.mark.parametrize("stored", DIRECTIONS)
-@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1), (0, 2, 1)])
-def test_letters_stand_where_that_side_of_the_patient_is_seen(window, stored, order):
+def test_letters_stand_where_that_side_of_the_patient_is_seen(window, stored):
     viewer, dock, image = window(DIRECTIONS[stored])
-    for ways in (("down", "right"), ("up", "left"), ("up", "right")):
+    orders = ((0, 1, 2), (1, 0, 2), (2, 0, 1), (0, 2, 1))
+    ways_round = (("down", "right"), ("up", "left"), ("up", "right"))
+    for order, ways in product(orders, ways_round):
         viewer.dims.order = order
         viewer.scene.camera.orientation2d = ways
         found = dict(zip(Sides._fields, dock.sides, strict=True))

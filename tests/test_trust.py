@@ -156,7 +156,7 @@ def test_a_report_counts_and_says_how_to_see_each_again(answer, capsys, tmp_path
     answer(ConvergenceError("not within 0.001 px"))
     page = tmp_path / "trust.md"
     assert trust.main(["--loops", "3", "--shaders", "0", "--seed", "5", "--page", str(page)]) == 1
-    said, written = capsys.readouterr().out, page.read_text()
+    said, written = capsys.readouterr().out, page.read_text(encoding="utf-8")
     for text in (said, written):
         assert "3 problems of seed 5 (3 on cpu)" in text
         assert "saying “not within # px”" in text

@@ -12,7 +12,7 @@ Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
 
 
 @pytest.fixture
-def seated(make_napari_viewer, small_sample, qtbot, at_rest):
+def seated(unstyled, make_napari_viewer, small_sample, qtbot, at_rest):
     """Somebody before a window with a small sample, and its dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer)

@@ -67,7 +67,7 @@ class Door(QObject):
 
 
 @pytest.fixture
-def window(make_napari_viewer, at_rest):
+def window(unstyled, without_controls, make_napari_viewer, at_rest):
     """A window with the dock beside an image of several slices, and the door it has to go by."""
     doors = []
 
