@@ -1,11 +1,12 @@
 """Volumes: the elements, the loops and the field are those of a matrix that others assembled."""
 
 import math
+import shutil
 import threading
 
 import numpy as np
 import pytest
-from volume_oracle import assembled, direct_solution
+from volume_oracle import assembled, calculix_solution, direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
@@ -166,6 +167,15 @@ def test_the_number_of_threads_does_not_matter():
 
 
 # The field
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@pytest.mark.parametrize("poisson", [0.3, 0.45])
+def test_what_volumes_are_compared_with_is_calculix_but_for_locking(poisson, tmp_path):
+    problem = squeezed(of_ratio(100, (6, 5, 4)), OBLONG)
+    locking = direct_solution(problem, poisson, locking=True)
+    np.testing.assert_allclose(locking, calculix_solution(problem, poisson, tmp_path), atol=1e-5)
+    assert np.abs(locking - direct_solution(problem, poisson)).max() > 1e-3
 
 
 @pytest.mark.parametrize(

@@ -79,9 +79,10 @@ def slices(grid: tuple[int, ...]) -> list[Slice]:
 def reuse(d: Planes, held: HeldPlanes) -> None:
     """Take what `prescribed` made for the next time: fresh memory takes longer to get than to fill.
 
-    For the compute thread only, on which solves take turns.
+    For the compute thread only, on which solves take turns. Those of a volume are left to others:
+    memory is what limits volumes.
     """
-    _spare[:] = [(d, held)]
+    _spare[:] = [(d, held)] if d.ndim == 3 else []
 
 
 def noise(shape: tuple[int, ...]) -> Planes:

@@ -64,7 +64,7 @@ class HostModel:
         """Hold components on all levels."""
         if self._held is not None and np.array_equal(held, self._held):
             return
-        self._held = held.copy()
+        self._held = held.copy() if len(held) == 2 else held  # of a volume nobody changes it
         self.found = Found()
         self._rest.fill(0)
         self.levels[0].hold(held)

@@ -81,6 +81,10 @@ class LinearLevel(Protocol):
         """Return a new vector: zero, or of what is in these planes, which it may change."""
         ...
 
+    def passing(self) -> Any:
+        """Return a vector of anything, which lasts until the next cycle."""
+        ...
+
     def free(self, *vectors: Any) -> None:
         """Take vectors back that nobody changes or asks for any more."""
         ...

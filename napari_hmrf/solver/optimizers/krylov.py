@@ -114,7 +114,7 @@ class ConjugateGradients:
         """
         level = self._cycle.levels[0]
         rest = level.vector(residual)
-        found, direction, image = (level.vector() for _ in range(3))
+        found, direction, image = level.vector(), level.vector(), level.passing()
         square = first = norm**2
         before: Any = None
         settled, entrained = 0.0, self.entrained

@@ -145,7 +145,7 @@ class ElasticPrior:
 
     def _strain(self, problem: Problem) -> bool:
         """Whether tissue is free to bulge in no direction."""
-        return self.plane == "strain" or problem.is_volume
+        return self.plane == "strain" or problem.stiffness.ndim == 3
 
     def lame(self, problem: Problem) -> Lame:
         """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""

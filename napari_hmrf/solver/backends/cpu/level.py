@@ -158,6 +158,10 @@ class CpuLevel:
         vector.fill(0)
         return vector
 
+    def passing(self) -> Vector:
+        """Return a new vector."""
+        return self.vector()
+
     def free(self, *vectors: Vector) -> None:
         """Take vectors back: fresh memory takes longer to get than to fill."""
         self._spare += vectors

@@ -33,7 +33,7 @@ class CpuVolumeLevel(CpuLevel):
     def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
         super().__init__(grid)
         self.lame = padded(parameters, grid)
-        self.weight, self.pins = (None, self._other) if finest else (self.vector(), self.vector())
+        self.weight = None if finest else self.vector()
         depth, height = (size + 2 * PAD for size in grid[:2])
         #: Where what moves in each padded row begins and ends.
         self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
@@ -43,11 +43,16 @@ class CpuVolumeLevel(CpuLevel):
         self.share = np.float32(1)
         self.shape: Vector = np.zeros(0, dtype=np.float32)
 
+    @property
+    def pins(self) -> Vector:  # type: ignore[override]
+        """What the next level asks for, once; `clear` follows.
+
+        Kernels write within the spans only: beyond them there must be 0.
+        """
+        return self._other
+
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
-        # What is held is wanted by the next level only, and until then: `clear` follows, as
-        # kernels write within the spans only, and beyond them there must be 0.
-        self.pins = self._other
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
 
@@ -72,6 +77,13 @@ class CpuVolumeLevel(CpuLevel):
         # Its first step after this does not ask for the one before.
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         self._restrict(self._other, coarse.load)
+
+    def passing(self) -> Vector:
+        """Return what only cycles need: memory is what limits volumes."""
+        return self._other
+
+    def free(self, *vectors: Vector) -> None:
+        """Let them go."""
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction; their scalar product."""

@@ -122,6 +122,10 @@ class GLLevel:
             self._passes.device.check("uploading a vector")
         return made
 
+    def passing(self) -> Vector:
+        """Return a new vector."""
+        return self.vector()
+
     def free(self, *vectors: Vector) -> None:
         """Nothing to do: textures come back with the last reference to a vector."""
 
