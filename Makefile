@@ -11,7 +11,7 @@ LOOPS ?= 5000
 SHADERS ?= 500
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test docs format lint types lines benchmarks live dragging trust hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test docs format lint types lines benchmarks live dragging trust volumes hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -26,6 +26,7 @@ help:
 	@echo "make lines        count the lines of code, folder by folder"
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
+	@echo "make volumes      time volumes beside PyAMG, and compare hundreds of random ones with direct solutions"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
 	@echo "make mutations    break the window's half in two dozen places, one by one, and see a test fail for each"
@@ -86,6 +87,9 @@ dragging: setup-for-windows
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
+
+volumes: setup-for-report
+	@$(RUN) benchmarks/volumes.py
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation.py

@@ -13,6 +13,7 @@ from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, Proble
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import volume
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
+from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
@@ -338,6 +339,7 @@ def test_a_solution_is_saved_and_loaded(tmp_path):
     assert again.tissue.shape == (5, 6, 7)
     assert again.spacing == OBLONG
     assert "5 x 6 x 7" in repr(again)
+    assert in_words(again.provenance.parameters).startswith("elastic (Poisson's ratio 0.45), ")
 
 
 def test_the_smallest_volumes_are_solved():

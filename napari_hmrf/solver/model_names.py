@@ -48,7 +48,8 @@ def in_words(parameters: Mapping[str, Any]) -> str:
     if prior.get("name") == "ElasticPrior":
         nu = prior.get("poisson")
         ratio = f"{nu:g}" if isinstance(nu, int | float) else "by tissue"
-        what = f"elastic (Poisson's ratio {ratio}, plane {prior.get('plane')})"
+        plane = f", plane {prior['plane']}" if "plane" in prior else ""  # a volume has none
+        what = f"elastic (Poisson's ratio {ratio}{plane})"
     elif prior.get("name") == "SeilerPrior":
         what = f"the paper's prior ({prior.get('conditional')})"
     else:

@@ -64,7 +64,7 @@ class Solution:
 
     Attributes
     ----------
-    displacement : ndarray, shape (H, W, 2), float32
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
         Components in (row, col) order, in the unit of `spacing`. Material (push-forward): the
         tissue at X moves to X + d(X). Zero where there is no tissue. In float64 where tissue moves
         so far that float32 does not carry the tolerance; files keep float32.

@@ -262,6 +262,9 @@ def run_here(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
             'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
         )
+    of_prior = dict(prior.parameters)
+    if problem.is_volume:
+        of_prior.pop("plane")  # it has none
     return Solution(
         displacement=displacement,
         energy=outcome.energy,
@@ -276,7 +279,7 @@ def run_here(
             seconds=resolving + done - ready,
             preparation_seconds=ready - started,
             parameters={
-                "prior": prior.parameters,
+                "prior": of_prior,
                 "optimizer": optimizer.parameters,
             },
             versions=_versions(),
