@@ -86,11 +86,18 @@ def test_nothing_that_is_shown_says_inf():
     assert stiffness_in_words(2.5) == "2.5"
 
 
-@pytest.mark.parametrize("labels", [np.ones((3, 3)), np.ones((3, 3, 3), int)])
-def test_labels_must_be_a_flat_image_of_whole_numbers(labels):
+@pytest.mark.parametrize("labels", [np.ones((3, 3)), np.ones((3, 3, 3, 3), int)])
+def test_labels_must_be_an_image_of_whole_numbers(labels):
     with pytest.raises(ProblemError):
         stiffness_image(labels, TISSUES)
     with pytest.raises(ProblemError):
+        boundary_images(labels, [BoundaryRule(1, "fixed")])
+
+
+def test_a_volume_has_tissues_and_no_rules_yet():
+    labels = np.ones((3, 3, 3), int)
+    assert stiffness_image(labels, TISSUES).shape == (3, 3, 3)
+    with pytest.raises(ProblemError, match="2-D"):
         boundary_images(labels, [BoundaryRule(1, "fixed")])
 
 

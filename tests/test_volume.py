@@ -2,10 +2,10 @@
 
 import math
 import shutil
-import threading
 
 import numpy as np
 import pytest
+from cancelling import During
 from volume_oracle import assembled, calculix_solution, direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
@@ -322,14 +322,8 @@ def test_an_earlier_solution_leaves_less_to_do():
 
 
 def test_a_solve_is_cancelled():
-    cancel = threading.Event()
-
-    def stop(monitor):
-        if monitor.message.startswith("cycle"):
-            cancel.set()
-
     with pytest.raises(Cancelled):
-        solve(squeezed(of_ratio(4)), optimizer=Multigrid(1e-6), progress=stop, cancel=cancel)
+        solve(squeezed(of_ratio(4)), optimizer=Multigrid(1e-6), cancel=During("cycle"))
 
 
 def test_a_solution_is_saved_and_loaded(tmp_path):
