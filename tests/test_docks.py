@@ -10,9 +10,9 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget, QStyle, QStyleOptionComboBox
 from screen import Screen
 
+from napari_hmrf.contributions import dock
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.commands import dock
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
