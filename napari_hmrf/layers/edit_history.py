@@ -97,7 +97,8 @@ class ViewerSteps:
         self.edits = StudyModel()
         self._viewer = weakref.proxy(viewer)
         self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
-        self._keys: UndoKeys | None = None
+        # What is done to leave the keys, of all layers and of the active one, as they were.
+        self._keys, self._of_layer = ExitStack(), ExitStack()
         # Whether napari paints, and not an undo or a redo.
         self._painting = False
         self.edits.changed.connect(self._on_changed)
@@ -113,13 +114,6 @@ class ViewerSteps:
         if not self._interrupted() and not self._before_us("redo", self.edits.next_redo):
             self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
-    def painted(self, layer: Any) -> None:
-        """Have a stroke of napari's brush be a step among the others."""
-        slot = Slot(PAINT, layer)
-        strokes, self._painting = self.edits.open(slot, 0), True
-        self.edits.do(slot, strokes + 1, f"painted in '{layer.name}'")
-        self._painting = False
-
     @property
     def undo_tooltip(self) -> str:
         """What `undo` would do, for its button; it ends with the key."""
@@ -131,23 +125,54 @@ class ViewerSteps:
         return f"{self._tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: Owner) -> None:
-        """Undo and redo by keys, beside napari's for paint, wherever no layer has others for them.
+        """Undo and redo by keys, wherever no layer has others for them.
+
+        napari binds them to paint wherever a Labels layer is the active one; there its strokes
+        become steps of ours.
 
         Parameters
         ----------
         owner : Owner
             Who wants it; the keys stay until nobody does.
         """
+        if not self._owners:
+            self._keys = self._bind(self._viewer)
+            active = self._viewer.layers.selection.events.active
+            active.connect(self._on_active)
+            self._keys.callback(active.disconnect, self._on_active)
+            self._on_active()
         self._owners.add(owner)
-        if self._keys is None:
-            self._keys = UndoKeys(self._viewer, self)
 
     def unbind_keys(self, owner: Owner) -> None:
-        """Leave the viewer's keys alone, unless somebody else still wants them."""
+        """Leave the viewer's keys as they were, unless somebody else still wants ours."""
         self._owners.discard(owner)
-        if self._keys is not None and not self._owners:
-            self._keys.release()
-            self._keys = None
+        if not self._owners:
+            self._of_layer.close()
+            self._keys.close()
+
+    def _bind(self, owner: Any) -> ExitStack:
+        bound = ExitStack()
+        for key, name in KEYS.items():
+            with suppress(ValueError):  # somebody else's
+                owner.bind_key(key, lambda _, name=name: getattr(self, name)())
+                bound.callback(owner.bind_key, key, None)
+        return bound
+
+    def _on_active(self, *_: Any) -> None:
+        self._of_layer.close()
+        active = self._viewer.layers.selection.active
+        # Without its history napari keeps the keys, and all is as it is without us.
+        if isinstance(active, Labels) and paint_steps(active, "undo") is not None:
+            self._of_layer = self._bind(active)
+            active.events.paint.connect(self._on_paint)
+            self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
+
+    def _on_paint(self, event: Any) -> None:
+        """Have a stroke of napari's brush be a step among the others."""
+        slot = Slot(PAINT, event.source)
+        strokes, self._painting = self.edits.open(slot, 0), True
+        self.edits.do(slot, strokes + 1, f"painted in '{event.source.name}'")
+        self._painting = False
 
     def where(self, slot: Any) -> str:
         """Where something is edited, in words, if there is more than one place; else nothing."""
@@ -219,50 +244,3 @@ class ViewerSteps:
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
     return shared(unwrapped(viewer), ViewerSteps)
-
-
-class UndoKeys:
-    """Have what was done last taken back, by the same keys for paint and for all else.
-
-    napari binds them to paint wherever a Labels layer is the active one; there its strokes become
-    steps of ours.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or ViewerModel
-    steps : ViewerSteps
-        Ours.
-    """
-
-    def __init__(self, viewer: Any, steps: ViewerSteps) -> None:
-        self._steps, self._selection = steps, viewer.layers.selection
-        # What is done to leave the keys, of all layers and of the active one, as they were.
-        self._all, self._of_layer = self._bind(viewer), ExitStack()
-        self._selection.events.active.connect(self._on_active)
-        self._on_active()
-
-    def release(self) -> None:
-        """Leave all keys as they were."""
-        self._selection.events.active.disconnect(self._on_active)
-        self._of_layer.close()
-        self._all.close()
-
-    def _bind(self, owner: Any) -> ExitStack:
-        bound = ExitStack()
-        for key, name in KEYS.items():
-            with suppress(ValueError):  # somebody else's
-                owner.bind_key(key, lambda _, name=name: getattr(self._steps, name)())
-                bound.callback(owner.bind_key, key, None)
-        return bound
-
-    def _on_active(self, *_: Any) -> None:
-        self._of_layer.close()
-        active = self._selection.active
-        # Without its history napari keeps the keys, and all is as it is without us.
-        if isinstance(active, Labels) and paint_steps(active, "undo") is not None:
-            self._of_layer = self._bind(active)
-            active.events.paint.connect(self._on_paint)
-            self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
-
-    def _on_paint(self, event: Any) -> None:
-        self._steps.painted(event.source)

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
@@ -19,7 +20,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QMainWindow, QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
-from napari_hmrf.io.study_file import SUFFIX, save_study
+from napari_hmrf.io.study_file import SUFFIX, load_study, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.edit_history import (
     CHOICE,
@@ -29,10 +30,13 @@ from napari_hmrf.layers.edit_history import (
     Slot,
     steps_of,
 )
+from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.study.models import details_of, family_of
 from napari_hmrf.study.study import Study
-from napari_hmrf.ui import study_files
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import Prose, row
@@ -94,7 +98,9 @@ class Unsaved(QObject):
 
     def save(self, path: str | Path) -> Path:
         """Save the study as it is, and its field if that is up to date."""
-        written = study_files.save(self._dock, path, self._live.fresh)
+        solution = self._dock.solution if self._live.fresh else None
+        written = save_study(path, self._dock.study, solution)
+        self._dock.say(messages.saved_study(written.name, solution is not None))
         self._settle(self._pointer.history.slot, written)
         return written
 
@@ -118,9 +124,27 @@ class Unsaved(QObject):
 
     def _add(self, path: str | Path) -> None:
         """Have what a file holds be in the viewer; undo would not take its layers away."""
+        study, dock = load_study(path).study, self._dock
+        layers = study_layers(study)
+        for layer in layers.values():
+            self._viewer.add_layer(layer)
         with self._choices.nobody_chooses():
-            study_files.open_into(self._dock, self._viewer, path)
+            for part in ("image", "tissue", "boundary", "confidence"):
+                setattr(dock, part, layers.get(part))
+            if study.tissue.curve is not None:
+                dock.curve = study.tissue.curve
+            dock.hold_edge = study.motion.hold_edge
+            dock.without_border = study.tissue.without_border
+            dock.model = family_of(study.prior, study.optimizer)
+            dock.settings = details_of(study.prior, study.optimizer)
+            if isinstance(study.prior, ElasticPrior):
+                dock.plane = study.prior.plane
+                if np.ndim(study.prior.poisson) == 0:
+                    dock.poisson = float(study.prior.poisson)
+            dock.drawing = study.motion.drawing
         self._choices.begin()
+        if (brightness := self._live.curve_layer.layer) is not None and study.moves:
+            brightness.visible = False  # as all paint of what moves
 
     def _on_edited(self, slot: Slot, _: Any, before: Any) -> None:
         others = slot.what == PAINT and slot.layer not in self._choices.values.values()
