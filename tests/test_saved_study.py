@@ -106,6 +106,34 @@ def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, 
     )
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2)])
+def test_studies_of_several_slices_open_each_in_its_own_place(made, wait_for, tmp_path, order):
+    viewer, paths, drawings = ViewerModel(), {}, {}
+    pixels = np.random.default_rng(0).random((30, 36, 44))
+    viewer.add_image(pixels, name="t1", scale=(3.0, 0.5, 0.8), units=("mm",) * 3)
+    first = made(viewer)
+    viewer.dims.order = order
+    for at in (0, 2):
+        viewer.dims.set_current_step(order[0], at)
+        wait_for(lambda: not first.busy)
+        drawings[at] = Drawing((Arrow((15, 20 + at), (0, 1.0 + at), 3.0),))
+        first.drawing = drawings[at]
+        wait_for(lambda: not first.busy)
+        paths[at] = first.save_study(tmp_path / f"slice{at}")
+    other = ViewerModel()
+    second = made(other)
+    for at in (0, 2):
+        second.open_study(paths[at])
+        wait_for(lambda: not second.busy)
+        assert second.drawing == drawings[at]
+        assert second.shown.motion.drawing == drawings[at]
+    images = [layer for layer in other.layers if layer.name in ("t1", "t1 [1]")]
+    second.image = images[0]
+    other.dims.set_point(order[0], images[0].data_to_world((0, 0, 0))[order[0]])
+    wait_for(lambda: not second.busy)
+    assert second.drawing == drawings[0], "and stays on it"
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_nothing_moves(
     made, wait_for, tmp_path, moves

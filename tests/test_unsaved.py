@@ -223,6 +223,26 @@ def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, mo
         assert load_study(tmp_path / name).study.motion.drawing == drawing
 
 
+def test_slices_of_two_orientations_are_saved_by_one_answer(
+    window, close, at_rest, tmp_path, monkeypatch
+):
+    names = iter(["axial.study", "coronal.study"])
+    monkeypatch.setattr(
+        QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / next(names)), "")
+    )
+    viewer, dock = window(slices=40)
+    dock.drawing = DRAWING
+    viewer.dims.order = (1, 0, 2)
+    at_rest()
+    dock.drawing = OTHER
+    asked = Asked(dock, "save")
+    assert close(dock)
+    assert len(asked.questions) == 1
+    axial, coronal = (load_study(tmp_path / f"{each}.study").study for each in ("axial", "coronal"))
+    assert (axial.grid.shape, axial.motion.drawing) == ((64, 64), DRAWING)
+    assert (coronal.grid.shape, coronal.motion.drawing) == ((40, 64), OTHER)
+
+
 def test_of_two_windows_the_one_with_work_asks_and_quitting_asks_before_either_goes(
     window, close, at_rest
 ):

@@ -209,14 +209,19 @@ class ViewerSteps:
         self.go_to(step.slot)
         self.said.emit(f"{what}{f', in {where}' if where else ''}: {step.word}.", step)
 
-    def go_to(self, slot: Any) -> None:
-        """Show the slice that something was drawn on, unless the viewer shows other axes."""
+    def go_to(self, slot: Any, turn: bool = False) -> None:
+        """Show the slice that something was drawn on; only with `turn` if other axes are shown."""
         if slot.place is None:
             return
         plane, index = slot.place.plane, slot.place.index
         dims, layer = self._viewer.dims, slot.layer
-        view, missing = View.of(dims), dims.ndim - layer.ndim
-        if dims.ndisplay != 2 or tuple(axis + missing for axis in plane) != view.displayed:
+        missing = dims.ndim - layer.ndim
+        axes = tuple(axis + missing for axis in plane)
+        if turn and (dims.ndisplay != 2 or axes != View.of(dims).displayed):
+            dims.ndisplay = 2
+            dims.order = (*(axis for axis in range(dims.ndim) if axis not in axes), *axes)
+        view = View.of(dims)
+        if dims.ndisplay != 2 or axes != view.displayed:
             return
         with suppress(HmrfError):  # the slice shown may lie beyond the layer
             if frame_of(layer, view).index == index:

@@ -27,6 +27,7 @@ from napari_hmrf.layers.edit_history import (
     DRAWING,
     MODEL,
     PAINT,
+    Place,
     Slot,
     steps_of,
 )
@@ -128,6 +129,10 @@ class Unsaved(QObject):
         layers = study_layers(study)
         for layer in layers.values():
             self._viewer.add_layer(layer)
+        if (frame := study.grid.place) is not None:
+            first = next(iter(layers.values()))
+            there = Place(frame.plane, (0,) * first.ndim)
+            self._steps.go_to(Slot(DRAWING, first, there), turn=True)
         with self._choices.nobody_chooses():
             for part in ("image", "tissue", "boundary", "confidence"):
                 setattr(dock, part, layers.get(part))
@@ -141,6 +146,8 @@ class Unsaved(QObject):
                 dock.plane = study.prior.plane
                 if np.ndim(study.prior.poisson) == 0:
                     dock.poisson = float(study.prior.poisson)
+            if study.motion.drawing.marks and not self._live.look():
+                raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
         self._choices.begin()
         if (brightness := self._live.curve_layer.layer) is not None and study.moves:
@@ -218,10 +225,11 @@ class Unsaved(QObject):
     def _save_slice(self, slot: Slot) -> None:
         """Go to a slice, and save it where it is known to be, or where somebody says."""
         self._dock.image = slot.layer
-        self._steps.go_to(slot)
+        self._steps.go_to(slot, turn=True)
         self._live.look()
         known = self._work.paths.get(slot)
-        self._try(self.save_as if known is None else partial(self.save, known))
+        if self._pointer.history.slot == slot:  # else what is seen is another
+            self._try(self.save_as if known is None else partial(self.save, known))
 
     def _ask_person(self, question: str) -> Answer:
         button = QMessageBox.StandardButton
