@@ -49,6 +49,15 @@ def by(solution):
     return {"displacement": solution.displacement, "tissue": solution.tissue}
 
 
+def test_what_is_read_is_never_written_over(solved, tmp_path):
+    path, _ = solved
+    save_image(tmp_path / "photo.png", ImageFile(np.full(SHAPE, 9, np.uint8)))
+    before = (tmp_path / "photo.png").read_bytes()
+    with pytest.raises(ProblemError, match="written over"):
+        apply_field(load_field(path), tmp_path / "photo.png", tmp_path / "photo.png", labels=False)
+    assert (tmp_path / "photo.png").read_bytes() == before
+
+
 def test_images_labels_and_films_move_as_by_warp(solved, tmp_path):
     path, solution = solved
     dice = np.random.default_rng(1)
@@ -75,8 +84,8 @@ def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):
     path, solution = solved
     at = np.array([[20.0, 22.0], [10.5, 30.25]])
     save_points(tmp_path / "nose.csv", at)
-    assert main(["apply", str(path), str(tmp_path / "nose.csv"), "-o", str(tmp_path)]) == 0
-    moved = load_points(tmp_path / "nose.csv").points
+    assert main(["apply", str(path), str(tmp_path / "nose.csv"), "-o", str(tmp_path / "o")]) == 0
+    moved = load_points(tmp_path / "o/nose.csv").points
     np.testing.assert_allclose(moved[0], at[0] + solution.displacement[20, 22])
     np.testing.assert_allclose(
         moved, moved_points(at, solution.displacement, spacing=(1.0, 1.0)), atol=1e-9

@@ -284,7 +284,7 @@ def test_each_way_of_the_field_is_asked_for_by_its_own_name(result, monkeypatch)
         Screen(dock).entry("More", f"Save {entry}").trigger()
     assert said == [
         ("Save field for images", "field-for-images.mha"),
-        ("Save field for points", "field-for-points.mha"),
+        ("Save field for points", "field-for-points.nrrd"),
         ("Save as film", "film.gif"),
     ]
 

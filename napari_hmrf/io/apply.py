@@ -109,11 +109,13 @@ def apply_field(
     Raises
     ------
     ProblemError
-        If the image is of another size.
+        If the image is of another size, or is what would be written over.
     FileFormatError, HmrfError, OSError
         As of `load_image`, `save_image`, `load_points` and `save_points`.
     """
     name = Path(path).name
+    if Path(target).exists() and Path(target).samefile(path):
+        raise ProblemError(name, "would be written over. Give another folder for what has moved.")
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
     image, n = load_image(path), len(field.shape)

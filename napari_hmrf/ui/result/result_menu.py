@@ -35,7 +35,7 @@ from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, s
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"
 _BACK = "For SimpleITK, ANTs, elastix and Slicer: where what is seen came from"
-_FORTH = "The same the other way: where tissue goes"
+_FORTH = "The same the other way: where tissue goes. A .nrrd says so to those who open it"
 _FILM = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
     "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
@@ -206,7 +206,7 @@ class ResultMenu:
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
             ("field for images", _BACK, self.save_field, "field-for-images.mha", _FIELDS),
-            ("field for points", _FORTH, forth, "field-for-points.mha", _FIELDS),
+            ("field for points", _FORTH, forth, "field-for-points.nrrd", _FIELDS),
             ("as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
             ask = partial(self._ask, save, f"Save {title}", name, kinds)
