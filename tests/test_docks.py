@@ -72,6 +72,7 @@ def test_the_dock_fits_on_a_small_screen(window, at_rest):
 
 def test_words_take_no_more_room_than_they_need_and_move_no_button(window, at_rest, wait_for):
     found = dock()
+    wait_for(lambda: not found.busy)
     at_rest()
     footer = found._form.footer
     found.say("One line.")

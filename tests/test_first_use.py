@@ -7,10 +7,13 @@ import pytest
 from conftest import dock_in, quick
 from napari.components import ViewerModel
 from patience import LONG_MS
-from qtpy.QtCore import QPoint, Qt
+from qtpy.QtCore import QPoint, QPointF, Qt
+from qtpy.QtGui import QWheelEvent
 from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
 from screen import Screen
 
+from napari_hmrf import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 LEFT = Qt.MouseButton.LeftButton
@@ -191,6 +194,67 @@ def test_what_goes_with_an_image_is_undone_step_by_step_in_whichever_image(widge
         widget.redo()
     chosen = widget.hold_edge, widget.tissue, widget.without_border, widget.boundary
     assert chosen == (True, stiffness, False, None)
+
+
+def test_a_layer_that_becomes_the_boundary_and_a_typed_ratio_are_steps(widget, small_sample):
+    viewer = widget._viewer
+    _, tissue, boundary = small_sample(viewer)
+    widget.boundary = tissue
+    widget.undo()
+    assert widget.status == "Took back: chose another boundary."
+    assert widget.boundary is boundary
+    widget.poisson = 0.3
+    widget.undo()
+    assert widget.status == "Took back: changed Poisson's ratio."
+
+
+def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_gone(
+    widget, small_sample
+):
+    viewer = widget._viewer
+    small_sample(viewer)
+    widget.boundary = None
+    assert widget.hold_edge
+    widget.undo()
+    assert not widget.hold_edge
+    viewer.layers.clear()
+    viewer.add_image(np.zeros((30, 30)), name="new")
+    assert widget.hold_edge
+
+
+def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(open_window, settle):
+    _, widget = open_window()
+    settle(widget)
+    widget.drawing = Drawing((Arrow((20, 20), (2, 0), 4.0),))
+    settle(widget)
+    before = widget.solution
+    field = widget._form.model.poisson
+    field.native.selectAll()
+    QTest.keyClicks(field.native, "0.6")
+    QTest.keyClick(field.native, Qt.Key.Key_Return)
+    settle(widget)
+    assert field.value == 0.6
+    assert "0.499" in widget.status
+    assert widget.solution is before
+
+
+def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
+    open_window, settle, at_rest
+):
+    _, widget = open_window()
+    settle(widget)
+    model = widget._form.model.model.native
+    before = widget.model, widget.fields.radius.value, widget.percent
+    sliders = Screen(widget).slider
+    for field in (model, widget.fields.radius.native, sliders):
+        turn = QWheelEvent(
+            QPointF(5, 5), QPointF(field.mapToGlobal(QPoint(5, 5))), QPoint(0, -120),
+            QPoint(0, -120), Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier,
+            Qt.ScrollPhase.NoScrollPhase, False,
+        )  # fmt: skip
+        QApplication.sendEvent(field, turn)
+    at_rest.pass_through()
+    assert (widget.model, widget.fields.radius.value, widget.percent) == before
 
 
 def test_a_choice_of_a_layer_that_is_gone_is_undone_to_none(widget, small_sample):

@@ -10,7 +10,7 @@ from qtpy.QtTest import QTest
 from screen import Cell
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.messages import STILL
@@ -513,7 +513,9 @@ def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     widget, (_, tissue, _) = living
     before = widget.materials
     Cell(widget._form.tissue.table, 1, 2).write("33")
-    widget.tissue = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="other")
+    known = described(TISSUE, before)
+    other = viewer_of(widget).add_labels(np.ones((20, 24), np.uint8), name="new", metadata=known)
+    assert widget.tissue is other, "as what comes painted is"
     widget.undo()
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == before[1].stiffness
     widget.tissue = tissue
@@ -536,9 +538,11 @@ def test_a_curve_is_undone_with_what_it_shows(widget, small_sample, wait_for):
     widget.undo()
     assert widget.curve == before
     wait_for(lambda: np.array_equal(shown.data, stiff))
-    widget.tissue = tissue
     widget.redo()
-    assert widget.curve not in (before, None), "what is done again is seen"
+    assert widget.curve not in (before, None)
+    widget.tissue = tissue
+    widget.undo()
+    assert widget.curve not in (before, None), "what is taken back is seen"
 
 
 def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):

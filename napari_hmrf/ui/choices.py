@@ -141,6 +141,8 @@ class Choices:
                 self._lost = not images
                 if images:
                     form.image.value = images[0]
+                else:  # the next one begins as the first did
+                    self.values = {name: self._beginning[name] for name in ("border", "edge")}
 
     def choose_first(self) -> None:
         """Choose the image in front, or one that is worked on, and what is painted on it."""

@@ -8,13 +8,19 @@ from magicgui.widgets import Container, PushButton
 from napari.layers import Labels
 from psygnal import Signal
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QComboBox, QFrame, QSizePolicy
+from qtpy.QtWidgets import (
+    QAbstractSlider,
+    QAbstractSpinBox,
+    QComboBox,
+    QFrame,
+    QSizePolicy,
+)
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import Narrow, WholeEntries, row
+from napari_hmrf.ui.forms import CalmWheel, Narrow, WholeEntries, row
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
@@ -144,6 +150,11 @@ class DockForm:
         outer.native.layout().addWidget(self.footer)
         for menu in outer.native.findChildren(QComboBox):
             menu.installEventFilter(WholeEntries(menu))
+        calm = CalmWheel(scroll)
+        for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
+            for field in body.native.findChildren(kind):
+                field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+                field.installEventFilter(calm)
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 

@@ -17,6 +17,11 @@ from napari_hmrf.ui.messages import WELCOME
 
 #: Of the viewer, and no layer.
 _THE_MODEL = Slot(MODEL, "")
+_MODELLED = {
+    "model": "chose another model",
+    "plane": "chose another plane",
+    "poisson": "changed Poisson's ratio",
+}
 #: What is done to the choices of an image, in words; the first that differs says it.
 _CHOSEN = {
     "tissue": "chose what says how stiff tissue is",
@@ -53,7 +58,7 @@ class DockSteps:
         self._model = steps.edits
         form.model.values = self._model.get(_THE_MODEL, {})  # of a dock that was closed
         for table in form.tables:
-            table.changed.connect(self.note)
+            table.changed.connect(lambda by_itself: self._keep(self._tables, by_itself))
         fields = (form.image, *choices.fields.values(), form.model, form.model.in_detail)
         for field in fields:
             field.changed.connect(self.note, max_args=0)
@@ -80,8 +85,13 @@ class DockSteps:
         self._form.footer.show_steps(self._steps)
 
     def note(self, by_itself: bool = False) -> None:
-        """Keep what is edited now; what comes `by_itself`, as rows for new paint do, is no step."""
-        for slot, now in () if self._choices.by_itself else self._edited:
+        """Keep what is edited now; what comes `by_itself` is no step."""
+        choice = Slot(CHOICE, self._form.image.value), self._choices.values
+        model = _THE_MODEL, self._form.model.values
+        self._keep([*self._tables, choice, model], by_itself)
+
+    def _keep(self, edited: list[tuple[Slot, Any]], by_itself: bool) -> None:
+        for slot, now in () if self._choices.by_itself else edited:
             if slot.layer is None or now == (before := self._model.open(slot, now)):
                 continue
             word = "" if by_itself else _step(slot, before, now)
@@ -91,11 +101,8 @@ class DockSteps:
                 self._model.amend(slot, now)
 
     @property
-    def _edited(self) -> list[tuple[Slot, Any]]:
-        form = self._form
-        tables = [(Slot(table.role, table.layer), table.contents) for table in form.tables]
-        choice = Slot(CHOICE, form.image.value), self._choices.values
-        return [*tables, choice, (_THE_MODEL, form.model.values)]
+    def _tables(self) -> list[tuple[Slot, Any]]:
+        return [(Slot(each.role, each.layer), each.contents) for each in self._form.tables]
 
     @property
     def curve(self) -> StiffnessCurve | None:
@@ -149,8 +156,7 @@ class DockSteps:
 def _step(slot: Slot, before: Any, now: Any) -> str:
     """What was done, in words; "" if it is no step."""
     if slot == _THE_MODEL:
-        other = (name for name in ("model", "plane") if before[name] != now[name])
-        return next((f"chose another {name}" for name in other), "")
+        return next((word for name, word in _MODELLED.items() if before[name] != now[name]), "")
     if slot.what == CHOICE:
         return next(word for name, word in _CHOSEN.items() if before[name] != now[name])
     return change(before, now, slot.layer.name)

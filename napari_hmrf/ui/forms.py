@@ -123,6 +123,17 @@ class _FitHeight(QObject):
         return False
 
 
+class CalmWheel(QObject):
+    """Filters events of fields: the wheel scrolls what they lie in, unless one was clicked."""
+
+    def eventFilter(self, watched: Any, event: Any) -> bool:
+        """Leave the wheel to those around a field without the keyboard."""
+        if event.type() != QEvent.Type.Wheel or watched.hasFocus():
+            return False
+        event.ignore()
+        return True
+
+
 class WholeEntries(QObject):
     """Filters events of a menu: whenever its list opens, it is as wide as its widest entry."""
 

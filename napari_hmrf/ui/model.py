@@ -86,7 +86,7 @@ class ModelForm(Container):
     """
 
     def __init__(self) -> None:
-        low, high = POISSON_RANGE
+        low, _ = POISSON_RANGE
         self.model = menu(
             "model",
             messages.MODELS,
@@ -106,7 +106,7 @@ class ModelForm(Container):
             name="poisson",
             label="Poisson's ratio",
             min=low,
-            max=high,
+            max=1.0,  # what is too much is refused in words, and not turned into 0
             step=0.05,
             value=USUAL_POISSON,
             tooltip=messages.ABOUT_POISSON,
@@ -121,6 +121,7 @@ class ModelForm(Container):
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         self.poisson.native.setDecimals(3)
+        self.poisson.native.setKeyboardTracking(False)  # "0." is no ratio yet
         self.elastic.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
         self.in_detail = DetailsForm()
         self._tissue: Any = None

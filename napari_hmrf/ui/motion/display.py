@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
@@ -107,6 +109,13 @@ class Display:
         if lowest is None:
             return None
         return image_covering(self._viewer, lowest, [self._viewer.cursor.position])
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether the image is seen neither as it was nor as it has moved."""
+        image, result = still_there(self._viewer, self._image), self.result
+        shown = (image, None if result is None else result.layer("image"))
+        return image is not None and not any(each is not None and each.visible for each in shown)
 
     def is_beside(self, stroke: Stroke, drawing: Drawing) -> bool:
         """Whether a stroke lies beside all tissue; of confidence, beside all that is held or moved.
@@ -212,7 +221,11 @@ class Display:
             below.append(seen.marks)
         if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
             below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
-        self.arrows.show(drawing, hand.selected, hand.pending, below, quick=hand.holding)
+        pending = hand.pending
+        if pending is not None and seen is not None:  # where its tissue is seen
+            (row, col) = seen.moved.goes_to(np.array([pending]))[0].tolist()
+            pending = row, col
+        self.arrows.show(drawing, hand.selected, pending, below, quick=hand.holding)
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""

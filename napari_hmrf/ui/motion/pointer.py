@@ -244,6 +244,9 @@ class Pointer:
         if other is not None:
             self.said.emit(motion_messages.covered(other.name))
             return
+        if self.display.is_hidden:
+            self.said.emit(motion_messages.HIDDEN)
+            return
         if self.tool.is_brush and not moved.is_inside(point):
             self.said.emit(motion_messages.OUTSIDE)
             return
