@@ -28,8 +28,8 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "equivalent": ("equivalent strain", "%"),
     "stretch": ("largest stretch", "%"),
     "squeeze": ("largest squeeze", "%"),
-    "rows": ("strain along rows", "%"),
-    "columns": ("strain along columns", "%"),
+    "rows": ("strain from row to row", "%"),
+    "columns": ("strain from column to column", "%"),
     "shear": ("shear strain", "%"),
 }
 
