@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, resample
 from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
@@ -147,7 +149,12 @@ def _rasterised(
         from napari_hmrf.field import tetrahedron_raster
 
         slabs = min(len(tissue), 4 * (os.cpu_count() or 1))
-        coordinates, state = tetrahedron_raster.rasterise(moved, loops.only_read(tissue), slabs)
+        drawn = partial(tetrahedron_raster.rasterise, moved, loops.only_read(tissue), slabs)
+        # This loop uses numba's own threads, which must not be entered from two threads.
+        if compute_thread.is_current():
+            coordinates, state = drawn()
+        else:
+            coordinates, state = compute_thread.submit(drawn, "a volume to be warped").result()
         return coordinates, state
     if not loops.ready_for_pictures():
         compiler.compile_meanwhile()
