@@ -28,7 +28,7 @@ SMALLEST = 24
 _LONG, _BRAIN, _SKULL = 190.0, (62.0, 84.0, 66.0), 7.0
 #: Where the tumour is from the middle of the brain, and its radius.
 _TUMOUR_AT, _TUMOUR = (10.0, -28.0, 30.0), 20.0
-#: Halves of a ventricle's horns, where they are, and how they lean: up, front, side.
+#: Halves of a ventricle's horns, and where they are: up, front, side.
 _HORNS = (((8.0, 30.0, 8.0), (10.0, 6.0, 11.0)), ((16.0, 9.0, 7.0), (0.0, -24.0, 17.0)))
 
 MATERIALS = (
@@ -85,7 +85,7 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     Parameters
     ----------
     size : int
-        Voxels from its back to its front; across and upward it has four fifths as many. At 200
+        Voxels from its back to its front; across and upward it has four fifths as many. At 190
         voxels are 1 mm wide.
     growth : float
         How far the rim of the tumour moves outward, in millimetres. Its radius is 20.
