@@ -1,5 +1,8 @@
 """What a displacement does to a volume is what it does to a slice, along three axes."""
 
+import os
+import subprocess
+import sys
 from itertools import permutations
 
 import numpy as np
@@ -207,3 +210,19 @@ def test_what_does_not_fit_a_volume_is_refused():
         deformation_grid(bent())
     with pytest.raises(ProblemError, match="displacement"):
         warp(np.zeros(SHAPE), np.zeros((*SHAPE, 2)))
+
+
+def test_volumes_may_be_warped_on_any_thread_even_two_at_once():
+    script = """
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+from napari_hmrf import warp
+image, motion = np.random.default_rng(0).random((24, 24, 24)), np.full((24, 24, 24, 3), 0.4)
+alone = warp(image, motion)
+with ThreadPoolExecutor(4) as threads:
+    for warped in threads.map(lambda _: warp(image, motion), range(60)):
+        np.testing.assert_array_equal(warped, alone)
+"""
+    # Of numba's threading layers this one ends a process that enters it from two threads.
+    surroundings = {**os.environ, "NUMBA_THREADING_LAYER": "workqueue"}
+    subprocess.run([sys.executable, "-c", script], env=surroundings, check=True)
