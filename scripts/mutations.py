@@ -100,8 +100,8 @@ MUTATIONS = (
     # layers: where things lie, and what is read
     Mutation(
         "field/frame.py",
-        "return float(lengths[0]), float(lengths[1])",
-        "return float(lengths[1]), float(lengths[0])",
+        "return tuple(np.linalg.norm(self._steps(), axis=0).tolist())",
+        "return tuple(np.linalg.norm(self._steps(), axis=0).tolist()[::-1])",
         "test_layers_inputs.py",
     ),
     Mutation(

@@ -1,10 +1,11 @@
-"""Where a slice of a layer lies in the world, as a value that outlives the layer."""
+"""Where a slice or a volume of a layer lies in the world, as a value that outlives the layer."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -33,12 +34,15 @@ _FARTHEST = 2**31
 class Frame:
     """The place of a slice: which of a layer's axes are its rows and columns, and the transform.
 
+    Or that of a volume, which has a third axis before these. "Slice" below stands for both.
+
     Attributes
     ----------
-    plane : (int, int)
-        The layer's axes that are the rows and columns of the slice.
+    plane : (int, int) or (int, int, int)
+        The layer's axes that are those of the slice, (row, col), or of the volume, (depth, row,
+        col).
     index : tuple of int
-        Where the slice lies on each axis of the layer; 0 on the two of the plane.
+        Where the slice lies on each axis of the layer; 0 on those of the plane.
     scale, translate, rotate, shear, affine, units, axis_labels
         The layer's own, as it takes them.
     matrix : (D + 1) x (D + 1) numbers
@@ -48,7 +52,7 @@ class Frame:
         was no viewer. Of no consequence but for the number of the slice that people read.
     """
 
-    plane: tuple[int, int]
+    plane: tuple[int, ...]
     index: tuple[int, ...]
     scale: tuple[float, ...]
     translate: tuple[float, ...]
@@ -72,6 +76,7 @@ class Frame:
         index: Sequence[int] | None = None,
         affine: npt.ArrayLike | None = None,
         axis_labels: Sequence[str] | None = None,
+        volume: bool = False,
     ) -> Frame:
         """A slice of pixels along the last two axes, as a layer has it that nobody has turned.
 
@@ -83,11 +88,13 @@ class Frame:
             As the frame has them; by default the first slice, and axes that nobody has named.
         affine : array_like, optional
             To the world.
+        volume : bool
+            Whether it is a volume, along the last three axes.
         """
         n = len(scale)
         turn = np.eye(n + 1) if affine is None else np.asarray(affine)
         return cls(
-            plane=(n - 2, n - 1),
+            plane=tuple(range(n))[-3 if volume else -2 :],
             index=tuple(index or (0,) * n),
             scale=as_tuples(scale),
             translate=(0.0,) * n,
@@ -112,24 +119,23 @@ class Frame:
     @property
     def unit(self) -> str:
         """The unit of length of `spacing`: that of the rows' axis."""
-        return self.units[self.plane[0]]
+        return self.units[self.plane[-2]]
 
     @property
-    def spacing(self) -> tuple[float, float]:
-        """Length of a pixel along (row, col) in the world, in `unit`."""
-        steps = self._steps()
-        lengths = np.linalg.norm(steps, axis=0)
-        return float(lengths[0]), float(lengths[1])
+    def spacing(self) -> tuple[float, ...]:
+        """Length of a pixel along ([depth,] row, col) in the world, in `unit`."""
+        return tuple(np.linalg.norm(self._steps(), axis=0).tolist())
 
     @property
     def skew(self) -> float:
         """By how many degrees the pixels' sides fail to be at right angles."""
         steps = self._steps()
-        cosine = steps[:, 0] @ steps[:, 1] / np.linalg.norm(steps, axis=0).prod()
-        return float(abs(np.degrees(np.arcsin(np.clip(cosine, -1, 1)))))
+        sides = steps / np.linalg.norm(steps, axis=0)
+        cosine = np.abs(np.triu(sides.T @ sides, k=1)).max()
+        return float(np.degrees(np.arcsin(min(cosine, 1))))
 
     def _steps(self) -> npt.NDArray[np.float64]:
-        """World steps of one pixel along rows and columns, as columns, all in `unit`."""
+        """World steps of one pixel along the axes of the plane, as columns, all in `unit`."""
         linear = np.array(self.matrix)[:-1, list(self.plane)]
         factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
         # The axes of the slices play no part, and may have a unit of their own (time).
@@ -139,7 +145,7 @@ class Frame:
 
     @property
     def slice_name(self) -> str:
-        """Which slice, by its pixels; empty for a two-dimensional layer.
+        """Which slice, by its pixels; empty where it is all of a layer.
 
         Such as "z = 12", or "slice 12" of the one axis that nobody has named.
         """
@@ -185,7 +191,7 @@ class Frame:
             label = self.axis_labels[axis]
             named = not label.lstrip("-").isdigit()
             if not named and len(self.others) == 1:
-                return f"slice {numbers[axis]}"
+                return f"{'volume' if len(self.plane) == 3 else 'slice'} {numbers[axis]}"
             names.append(f"{label if named else f'axis {axis}'} = {numbers[axis]}")
         return ", ".join(names)
 
@@ -195,29 +201,28 @@ class Frame:
         return tuple(slice(None) if n in self.plane else at for n, at in enumerate(self.index))
 
     def take(self, data: Any) -> npt.NDArray[Any]:
-        """Copy the slice out of a layer's data, rows first; colours stay last."""
+        """Copy the slice out of a layer's data, in the order of the plane; colours stay last."""
         part = data[self.pixels]
         if hasattr(part, "compute"):  # of dask, whose own conversion would lose a mask
             part = part.compute()
         # A mask is kept, for whoever can say whose it is.
         masked = isinstance(part, np.ma.MaskedArray)
         picture: npt.NDArray[Any] = np.ma.array(part, copy=True) if masked else np.array(part)
-        return picture.swapaxes(0, 1) if self.plane[0] > self.plane[1] else picture
+        return _ordered(picture, np.argsort(np.argsort(self.plane)))
 
     def put_image(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Give a picture (H, W[, colours]) the layer's axes, of one slice each beyond the plane."""
-        if self.plane[0] > self.plane[1]:
-            picture = picture.swapaxes(0, 1)
+        """Give a picture ([D,] H, W[, colours]) the layer's axes, of one slice beyond the plane."""
+        picture = _ordered(picture, np.argsort(self.plane))
         return np.ascontiguousarray(np.expand_dims(picture, self.others))
 
     def put_field(self, steps: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """Give a field (H, W, 2), in pixels of the slice, the layer's axes, and steps along all."""
-        placed = np.zeros((*steps.shape[:2], self.ndim))
+        """Give a field ([D,] H, W, n), in pixels, the layer's axes, and steps along all."""
+        placed = np.zeros((*steps.shape[:-1], self.ndim))
         placed[..., list(self.plane)] = steps
         return self.put_image(placed)
 
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Give arrows (N, 2, 2) of (start, step) in pixels of the slice the layer's axes.
+        """Give arrows (N, 2, n) of (start, step) in pixels of the slice the layer's axes.
 
         Without any, a two-dimensional layer gets one of no length, which is not seen: an empty one
         napari cannot draw in three dimensions.
@@ -251,13 +256,13 @@ class Frame:
             "axis_labels": self.axis_labels,
         }
 
-    def same_place(self, other: Frame, shape: tuple[int, int]) -> bool:
+    def same_place(self, other: Frame, shape: tuple[int, ...]) -> bool:
         """Whether a slice of that shape covers the same part of the world in both frames.
 
         Layers of fewer dimensions lie on every slice: only the axes that both have are compared.
         """
         to = self.from_pixels_of(other)
-        if to is None:
+        if to is None or len(self.plane) != len(other.plane):
             return False
         apart = other._corners(shape) @ to.T - self._corners(shape)[:, :-1]
         return bool(np.abs(apart).max() <= _TOLERANCE)
@@ -295,11 +300,11 @@ class Frame:
         found: npt.NDArray[np.float64] = np.linalg.inv(matrix[:-1, :-1]) @ world
         return found
 
-    def _corners(self, shape: tuple[int, int]) -> npt.NDArray[np.float64]:
+    def _corners(self, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
         """Those of a slice of that shape, in homogeneous pixels."""
-        corners = np.tile(np.array([*self.index, 1.0]), (4, 1))
-        corners[:, self.plane[0]] = [0, 0, shape[0], shape[0]]
-        corners[:, self.plane[1]] = [0, shape[1], 0, shape[1]]
+        ends = [*product(*((0, size) for size in shape))]
+        corners = np.tile(np.array([*self.index, 1.0]), (len(ends), 1))
+        corners[:, list(self.plane)] = ends
         return corners
 
     def as_dict(self) -> dict[str, Any]:
@@ -333,7 +338,8 @@ class Frame:
     def _check(self) -> None:
         """Raise ValueError if no layer can lie there."""
         ndim, plane = self.ndim, self.plane
-        if plane[0] == plane[1] or not all(0 <= axis < ndim for axis in plane):
+        known = len(plane) in (2, 3) and len({*plane}) == len(plane)
+        if not known or not all(0 <= axis < ndim for axis in plane):
             raise ValueError(f"its plane is {plane} of {ndim} axes")
         if not all(abs(at) < _FARTHEST for at in self.index):
             raise ValueError(f"its index is {self.index}")
@@ -356,8 +362,8 @@ class Frame:
                 raise ValueError(f"the last row of its {name} is {values[-1].tolist()}")
             if is_flat(values[:ndim, :ndim]):
                 raise ValueError(f"its {name} flattens space")
-        rows, cols = (self.units[axis] for axis in plane)
-        if not all(is_unit(unit) for unit in self.units) or np.isnan(unit_factor(cols, rows)):
+        factors = [unit_factor(self.units[axis], self.unit) for axis in plane]
+        if not all(is_unit(unit) for unit in self.units) or np.isnan(factors).any():
             raise ValueError(f"its units are {self.units}")
 
     @classmethod
@@ -367,15 +373,24 @@ class Frame:
         Raises
         ------
         ValueError
-            As of `from_dict`.
+            As of `from_dict`, or if it is the place of a slice, and the solution a volume.
         """
-        if solution.frame:
-            return cls.from_dict(solution.frame)
-        return cls.at(solution.spacing, ("pixel", "pixel"))
+        n = solution.tissue.ndim
+        if not solution.frame:
+            return cls.at(solution.spacing, ("pixel",) * n, volume=n == 3)
+        frame = cls.from_dict(solution.frame)
+        if len(frame.plane) != n:
+            raise ValueError(f"its plane is {frame.plane} of a solution of {n} axes")
+        return frame
 
 
 #: Checks the types of what a file holds.
 _PLACES = TypeAdapter(Frame)
+
+
+def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
+    """A picture with its axes in this order; colours, if there are any, stay last."""
+    return picture.transpose(*axes, *range(len(axes), picture.ndim))
 
 
 def as_tuples(values: Any) -> Any:

@@ -101,7 +101,7 @@ class PixelField(NamedTuple):
 def arrow_observation(
     vectors: npt.NDArray[np.float64],
     own: Frame,
-    spacing: tuple[float, float],
+    spacing: tuple[float, ...],
     shape: tuple[int, int],
 ) -> Observation:
     """What arrows say, each counting for the pixel it starts in.

@@ -40,7 +40,7 @@ _PALEST = 0.35
 
 def arrow_lines(
     drawing: Drawing,
-    spacing: tuple[float, float],
+    spacing: tuple[float, ...],
     selected: int | None = None,
     pending: Point | None = None,
     radius: float = 1.0,
@@ -162,7 +162,7 @@ def _at_each(at: npt.NDArray[Any], lines: Iterable[Any]) -> npt.NDArray[np.float
     )
 
 
-def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArray[np.float64]:
+def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, ...]) -> npt.NDArray[np.float64]:
     """(start, step) of every line, in pixels."""
     arrow = mark.arrow(spacing) if isinstance(mark, Landmark) else mark
     size, radius, length = np.array(spacing), arrow.radius, math.hypot(*arrow.by)

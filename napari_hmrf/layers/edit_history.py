@@ -37,7 +37,7 @@ PAINT = "paint"
 class Place:
     """A slice: the axes of a layer it shows, where it lies on each, and its name to be read."""
 
-    plane: tuple[int, int]
+    plane: tuple[int, ...]
     index: tuple[int, ...]
     name: str = field(default="", compare=False)
 
