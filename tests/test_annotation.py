@@ -94,11 +94,11 @@ def test_labels_must_be_an_image_of_whole_numbers(labels):
         boundary_images(labels, [BoundaryRule(1, "fixed")])
 
 
-def test_a_volume_has_tissues_and_no_rules_yet():
+def test_a_volume_has_tissues_and_rules_as_an_image_has():
     labels = np.ones((3, 3, 3), int)
     assert stiffness_image(labels, TISSUES).shape == (3, 3, 3)
-    with pytest.raises(ProblemError, match="2-D"):
-        boundary_images(labels, [BoundaryRule(1, "fixed")])
+    y, c = boundary_images(labels, [BoundaryRule(1, "fixed")])
+    assert y.shape == c.shape == (3, 3, 3, 3)
 
 
 def test_a_mask_is_a_label_image():

@@ -13,13 +13,13 @@ _APART = 3.0
 
 
 def inverse_point(
-    point: tuple[float, float],
+    point: tuple[float, ...],
     displacement: npt.NDArray[np.float32],
     spacing: Sequence[float],
     tissue: npt.NDArray[np.bool_],
     farthest: npt.NDArray[np.float32] | None = None,
     fraction: float = 1.0,
-) -> tuple[float, float] | None:
+) -> tuple[float, ...] | None:
     """Invert the motion at one point: faster than everywhere, and good to a fraction of a pixel.
 
     Parameters

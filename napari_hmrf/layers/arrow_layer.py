@@ -4,6 +4,9 @@ An arrow is a line from where tissue was to where it goes, with two barbs; aroun
 outline of the patch that it holds. A landmark has a cross at its base, too. What speaks of one
 direction only has a double arrow along that through its patch. What is not certain is paler, what
 is selected has another colour.
+
+In a volume the patch is a ball: each slice shows the outline of what it cuts off that. All but the
+shaft of an arrow lies in the slices that are looked at.
 """
 
 from __future__ import annotations
@@ -40,28 +43,31 @@ _PALEST = 0.35
 
 def arrow_lines(
     drawing: Drawing,
-    spacing: tuple[float, ...],
+    spacing: Sequence[float],
     selected: int | None = None,
     pending: Point | None = None,
     radius: float = 1.0,
+    across: int = 0,
 ) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
 
     Parameters
     ----------
     drawing : Drawing
-    spacing : (float, float)
-        Size of a pixel in (row, col) direction.
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     selected : int, optional
         The number of the mark that is highlighted.
-    pending : (float, float), optional
+    pending : tuple of float, optional
         A place that was clicked, and waits for where it should be; highlighted, too.
     radius : float
         Of what is to be there.
+    across : int
+        Of a volume: the axis across the slices that are looked at.
 
     Returns
     -------
-    lines : ndarray, shape (N, 2, 2), float32
+    lines : ndarray, shape (N, 2, n), float32
         (start, step) in pixels.
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
@@ -72,18 +78,18 @@ def arrow_lines(
         if not isinstance(mark, Stroke)
     ]
     if pending is not None:
-        marks.append((Arrow(pending, (0.0, 0.0), radius), True))
+        marks.append((Arrow(pending, (0.0,) * len(pending), radius), True))
     parts = []
     for mark, chosen in marks:
         red, green, blue, _ = SELECTED if chosen else DRAWN
         opacity = _PALEST + (1 - _PALEST) * mark.confidence
-        parts.append((_lines_of(mark, spacing), (red, green, blue, opacity)))
-    return coloured(parts)
+        parts.append((_lines_of(mark, spacing, across), (red, green, blue, opacity)))
+    return coloured(parts, len(spacing))
 
 
-def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]]) -> Lines:
+def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]], axes: int = 2) -> Lines:
     """Lines of several colours together: (start, step) of some, and their colour."""
-    lines, colours = [np.zeros((0, 2, 2))], [np.zeros((0, 4))]
+    lines, colours = [np.zeros((0, 2, axes))], [np.zeros((0, 4))]
     for drawn, colour in parts:
         lines.append(drawn)
         colours.append(np.tile(colour, (len(drawn), 1)))
@@ -100,7 +106,7 @@ def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
         "ndim": frame.ndim,  # napari cannot tell how many axes no arrows have
     }
     known = {"kind": "drawing", "slice": frame.slice_name}
-    return layer_on(frame, np.zeros((0, 2, 2)), NAME, known, look, "vectors")
+    return layer_on(frame, np.zeros((0, 2, len(frame.plane))), NAME, known, look, "vectors")
 
 
 def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:
@@ -162,22 +168,78 @@ def _at_each(at: npt.NDArray[Any], lines: Iterable[Any]) -> npt.NDArray[np.float
     )
 
 
-def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, ...]) -> npt.NDArray[np.float64]:
+def deep(
+    lines: npt.NDArray[Any], across: int, depth: float | npt.NDArray[Any]
+) -> npt.NDArray[np.float64]:
+    """Lines of slices, (N, 2, 2), in their volume, where they lie so deep."""
+    found: npt.NDArray[np.float64] = np.insert(lines.astype(float), across, 0.0, axis=-1)
+    found[:, 0, across] = depth
+    return found
+
+
+def _lines_of(
+    mark: Arrow | Landmark, spacing: Sequence[float], across: int
+) -> npt.NDArray[np.float64]:
     """(start, step) of every line, in pixels."""
     arrow = mark.arrow(spacing) if isinstance(mark, Landmark) else mark
-    size, radius, length = np.array(spacing), arrow.radius, math.hypot(*arrow.by)
-    base, by = np.array([arrow.at]) * size, np.array([arrow.by])
-    head, barb = base + by, _BARB * radius
-    outline = head + radius * _OUTLINE
-    parts = [np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)]
-    if length > 0.1 * radius:
-        parts.append(barbed(base, by, min(barb, 0.5 * length)))
-    elif arrow.components == "both":  # held in place
-        parts.append(crosses(head, barb * np.eye(2)))
-    if arrow.components != "both":
-        axis = ("row", "col").index(arrow.components)
-        parts.append(double_arrows(head, axis, _BEYOND * radius))
-    if isinstance(mark, Landmark):  # its base is a place, too
-        parts.append(crosses(base, 0.5 * barb * np.eye(2)))
+    size = np.array(spacing)
+    base, by, radius = np.array(arrow.at) * size, np.array(arrow.by), arrow.radius
+    n = len(size)
+    flat = [axis for axis in range(n) if n == 2 or axis != across]
+    only = {"row": n - 2, "col": n - 1}.get(arrow.components)
+    way = flat.index(only) if only in flat else None
+    there, held = _flat_lines(mark, arrow, base[flat], by[flat], way)
+    if n == 2:
+        return _lines([_circle(base + by, radius), there, held], size)
+    low, high = base[across], base[across] + by[across]
+    parts = [deep(there, across, low), deep(held, across, high)]
+    parts[0][:1, 1, across] = by[across]  # the shaft leads all the way
+    # Slices lie at whole pixels; the ball is as large in each as that cuts off it.
+    nearest = round(high / size[across])
+    reach = int(radius / size[across]) + 1
+    for number in range(nearest - reach, nearest + reach + 1):
+        left = radius**2 - (number * size[across] - high) ** 2
+        if left > 0 or number == nearest:
+            circle = _circle((base + by)[flat], math.sqrt(max(left, (radius / 4) ** 2)))
+            parts.append(deep(circle, across, number * size[across]))
+    return _lines(parts, size)
+
+
+def _lines(
+    parts: Sequence[npt.NDArray[np.float64]], size: npt.NDArray[Any]
+) -> npt.NDArray[np.float64]:
+    """Lines in lengths, as ones in pixels."""
     lines: npt.NDArray[np.float64] = np.concatenate(parts) / size
     return lines
+
+
+def _circle(at: npt.NDArray[Any], radius: float) -> npt.NDArray[np.float64]:
+    """(start, step) around a place, in lengths."""
+    outline = at + radius * _OUTLINE
+    return np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)
+
+
+def _flat_lines(
+    mark: Arrow | Landmark,
+    arrow: Arrow,
+    at: npt.NDArray[Any],
+    step: npt.NDArray[Any],
+    way: int | None,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """What lies where an arrow begins, shaft first, and at its head; `way`: all it speaks of."""
+    base, by, radius, length = at[None], step[None], arrow.radius, math.hypot(*arrow.by)
+    head, barb = base + by, _BARB * radius
+    there, held = [np.zeros((0, 2, 2))], [np.zeros((0, 2, 2))]
+    if length > 0.1 * radius and step.any():
+        shaft, *barbs = barbed(base, by, min(barb, 0.5 * length))[:, None]
+        there.append(shaft)
+        held += barbs
+    elif length > 0.1 * radius:  # straight out of the slice
+        there.append(np.stack([base, by], axis=1))
+    elif arrow.components == "both":  # held in place
+        held.append(crosses(head, barb * np.eye(2)))
+    if way is not None:
+        held.append(double_arrows(head, way, _BEYOND * radius))
+    if isinstance(mark, Landmark):  # its base is a place, too
+        there.append(crosses(base, 0.5 * barb * np.eye(2)))
+    return np.concatenate(there), np.concatenate(held)

@@ -18,7 +18,7 @@ from napari.layers import Labels
 
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import Lines, barbed, coloured, crosses, double_arrows
+from napari_hmrf.layers.arrow_layer import Lines, barbed, coloured, crosses, deep, double_arrows
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Canvas, Stroke
@@ -77,9 +77,9 @@ def show_painted(
         Beneath it.
     window : Box
         Which pixels.
-    picture : ndarray of uint8, shape (H, W)
+    picture : ndarray of uint8, shape ([D,] H, W)
         0 where nothing was painted, or confidence alone; else as `number_of`.
-    confidence : ndarray of float32, shape (H, W), optional
+    confidence : ndarray of float32, shape ([D,] H, W), optional
         How sure is what is held or moved; the larger of its components.
     """
     kinds = canvas.kinds[window]
@@ -91,8 +91,8 @@ def show_painted(
     level[kinds == KINDS["free"]] = _LEVELS - 1
     shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
     width = max(1, min(canvas.shape) // 90)
-    rows, cols = np.ogrid[window]
-    stripe = (rows + cols) // width % 2 == 0
+    along: npt.NDArray[Any] = sum(np.ogrid[window], np.zeros((), np.intp))
+    stripe = along // width % 2 == 0
     shown[(kinds == KINDS["free"]) & stripe] = 0
     labels = canvas.labels[window]
     tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
@@ -159,6 +159,7 @@ def painted_marks(canvas: Canvas) -> Lines:
     """Crosses where tissue is pinned, arrows where it is moved; thin strokes have some, too.
 
     Where one direction alone is spoken of there is a double arrow along that instead of a cross.
+    In a volume each slice along the first axis has marks, which lie in it.
 
     Parameters
     ----------
@@ -167,31 +168,40 @@ def painted_marks(canvas: Canvas) -> Lines:
 
     Returns
     -------
-    lines : ndarray, shape (N, 2, 2), float32
+    lines : ndarray, shape (N, 2, n), float32
         (start, step) in pixels.
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
+    n = len(size)
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
     counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(
         axis=-1
     )
-    places = spread(counts, apart / size)
+    places = spread(counts, np.where(np.arange(n) < n - 2, 1, apart / size))
     parts: list[tuple[npt.NDArray[Any], Sequence[float]]] = []
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
         sure = canvas.confidence[tuple(at.T)] > 0
+        both, by = sure.all(axis=-1), by[:, -2:]
         moves, at = by.any(axis=-1), at * size
-        both = sure.all(axis=-1)
         back = 0.35 * np.linalg.norm(by[moves], axis=-1, keepdims=True)
-        drawn = [barbed(at[moves], by[moves], back), crosses(at[both & ~moves], 0.2 * apart * _X)]
-        drawn += [double_arrows(at[sure[:, way] & ~both], way, 0.35 * apart) for way in (0, 1)]
+        flat, one = at[:, -2:], sure[:, -2:] & ~both[:, None]
+        drawn = [
+            (moves, barbed(flat[moves], by[moves], back)),
+            (both & ~moves, crosses(flat[both & ~moves], 0.2 * apart * _X)),
+            *((one[:, way], double_arrows(flat[one[:, way]], way, 0.35 * apart)) for way in (0, 1)),
+        ]
         colour = (*(0.6 + 0.4 * part for part in COLOURS[action]), 1.0)
-        parts += [(part / size, colour) for part in drawn]
-    return coloured(parts)
+        for which, lines in drawn:
+            if n == 3:  # so many lines for each place, one place after the other in each of them
+                depths = at[which, 0]
+                lines = deep(lines, 0, np.tile(depths, len(lines) // max(len(depths), 1)))
+            parts.append((lines / size, colour))
+    return coloured(parts, n)
 
 
 #: What has marks beside its colour.
@@ -201,7 +211,7 @@ _X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
-    """Whether a stroke covers any pixel of a mask, shape (H, W)."""
+    """Whether a stroke covers any pixel of a mask."""
     box = box_of(stroke, canvas.spacing, canvas.whole)
     return bool((covered(stroke, canvas.spacing, box) & where[box]).any())
 

@@ -84,14 +84,15 @@ class Directions(NamedTuple):
         turn = math.atan2(seen[1, 0] - seen[0, 1], seen[0, 0] + seen[1, 1])
         return cls(rows, cols, round(turn, 9) + 0.0)
 
-    def seen(self, by: tuple[float, float]) -> tuple[float, float]:
-        """A displacement along (rows, columns) by its components along the ways named."""
+    def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
+        """A displacement along ([planes,] rows, columns) by components along the ways named."""
         if not self.turn:
             return by
+        *deep, row, col = by
         cosine, sine = math.cos(self.turn), math.sin(self.turn)
-        return cosine * by[0] - sine * by[1], sine * by[0] + cosine * by[1]
+        return (*deep, cosine * row - sine * col, sine * row + cosine * col)
 
-    def along(self, seen: tuple[float, float]) -> tuple[float, float]:
+    def along(self, seen: tuple[float, ...]) -> tuple[float, ...]:
         """The inverse of `seen`."""
         return self._replace(turn=-self.turn).seen(seen)
 
@@ -122,7 +123,7 @@ class Directions(NamedTuple):
             return ""
         return next(words for ways, words in _BOTH.items() if way in ways)
 
-    def step(self, seen: tuple[float, float]) -> str:
+    def step(self, seen: tuple[float, ...]) -> str:
         """A step along the ways named in words: "5 down, 10 right", "5 P, 10 R"."""
         if not self.rows:
             return f"({seen[0]:g}, {seen[1]:g})"

@@ -212,7 +212,7 @@ def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
     return m
 
 
-def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2,)) -> FloatArray:
+def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> FloatArray:
     image = _as_float32("stiffness", stiffness)
     if image.ndim not in axes:
         swapped = image.ndim == 3 and image.shape[-1] == 2  # one value for each component

@@ -246,7 +246,7 @@ class Deformation:
         return before if before is not None and self._holds(before, body) else None
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Where tissue that was at points, (N, 2) in pixels, is seen."""
+        """Where tissue that was at points, (N, n) in pixels, is seen."""
         if self.solution is None or not len(points):
             return points
         return moved_points(points, self.solution.displacement, spacing=self.study.grid.spacing)
@@ -263,5 +263,8 @@ class Deformation:
 
     def _holds(self, point: Point, image: Array | None) -> bool:
         """Whether an image is above 0 at a point."""
-        row, col = (round(along) for along in point)
-        return image is not None and self.is_inside((row, col)) and bool(image[row, col] > 0)
+        if image is None:
+            return False
+        pixel = tuple(round(along) for along in point)
+        inside = all(0 <= at < size for at, size in zip(pixel, image.shape, strict=True))
+        return inside and bool(image[pixel] > 0)

@@ -54,7 +54,7 @@ class Statement:
     prior : SeilerPrior or ElasticPrior
         With the tissues' own Poisson's ratios, and a penalty where something may slip.
     optimizer : ICM or Multigrid
-    at_rest : ndarray of bool, shape (H, W)
+    at_rest : ndarray of bool, shape ([D,] H, W)
         Tissue that too little holds: it takes no part, and stays where it is.
     """
 
@@ -73,11 +73,11 @@ class Ground:
     study : Study
     base : Canvas
         What is held and moved without a drawing.
-    stiffness : ndarray, shape (H, W), float32
+    stiffness : ndarray, shape ([D,] H, W), float32
         Young's modulus; 0 is no tissue, infinity is rigid.
     prior : Prior
         The energy, with the tissues' own Poisson's ratios.
-    body : ndarray of bool, shape (H, W)
+    body : ndarray of bool, shape ([D,] H, W)
         Where there is tissue that is no dark surroundings.
     palette : Palette
         The tissues that can be painted; the labels of `base` are theirs.
@@ -135,8 +135,8 @@ class Ground:
         return cls(study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, said)
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+    def shape(self) -> tuple[int, ...]:
+        """Pixels along each axis."""
         return self.base.shape
 
     def statement(self, drawn: Canvas | None = None) -> Statement:
@@ -264,17 +264,17 @@ class _Where:
             rows = self.palette.materials
             self.m = stiffness_image(tissue.labels, rows)
             if tissue.without_border and image is not None:
-                air = dark_border(image) & (tissue.labels == 0)
+                air = dark_border(image, len(shape)) & (tissue.labels == 0)
                 self.m = np.where(air, np.float32(0), self.m)
             if isinstance(self.prior, ElasticPrior):
                 self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
         elif tissue.stiffness is not None:
             self.notes = [refusals.rounding(study, tissue.stiffness)]
             self.m = as_stiffness(tissue.stiffness)
-        elif tissue.curve and (intensities := study.pictures.intensities) is not None:
+        elif tissue.curve and (intensities := study.intensities) is not None:
             self.m = tissue.curve(intensities)
         else:
-            around = around if image is None else dark_border(image)
+            around = around if image is None else dark_border(image, len(shape))
             self.m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
             self.palette = Palette.of_preset(tissue.preset)
             self.labels = np.where(around, OTHER, self.palette.usual).astype(np.int32)
@@ -285,8 +285,8 @@ def _observe(study: Study, base: Canvas) -> list[str]:
     """Have what is painted or observed count on the blank images of a study; what to say of it."""
     motion, notes = study.motion, []
     if motion.observed is not None and motion.confidence is not None:
-        sure = motion.confidence if motion.confidence.ndim == 3 else motion.confidence[..., None]
-        base.confidence[...] = sure
+        sure, each = motion.confidence, motion.confidence.ndim > len(base.shape)
+        base.confidence[...] = sure if each else sure[..., None]
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
         new = [label for label in unlisted(motion.labels, motion.rules) if label != 0]

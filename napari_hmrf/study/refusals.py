@@ -57,9 +57,9 @@ def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
     Parameters
     ----------
     study : Study
-    m : ndarray, shape (H, W)
+    m : ndarray, shape ([D,] H, W)
         Stiffness.
-    c : ndarray, shape (H, W, 2)
+    c : ndarray, shape ([D,] H, W, n)
         Confidence.
 
     Raises
@@ -143,9 +143,9 @@ def lack(
     Parameters
     ----------
     problem : Problem
-    painted : ndarray, shape (H, W, 2)
+    painted : ndarray, shape ([D,] H, W, n)
         How what was painted should move, however sure that is.
-    tissue : ndarray of bool, shape (H, W)
+    tissue : ndarray of bool, shape ([D,] H, W)
         What is tissue, be it held or not.
     """
     moves = painted != 0

@@ -66,10 +66,10 @@ class Tissue:
 
     Attributes
     ----------
-    labels : ndarray of int, shape (H, W), optional
+    labels : ndarray of int, shape ([D,] H, W), optional
         With a row of `materials` each; one without a row gets a usual one.
     materials : tuple of Material
-    stiffness : ndarray, shape (H, W), optional
+    stiffness : ndarray, shape ([D,] H, W), optional
         Young's modulus; 0 where there is no tissue, infinite where it is rigid.
     curve : StiffnessCurve, optional
         By which the image's intensity says how stiff tissue is.
@@ -111,12 +111,12 @@ class Motion:
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is: beside what is no tissue or the dark
         surroundings, and at the edge of the image. Holes in it are free.
-    labels : ndarray of int, shape (H, W), optional
+    labels : ndarray of int, shape ([D,] H, W), optional
         What is painted, with a row of `rules` each; one without a row stays where it is.
     rules : tuple of BoundaryRule
-    observed : ndarray, shape (H, W, 2), optional
-        A displacement, in (row, col) order and the grid's unit, such as a registration's.
-    confidence : ndarray, shape (H, W) or (H, W, 2), optional
+    observed : ndarray, shape ([D,] H, W, n), optional
+        A displacement, in the order of the axes and the grid's unit, such as a registration's.
+    confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
         How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
     drawing : Drawing
         What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
@@ -140,8 +140,8 @@ class Pictures:
 
     Attributes
     ----------
-    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
-    labels : ndarray of int, shape (H, W), optional
+    image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
+    labels : ndarray of int, shape ([D,] H, W), optional
     name, labels_name : str
         Of what they came from; results are named after them.
     level : int, optional
@@ -157,12 +157,6 @@ class Pictures:
     level: int | None = None
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def intensities(self) -> Array | None:
-        """How bright the image is; of colours, the luminance."""
-        image = self.image
-        return image if image is None or image.ndim == 2 else luminance(image)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +240,14 @@ class Study:
         """The name of the model, as results have it."""
         parts = {"prior": self.prior.parameters, "optimizer": self.optimizer.parameters}
         return model_name(parts)
+
+    @property
+    def intensities(self) -> Array | None:
+        """How bright the image is; of colours, the luminance."""
+        image = self.pictures.image
+        if image is None or image.ndim == len(self.grid.shape):
+            return image
+        return luminance(image)
 
     @property
     def moves(self) -> bool:

@@ -92,12 +92,14 @@ class BoundaryRule:
     action : {"fixed", "move", "expand"}
         The tissue under the label stays where it is, moves by `vector`, or moves outward by
         `amount` (inward where negative): all of a ring, but only the rim of a patch.
-    vector : (float, float)
-        Displacement in (row, col) direction, in the unit of the pixel spacing.
+    vector : tuple of float
+        Displacement in (row, col) direction, in the unit of the pixel spacing; in a volume across
+        no plane, unless it is (plane, row, col).
     amount : float
         Displacement along the outward normal, in the unit of the pixel spacing.
-    confidence : (float, float)
-        How sure the (row, col) component is, from 0 (not observed) to 1 (complete).
+    confidence : tuple of float
+        How sure the (row, col) component is, from 0 (not observed) to 1 (complete); in a volume
+        that across planes is as sure as the surer of these, unless it is (plane, row, col).
     name : str
         For people.
     """
@@ -105,9 +107,9 @@ class BoundaryRule:
     label: int
     action: Action
     _: KW_ONLY
-    vector: tuple[float, float] = (0.0, 0.0)
+    vector: tuple[float, ...] = (0.0, 0.0)
     amount: float = 0.0
-    confidence: tuple[float, float] = (1.0, 1.0)
+    confidence: tuple[float, ...] = (1.0, 1.0)
     name: str = ""
 
 
@@ -211,7 +213,10 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
 
 
 def boundary_images(
-    labels: npt.ArrayLike, rules: Iterable[BoundaryRule], *, spacing: Sequence[float] = (1.0, 1.0)
+    labels: npt.ArrayLike,
+    rules: Iterable[BoundaryRule],
+    *,
+    spacing: Sequence[float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Give every painted pixel the displacement and the confidence of its rule.
 
@@ -221,18 +226,18 @@ def boundary_images(
 
     Parameters
     ----------
-    labels : array_like of int, shape (H, W)
+    labels : array_like of int, shape ([D,] H, W)
         0 where nothing is observed.
     rules : iterable of BoundaryRule
         One for each value in `labels` above 0; more do no harm.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction, in the unit of the displacements.
+    spacing : sequence of float, shape (n,), optional
+        Size of a pixel along each axis, in the unit of the displacements; by default 1.
 
     Returns
     -------
-    observed : ndarray, shape (H, W, 2), float32
-        Material displacement in (row, col) order, in the unit of `spacing`.
-    confidence : ndarray, shape (H, W, 2), float32
+    observed : ndarray, shape ([D,] H, W, n), float32
+        Material displacement in the order of the axes, in the unit of `spacing`.
+    confidence : ndarray, shape ([D,] H, W, n), float32
         Confidence per component; 0 where nothing is painted, inside a patch that expands, and on
         an expanding spot so small that it has no direction.
 
@@ -243,18 +248,20 @@ def boundary_images(
         expand (which of its sides is outside, nobody can say).
     """
     image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
+    n = image.ndim
+    sizes = (1.0,) * n if spacing is None else spacing
     for rule in table.values():
-        _check_rule(rule)
-    y = np.zeros((*image.shape, 2), dtype=np.float32)
+        _check_rule(rule, n)
+    y = np.zeros((*image.shape, n), dtype=np.float32)
     c = np.zeros_like(y)
     for label in present:
         rule = table[int(label)]
         painted = image == label
-        c[painted] = rule.confidence
+        c[painted] = (*(max(rule.confidence),) * (n - len(rule.confidence)), *rule.confidence)
         if rule.action == "move":
-            y[painted] = rule.vector
+            y[painted] = (*(0.0,) * (n - len(rule.vector)), *rule.vector)
         elif rule.action == "expand":
-            normals = outward_normals(painted, spacing, _quoted(rule))
+            normals = outward_normals(painted, sizes, _quoted(rule))
             y[painted] = np.float32(rule.amount) * normals[painted]
             c[painted & ~normals.any(axis=-1)] = 0
     return y, c
@@ -265,13 +272,11 @@ def _read(
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
     """Labels as an image, those in it, and their rows by label."""
     image = as_numbers(field, labels)
-    axes = (2, 3) if kind is Material else (2,)
-    if image.dtype.kind not in "biu" or image.ndim not in axes:
-        needed = "a 2-D image (H, W)" + (" or a volume (D, H, W)" if 3 in axes else "")
+    if image.dtype.kind not in "biu" or image.ndim not in (2, 3):
         raise ProblemError(
             field,
-            f"has labels of type {image.dtype}, shape {image.shape}, but {needed} of "
-            "whole numbers is needed, one per material.",
+            f"has labels of type {image.dtype}, shape {image.shape}, but a 2-D image (H, W) or a "
+            "volume (D, H, W) of whole numbers is needed, one per material.",
         )
     table: dict[int, Any] = {}
     for row in rows if isinstance(rows, Iterable) else [rows]:
@@ -299,7 +304,11 @@ def _read(
     return image, present, table
 
 
-def _check_rule(rule: BoundaryRule) -> None:
+def _check_rule(rule: BoundaryRule, n: int) -> None:
+    vector, confidence = (
+        reals(given, 3 if n == 3 and np.shape(given) == (3,) else 2)
+        for given in (rule.vector, rule.confidence)
+    )
     if rule.label <= 0:
         raise ProblemError(
             "observed",
@@ -311,12 +320,12 @@ def _check_rule(rule: BoundaryRule) -> None:
             f"gives {_quoted(rule)} the action {shown(rule.action)}. Take "
             '"fixed", "move" or "expand".',
         )
-    if not all(math.isfinite(value) for value in (*reals(rule.vector, 2), real(rule.amount))):
+    if not all(math.isfinite(value) for value in (*vector, real(rule.amount))):
         raise ProblemError(
             "observed",
             f"moves {_quoted(rule)} by something that is no length. Give (row, col), or an amount.",
         )
-    if not all(0 <= value <= 1 for value in reals(rule.confidence, 2)):
+    if not all(0 <= value <= 1 for value in confidence):
         raise ProblemError(
             "confidence",
             f"gives {_quoted(rule)} the confidence "

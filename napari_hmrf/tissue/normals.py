@@ -14,10 +14,9 @@ from napari_hmrf.tissue.surroundings import outside_of
 
 #: How far an outline is smoothed before its normal is taken, in pixels.
 _SMOOTHING = 1.5
-#: A part so many times longer than it is thick is a line, whatever the brush: it has no inside.
+#: A part so many times longer than it is thick is a line, whatever the brush: it has no inside; nor
+#: has a sheet in a volume, so many times as wide as it is thick along both its sides.
 _LINE = 8.0
-#: Pixels that touch at a corner belong together, as in a ring one pixel wide.
-_EIGHT = np.ones((3, 3), dtype=bool)
 #: A part in a box of so few pixels has no hole that matters.
 _SPECK = 25
 #: A part whose holes take up less than this of what it encloses is a patch, and no ring.
@@ -41,17 +40,17 @@ def outward_normals(
 
     Parameters
     ----------
-    mask : ndarray of bool, shape (H, W)
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
+    mask : ndarray of bool, shape ([D,] H, W)
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     name : str
         What is to expand, for people.
 
     Returns
     -------
-    ndarray, shape (H, W, 2), float32
-        In (row, col) order; 0 outside the mask, inside a patch, and where a part is so small that
-        it has no direction.
+    ndarray, shape ([D,] H, W, n), float32
+        In the order of the axes; 0 outside the mask, inside a patch, and where a part is so small
+        that it has no direction.
 
     Raises
     ------
@@ -61,7 +60,7 @@ def outward_normals(
     sizes = np.asarray(spacing, dtype=float)
     sigma = _SMOOTHING * sizes.max() / sizes
     margin = tuple(math.ceil(4 * along) + 1 for along in sigma)
-    normals = np.zeros((*mask.shape, 2), dtype=np.float32)
+    normals = np.zeros((*mask.shape, mask.ndim), dtype=np.float32)
     for box, part in _parts(mask):
         padded = np.pad(part, [(size, size) for size in margin])
         filled = ~outside_of(padded)
@@ -95,7 +94,8 @@ def _parts(
     mask: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
     """Each connected part, with the box that holds it."""
-    numbered, _ = scipy.ndimage.label(mask, structure=_EIGHT)
+    # Pixels that touch at a corner belong together, as in a ring one pixel wide.
+    numbered, _ = scipy.ndimage.label(mask, structure=np.ones((3,) * mask.ndim, dtype=bool))
     for number, box in enumerate(scipy.ndimage.find_objects(numbered), start=1):
         yield box, numbered[box] == number
 
@@ -103,22 +103,25 @@ def _parts(
 def _refuse_open_line(
     filled: npt.NDArray[np.bool_], sizes: npt.NDArray[np.float64], name: str
 ) -> None:
-    area = float(filled.sum() * sizes.prod())
+    n = filled.ndim
+    content = float(filled.sum() * sizes.prod())
     deepest = float(scipy.ndimage.distance_transform_edt(filled, sampling=sizes).max())
     at_least = 2 * deepest - sizes.max()
-    if area <= _LINE * at_least**2:
+    if content <= _LINE ** (n - 1) * at_least**n:
         return
     # At half the pixel size even and odd widths both have a middle, and come out as they are.
-    fine = filled.repeat(2, axis=0).repeat(2, axis=1)
+    fine = np.kron(filled, np.ones((2,) * n, dtype=bool))
     thickness = 2 * float(scipy.ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
-    length = area / thickness
-    if length > _LINE * thickness:
-        raise ProblemError(
-            "observed",
-            f"lets {name} expand, but a part of it is an open line (about {length:.3g} long and "
-            f"{thickness:.3g} thick), which has no outside: it would be torn along its middle. "
-            "Close the line to a ring, or let it move by a vector instead ('moves by').",
-        )
+    if content <= _LINE ** (n - 1) * thickness**n:
+        return
+    length = (content / thickness) ** (1 / (n - 1))
+    what, closed = ("line", "ring") if n == 2 else ("sheet", "shell")
+    raise ProblemError(
+        "observed",
+        f"lets {name} expand, but a part of it is an open {what} (about {length:.3g} long and "
+        f"{thickness:.3g} thick), which has no outside: it would be torn along its middle. "
+        f"Close the {what} to a {closed}, or let it move by a vector instead ('moves by').",
+    )
 
 
 def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -126,11 +129,11 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
     Parameters
     ----------
-    mask : ndarray of bool, shape (H, W)
+    mask : ndarray of bool, shape ([D,] H, W)
 
     Returns
     -------
-    ndarray of bool, shape (H, W)
+    ndarray of bool, shape ([D,] H, W)
         The pixels of each part beside what is around it, or at the edge of the image.
     """
     rim = mask & ~scipy.ndimage.binary_erosion(mask)

@@ -238,7 +238,7 @@ def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
     ProblemError
         If the image is of one value.
     """
-    around, void_below = background_of(picture), None
+    around, void_below = background_of(picture, picture.ndim), None
     if surrounds(around) and not around.all():
         dark, rest = (part[np.isfinite(part)] for part in (picture[around], picture[~around]))
         if dark.size and rest.size:

@@ -29,7 +29,7 @@ _LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))
 _SHARE = 0.9
 
 
-def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
     """Tell the dark surroundings of a picture from what is in it.
 
     Dark is what Otsu's threshold says; surroundings are what hangs together with the edge of the
@@ -38,16 +38,18 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
 
     Parameters
     ----------
-    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+    picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+    axes : int
+        How many of it are not colours: 3 of a volume.
 
     Returns
     -------
-    ndarray of bool, shape (H, W)
+    ndarray of bool, shape ([D,] H, W)
         Nothing, if the picture is of one value.
     """
     from skimage.filters import threshold_otsu
 
-    grey = picture[..., :3].mean(axis=-1) if picture.ndim == 3 else picture
+    grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else picture
     values = grey[np.isfinite(grey)] if grey.dtype.kind == "f" else grey
     if not values.size or values.min() == values.max():
         return np.zeros(grey.shape, dtype=bool)
@@ -64,18 +66,20 @@ def background_of(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     return found
 
 
-def dark_border(picture: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
     """What is dark around a picture, if it surrounds something; else nothing.
 
     Of a picture that cannot be written to it is found once.
 
     Parameters
     ----------
-    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+    picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+    axes : int
+        How many of it are not colours: 3 of a volume.
     """
     known = next((mask for image, mask in _known if image() is picture), None)
     if known is None:
-        known = background_of(picture)
+        known = background_of(picture, axes)
         known = known & surrounds(known)
         if not picture.flags.writeable:
             _known[:] = [(weakref.ref(picture), known), *_known][:_KEPT]
@@ -87,10 +91,12 @@ def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
 
     Parameters
     ----------
-    dark : ndarray of bool, shape (H, W)
+    dark : ndarray of bool, shape ([D,] H, W)
         Of `background_of`.
     """
-    edge = np.concatenate([dark[0], dark[-1], dark[:, 0], dark[:, -1]])
+    edge = np.concatenate(
+        [dark.take(end, axis).ravel() for axis in range(dark.ndim) for end in (0, -1)]
+    )
     return bool(edge.mean() >= _AROUND)
 
 
@@ -99,7 +105,7 @@ def between_air_and_tissue(picture: npt.NDArray[Any]) -> float | None:
 
     Parameters
     ----------
-    picture : ndarray, shape (H, W)
+    picture : ndarray, shape ([D,] H, W)
 
     Returns
     -------
@@ -108,8 +114,8 @@ def between_air_and_tissue(picture: npt.NDArray[Any]) -> float | None:
     """
     # Of a large picture every few pixels tell as much, and the window waits for it.
     step = max(1, max(picture.shape) // _ENOUGH)
-    picture = picture[::step, ::step]
-    dark, known = background_of(picture), np.isfinite(picture)
+    picture = picture[(slice(None, None, step),) * picture.ndim]
+    dark, known = background_of(picture, picture.ndim), np.isfinite(picture)
     air, inside = picture[dark & known], picture[~dark & known]
     if not (surrounds(dark) and air.size and inside.size):
         return None
@@ -121,10 +127,10 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
 
     Parameters
     ----------
-    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
-    tissue : ndarray of bool, shape (H, W)
+    picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+    tissue : ndarray of bool, shape ([D,] H, W)
     """
-    dark = dark_border(picture)
+    dark = dark_border(picture, tissue.ndim)
     if not dark.any() or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
         return ""
     return (
@@ -134,10 +140,10 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
 
 
 def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """What is around a mask, (H, W), and hangs together with the image's edge: no holes in it."""
+    """What is around a mask and hangs together with the image's edge: no holes in it."""
     # A ring around the image joins all that reaches its edge.
     pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
-    found: npt.NDArray[np.bool_] = (pieces == pieces[0, 0])[1:-1, 1:-1]
+    found: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
     return found
 
 
@@ -169,20 +175,22 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return bright
 
 
-def at_edges(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def at_edges(image: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.float32]:
     """Complete confidence where an image has its steepest edges, and none elsewhere.
 
     Parameters
     ----------
-    image : ndarray, shape (H, W) or (H, W, 3 or 4)
+    image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+    axes : int
+        How many of it are not colours: 3 of a volume.
 
     Returns
     -------
-    ndarray, shape (H, W), float32
+    ndarray, shape ([D,] H, W), float32
         1 at the steepest tenth of the pixels.
     """
     from skimage.filters import gaussian, sobel
 
-    slope = sobel(gaussian(luminance(image) if image.ndim > 2 else image.astype(float), 1))
+    slope = sobel(gaussian(luminance(image) if image.ndim > axes else image.astype(float), 1))
     steep: npt.NDArray[np.float32] = (slope > np.quantile(slope, _SHARE)).astype(np.float32)
     return steep

@@ -155,8 +155,8 @@ class LiveStudy:
         """
         image = self._form.image.value
         study = self.read(Request(image=image, view=self._choices.view, drawing=Drawing()))
-        assert study.pictures.intensities is not None
-        return first_curve(study.pictures.intensities)
+        assert study.intensities is not None
+        return first_curve(study.intensities)
 
     # What can be done
 

@@ -24,13 +24,14 @@ from napari_hmrf.tissue.drawing.marks import (
 )
 
 FloatArray = npt.NDArray[np.float32]
-#: Rows and columns of a part of an image; it ends where it begins if it has no pixels.
-Box = tuple[slice, slice]
+#: What a part of an image has along each axis; it ends where it begins if it has no pixels.
+Box = tuple[slice, ...]
 
+# Counted from the last, as a volume has one before them.
 _COMPONENTS: dict[Components, slice] = {
-    "both": slice(0, 2),
-    "row": slice(0, 1),
-    "col": slice(1, 2),
+    "both": slice(None),
+    "row": slice(-2, -1),
+    "col": slice(-1, None),
 }
 
 
@@ -44,47 +45,47 @@ class Canvas:
 
     Attributes
     ----------
-    observed : ndarray, shape (H, W, 2), float32
-        Observed displacement, (row, col), in the unit of `spacing`; material.
-    confidence : ndarray, shape (H, W, 2), float32
+    observed : ndarray, shape ([D,] H, W, n), float32
+        Observed displacement along each axis, in the unit of `spacing`; material.
+    confidence : ndarray, shape ([D,] H, W, n), float32
         Confidence per component, 0 to 1.
-    labels : ndarray of int, shape (H, W)
+    labels : ndarray of int, shape ([D,] H, W)
         Which tissue, for strokes that paint tissue.
-    kinds : ndarray of uint8, shape (H, W)
+    kinds : ndarray of uint8, shape ([D,] H, W)
         What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
-    spacing : (float, float)
-        Size of a pixel in (row, col) direction.
+    spacing : tuple of float, shape (n,)
+        Size of a pixel along each axis.
     """
 
     observed: FloatArray
     confidence: FloatArray
     labels: npt.NDArray[Any]
     kinds: npt.NDArray[np.uint8]
-    spacing: tuple[float, float]
+    spacing: tuple[float, ...]
 
     @classmethod
     def blank(
         cls,
         shape: Sequence[int],
-        spacing: Sequence[float] = (1.0, 1.0),
+        spacing: Sequence[float] | None = None,
         labels: npt.NDArray[Any] | None = None,
     ) -> Canvas:
         """Nothing is observed yet, and without `labels` all is of one tissue."""
-        rows, cols = spacing
-        y, kinds = np.zeros((*shape, 2), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
+        n = len(shape)
+        y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
-        return cls(y, y.copy(), tissue, kinds, (float(rows), float(cols)))
+        sizes = (1.0,) * n if spacing is None else tuple(map(float, spacing))
+        return cls(y, y.copy(), tissue, kinds, sizes)
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return int(self.observed.shape[0]), int(self.observed.shape[1])
+    def shape(self) -> tuple[int, ...]:
+        """Pixels along each axis."""
+        return self.kinds.shape
 
     @property
     def whole(self) -> Box:
         """The box of all pixels."""
-        rows, cols = self.shape
-        return slice(0, rows), slice(0, cols)
+        return tuple(slice(0, size) for size in self.shape)
 
     @property
     def images(self) -> tuple[npt.NDArray[Any], ...]:
@@ -106,7 +107,7 @@ def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     for first, last, side in zip(low, high, whole, strict=True):
         begin = max(math.ceil(first), side.start)
         sides.append(slice(begin, max(begin, min(math.floor(last) + 1, side.stop))))
-    return sides[0], sides[1]
+    return tuple(sides)
 
 
 def is_empty(box: Box) -> bool:
@@ -161,7 +162,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = KINDS[mark.action]
 
 
-def refuse_open_line(stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]) -> None:
+def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]) -> None:
     """Refuse a stroke that is to expand and has no outside.
 
     Raises
@@ -179,10 +180,10 @@ def covered(stroke: Stroke, spacing: Sequence[float], box: Box) -> npt.NDArray[n
 
 
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
-    """Whether a place, (row, col) in pixels, is under the brush of a stroke."""
+    """Whether a place, in pixels, is under the brush of a stroke."""
     lines = [np.array(line) - point for line in stroke.lines]
-    pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1), slice(0, 1)))
-    return bool(pixel[0, 0] <= stroke.radius)
+    pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1),) * len(point))
+    return bool(pixel.item() <= stroke.radius)
 
 
 def distance_to(
@@ -197,20 +198,19 @@ def distance_to(
 
     Parameters
     ----------
-    lines : iterable of array_like, shape (N, 2)
+    lines : iterable of array_like, shape (N, n)
         In pixels.
     radius : float
         In the unit of `spacing`.
-    spacing : (float, float)
+    spacing : sequence of float, shape (n,)
     window : Box
 
     Returns
     -------
-    ndarray, shape (rows, cols) of the window, float32
+    ndarray, of the window's shape, float32
         In the unit of `spacing`.
     """
-    top, left = begin = window[0].start, window[1].start
-    end = window[0].stop, window[1].stop
+    begin, end = ([getattr(side, at) for side in window] for at in ("start", "stop"))
     nearest = np.full(np.subtract(end, begin), np.inf, dtype=np.float32)
     size = np.array(spacing)
     reach = brush_reach(radius, spacing) / size + 1
@@ -221,16 +221,18 @@ def distance_to(
         high = np.floor(np.maximum(starts, ends) + reach).astype(np.int64) + 1
         low, high = np.maximum(low, begin), np.minimum(high, end)
         for number in np.flatnonzero((low < high).all(axis=1)):
-            (r0, c0), (r1, c1) = low[number].tolist(), high[number].tolist()
             a, step = starts[number] * size, (ends[number] - starts[number]) * size
-            rows = (np.arange(r0, r1) * size[0] - a[0])[:, None]
-            cols = (np.arange(c0, c1) * size[1] - a[1])[None, :]
+            sides = [np.arange(*span) for span in zip(low[number], high[number], strict=True)]
+            away = [side * s - at for side, s, at in zip(np.ix_(*sides), size, a, strict=True)]
             squared = float(step @ step)
             if squared > 0:
-                along = np.clip((rows * step[0] + cols * step[1]) / squared, 0, 1)
-                rows, cols = rows - along * step[0], cols - along * step[1]
-            part = nearest[r0 - top : r1 - top, c0 - left : c1 - left]
-            np.minimum(part, np.sqrt(rows**2 + cols**2), out=part, casting="same_kind")
+                on = sum((x * s for x, s in zip(away, step, strict=True)), np.zeros(()))
+                along = np.clip(on / squared, 0, 1)
+                away = [x - along * s for x, s in zip(away, step, strict=True)]
+            far = np.sqrt(sum((x**2 for x in away), np.zeros(())))
+            spans = zip(low[number] - begin, high[number] - begin, strict=True)
+            part = nearest[tuple(slice(*span) for span in spans)]
+            np.minimum(part, far, out=part, casting="same_kind")
     return nearest
 
 
@@ -249,24 +251,22 @@ def brush_reach(radius: float, spacing: Sequence[float]) -> float:
 
 
 def _expanded(
-    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...], window: Box
+    stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...], window: Box
 ) -> tuple[FloatArray, FloatArray]:
     """Displacement and confidence of an expanding stroke, in a window of the image."""
     y, c, box = _expanded_whole(stroke, spacing, shape)
-    top, left = box[0].start, box[1].start
-    rows, cols = window
-    at = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
+    sides = zip(window, (side.start for side in box), strict=True)
+    at = tuple(slice(side.start - first, side.stop - first) for side, first in sides)
     return y[at], c[at]
 
 
 @lru_cache(maxsize=8)
 def _expanded_whole(
-    stroke: Stroke, spacing: tuple[float, float], shape: tuple[int, ...]
+    stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray, Box]:
     """The same of its whole region, and where that lies: normals depend on all of it."""
-    rows, cols = shape
     # A region that leaves the image has its outline out there, but not endlessly far.
-    box = box_of(stroke, spacing, (slice(-rows, 2 * rows), slice(-cols, 2 * cols)))
+    box = box_of(stroke, spacing, tuple(slice(-size, 2 * size) for size in shape))
     painted = covered(stroke, spacing, box)
     rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
     y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)

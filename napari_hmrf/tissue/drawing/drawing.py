@@ -67,17 +67,17 @@ class Drawing:
         self._check(number)
         return Drawing((*self.marks[:number], *self.marks[number + 1 :]))
 
-    def at(self, point: Point, reach: float, spacing: Sequence[float] = (1.0, 1.0)) -> Hit | None:
+    def at(self, point: Point, reach: float, spacing: Sequence[float] | None = None) -> Hit | None:
         """Find the end of an arrow or a landmark that can be picked up at a place.
 
         Parameters
         ----------
-        point : (float, float)
-            (row, col) in pixels.
+        point : tuple of float
+            (row, col) or (plane, row, col) in pixels.
         reach : float
             How near is near enough, in the unit of `spacing`.
-        spacing : sequence of float, shape (2,)
-            Size of a pixel in (row, col) direction.
+        spacing : sequence of float, optional
+            Size of a pixel along each axis; by default 1.
 
         Returns
         -------
@@ -85,6 +85,7 @@ class Drawing:
             The nearest; of several equally near ones a head before a base, and a later mark before
             an earlier one.
         """
+        spacing = (1.0,) * len(point) if spacing is None else spacing
         found: list[tuple[float, int, int]] = []
         for number, mark in enumerate(self.marks):
             for order, end in enumerate(ends_of(mark, spacing)):
@@ -96,16 +97,17 @@ class Drawing:
         _, order, number = min(found)
         return Hit(-number, "base" if order else "head")
 
-    def painted_at(self, point: Point, spacing: Sequence[float] = (1.0, 1.0)) -> int | None:
+    def painted_at(self, point: Point, spacing: Sequence[float] | None = None) -> int | None:
         """Find the stroke that lies uppermost at a place; None if none does.
 
         Parameters
         ----------
-        point : (float, float)
-            (row, col) in pixels.
-        spacing : sequence of float, shape (2,)
-            Size of a pixel in (row, col) direction.
+        point : tuple of float
+            (row, col) or (plane, row, col) in pixels.
+        spacing : sequence of float, optional
+            Size of a pixel along each axis; by default 1.
         """
+        spacing = (1.0,) * len(point) if spacing is None else spacing
         for number in reversed(range(len(self.marks))):
             mark = self.marks[number]
             if isinstance(mark, Stroke) and covers(mark, point, spacing):
@@ -236,11 +238,10 @@ class Rendering:
         boxes = [box for box in boxes if not is_empty(box)]
         if not boxes:
             return None
-        rows, cols = (
+        return tuple(
             slice(min(side.start for side in sides), max(side.stop for side in sides))
             for sides in zip(*boxes, strict=True)
         )
-        return rows, cols
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:

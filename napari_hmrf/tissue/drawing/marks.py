@@ -1,8 +1,8 @@
 """The marks a drawing is made of.
 
-Places are (row, col) in pixels of the image, and need not be whole; lengths (displacements, radii)
-are in the unit of the pixel spacing. Displacements are material: what is drawn at X moves to
-X + by.
+Places are (row, col) in pixels of the image, (plane, row, col) of a volume, and need not be whole;
+lengths (displacements, radii) are in the unit of the pixel spacing. Displacements are material:
+what is drawn at X moves to X + by.
 """
 
 from __future__ import annotations
@@ -18,17 +18,16 @@ import numpy as np
 from napari_hmrf.arguments import is_one_of, is_whole, real, reals, shown
 from napari_hmrf.errors import ProblemError
 
-Point = tuple[float, float]
-#: Which components of a displacement a mark speaks of.
+Point = tuple[float, ...]
+#: Which components of a displacement a mark speaks of; of a volume "both" is all three.
 Components = Literal["both", "row", "col"]
 #: What the tissue under a brush does, or is.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 
 
 def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
-    """How far it is from one place to another, in (row, col) direction, in lengths."""
-    row, col = ((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
-    return row, col
+    """How far it is from one place to another along each axis, in lengths."""
+    return tuple((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
 
 
 def _number(least: float, most: float) -> Callable[[Any], float | None]:
@@ -36,8 +35,9 @@ def _number(least: float, most: float) -> Callable[[Any], float | None]:
 
 
 def _place(value: Any) -> Point | None:
-    row, col = reals(value, 2)
-    return (row, col) if math.isfinite(row) and math.isfinite(col) else None
+    axes = 3 if np.shape(value) == (3,) else 2
+    along = tuple(reals(value, axes))
+    return along if all(map(math.isfinite, along)) else None
 
 
 def _lines(values: Any) -> tuple[tuple[Point, ...], ...] | None:
@@ -45,9 +45,10 @@ def _lines(values: Any) -> tuple[tuple[Point, ...], ...] | None:
         lines = [np.asarray(line, dtype=float) for line in values]
     except (TypeError, ValueError):
         return None
-    right = (line.ndim == 2 and line.shape[1] == 2 and np.isfinite(line).all() for line in lines)
+    right = (line.ndim == 2 and np.isfinite(line).all() for line in lines)
     plain = tuple(tuple(map(tuple, line.tolist())) for line in lines)
-    return plain if plain and all(plain) and all(right) else None
+    places = {line.shape[-1] for line in lines} in ({2}, {3})
+    return plain if plain and all(plain) and places and all(right) else None
 
 
 def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
@@ -56,14 +57,14 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
 
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
-_PLACE = (_place, "(row, col)")
+_PLACE = (_place, "(row, col), or (plane, row, col) of a volume")
 #: By its name how a value is made plain, None if it means nothing, and what to give.
 _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "at": _PLACE,
     "by": _PLACE,
     "source": _PLACE,
     "target": _PLACE,
-    "lines": (_lines, "the places of a brush, (row, col) each"),
+    "lines": (_lines, "the places of a brush, (row, col) each, or (plane, row, col)"),
     "radius": (_number(sys.float_info.min, _LARGEST), "a length above 0"),
     "amount": (_number(-_LARGEST, _LARGEST), "a number"),
     "confidence": _SHARE,
@@ -96,6 +97,17 @@ class _Checked:
             object.__setattr__(self, name, _checked(name, value))
         if not (self.confidence or self._may_doubt):
             raise ProblemError("confidence", "has a mark with a confidence of 0. Remove the mark.")
+        if len({len(place) for place in self._places}) > 1:
+            raise ProblemError(
+                "observed",
+                "has a mark with places of two and of three axes. Give (row, col) in an image, "
+                "(plane, row, col) in a volume.",
+            )
+
+    @property
+    def _places(self) -> tuple[Point, ...]:
+        """Places and steps, all of as many axes."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -104,12 +116,13 @@ class Arrow(_Checked):
 
     Attributes
     ----------
-    at : (float, float)
-        Middle of the patch, (row, col) in pixels.
-    by : (float, float)
-        How far it moves in (row, col) direction, in the unit of the pixel spacing.
+    at : tuple of float
+        Middle of the patch, (row, col) or (plane, row, col) in pixels.
+    by : tuple of float
+        How far it moves along each axis, in the unit of the pixel spacing.
     radius : float
-        Of the patch, in the unit of the pixel spacing. However small, the nearest pixel counts.
+        Of the patch, in a volume a ball, in the unit of the pixel spacing. However small, the
+        nearest pixel counts.
     confidence : float
         How sure that is, from above 0 to 1 (certain).
     components : {"both", "row", "col"}
@@ -127,10 +140,14 @@ class Arrow(_Checked):
     confidence: float = 1.0
     components: Components = "both"
 
+    @property
+    def _places(self) -> tuple[Point, ...]:
+        return self.at, self.by
+
     def head(self, spacing: Iterable[float]) -> Point:
         """Where the middle of the patch goes, in pixels."""
-        row, col = (at + by / size for at, by, size in zip(self.at, self.by, spacing, strict=True))
-        return row, col
+        steps = zip(self.at, self.by, spacing, strict=True)
+        return tuple(at + by / size for at, by, size in steps)
 
 
 @dataclass(frozen=True)
@@ -139,8 +156,8 @@ class Landmark(_Checked):
 
     Attributes
     ----------
-    source, target : (float, float)
-        Where it is and where it should be, (row, col) in pixels.
+    source, target : tuple of float
+        Where it is and where it should be, (row, col) or (plane, row, col) in pixels.
     radius, confidence
         As of an `Arrow`.
 
@@ -155,6 +172,10 @@ class Landmark(_Checked):
     radius: float
     confidence: float = 1.0
 
+    @property
+    def _places(self) -> tuple[Point, ...]:
+        return self.source, self.target
+
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """The same as an arrow, whose length depends on the size of a pixel."""
         by = between(self.source, self.target, spacing)
@@ -163,7 +184,7 @@ class Landmark(_Checked):
 
 @dataclass(frozen=True)
 class Stroke(_Checked):
-    """What was painted with a round brush.
+    """What was painted with a round brush, in a volume with a ball.
 
     Attributes
     ----------
@@ -172,13 +193,13 @@ class Stroke(_Checked):
         by `by`; moves by `amount` along the outward normal of the painted region (all of a ring,
         but only the rim of a patch, whose inside is not observed); is observed as it is beneath,
         with another confidence; or becomes tissue of `label`.
-    lines : tuple of tuple of (float, float)
-        The ways of the brush, (row, col) in pixels; of one point, where it touched only. All of
-        them are one painted region.
+    lines : tuple of tuple of tuple of float
+        The ways of the brush, (row, col) or (plane, row, col) in pixels; of one point, where it
+        touched only. All of them are one painted region.
     radius : float
         Of the brush, in the unit of the pixel spacing.
-    by : (float, float)
-        Of "move": in (row, col) direction, in the unit of the pixel spacing.
+    by : tuple of float
+        Of "move": along each axis, in the unit of the pixel spacing.
     amount : float
         Of "expand": in the unit of the pixel spacing; below 0 the region shrinks.
     confidence : float
@@ -206,6 +227,11 @@ class Stroke(_Checked):
     softness: float = 0.0
     label: int = 0
     components: Components = "both"
+
+    @property
+    def _places(self) -> tuple[Point, ...]:
+        place = self.lines[0][0]
+        return (place, self.by) if self.action == "move" else (place,)
 
     @property
     def moves_nowhere(self) -> bool:

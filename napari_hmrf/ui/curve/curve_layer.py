@@ -46,7 +46,7 @@ class CurveLayer:
                 self._viewer.layers.remove(layer)
         if study is None or curve is None:
             return
-        intensities = study.pictures.intensities
+        intensities = study.intensities
         assert intensities is not None
         if before is None or before.pictures.image is not study.pictures.image:
             self._editor.show_intensities(intensities)

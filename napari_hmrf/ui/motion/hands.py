@@ -175,7 +175,8 @@ class Pull(Hand):
 
     _part: Literal["head", "base"] = "head"
     #: Where the pointer is, and how far from the end that is held.
-    _at = _offset = (0.0, 0.0)
+    _at: Point = (0.0, 0.0)
+    _offset: Point = (0.0, 0.0)
     #: What is done once the pointer has moved.
     _pulled = ""
 
@@ -201,7 +202,7 @@ class Pull(Hand):
         if not self.holding or point == self._at:
             return
         self._at, leads, mark = point, self._part == "head", self.mark
-        to = (point[0] - self._offset[0], point[1] - self._offset[1])
+        to = tuple(x - away for x, away in zip(point, self._offset, strict=True))
         if isinstance(mark, Landmark):
             moved = replace(mark, target=to) if leads else replace(mark, source=to)
             self._remake(moved, self._pulled)
@@ -227,7 +228,7 @@ class Pull(Hand):
     def _take(self, drawing: Drawing, hit: Hit, point: Point, word: str, pulled: str = "") -> None:
         head, base = ends_of(drawing.marks[hit.number], self._spacing)
         end = head if hit.part == "head" else base
-        self._offset = (point[0] - end[0], point[1] - end[1])
+        self._offset = tuple(x - y for x, y in zip(point, end, strict=True))
         self._part, self._at, self._pulled = hit.part, point, pulled
         self._history.begin(word)
         self._show(drawing, hit.number)

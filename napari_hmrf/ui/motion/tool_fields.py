@@ -117,7 +117,7 @@ class ToolFields(Container):
         return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
 
     @property
-    def _by(self) -> tuple[float, float]:
+    def _by(self) -> tuple[float, ...]:
         """What is typed as a step, along (rows, columns)."""
         return self._ways.along((self.by_row.value, self.by_col.value))
 
