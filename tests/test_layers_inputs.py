@@ -169,7 +169,6 @@ def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
 def test_layers_of_different_size_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
     assert str(error).startswith("'Tissue' has 12 x 14 pixels")
-    assert str(error).endswith("(Labels layer, uint8, 12 x 14)")
     assert "12 x 15" in str(error)
 
 
@@ -233,7 +232,6 @@ def test_an_impossible_stiffness_names_its_layer(value, said):
     m[3, 4] = value
     error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
     assert str(error).startswith("'stiffness' has ")
-    assert "(Image layer, float64, 12 x 15)" in str(error)
     assert said in str(error)
     assert "(3, 4)" in str(error)
 
@@ -273,7 +271,7 @@ def test_rigid_tissue_reaches_the_elastic_model(made):
 )
 def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
     error = refusal(with_bone(made()))
-    assert error.sentence == (
+    assert str(error) == (
         f"{said} the paper's model cannot have: it compares stiffness by ratios. Take the elastic "
         "model, or give it a number."
     )
@@ -305,8 +303,7 @@ def test_an_extreme_stiffness_ratio_is_refused():
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
-        "Nothing is painted in 'Boundary' yet: choose a row, then paint a wall or something that "
-        "moves. (Labels layer, uint8, 12 x 15)"
+        "'Boundary' has no paint yet: choose a row, then paint a wall or something that moves."
     )
 
 
@@ -318,17 +315,6 @@ def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
     unsure = tuple(BoundaryRule(label, "fixed", confidence=(0.0, 0.0)) for label in (1, 2))
     error = refusal(Request(void.tissue, void.boundary, void.image, MATERIALS, unsure))
     assert str(error).startswith("Nothing in 'Boundary' counts")
-
-
-def test_paint_on_another_slice_is_pointed_to():
-    viewer, wanted = stack((9, *SHAPE))
-    wanted.boundary.data[:] = 0
-    wanted.boundary.data[5] = boundary_labels()
-    wanted.boundary.data[0] = boundary_labels()
-    viewer.dims.set_current_step(0, 7)
-    assert str(refusal(seen(viewer, wanted))).startswith(
-        "'Boundary' has no paint in slice 7; paint here or go to slice 5."
-    )
 
 
 def test_a_boundary_in_the_void_alone_is_refused():
@@ -445,20 +431,11 @@ def test_a_mask_elsewhere_in_the_stack_does_not_matter(which):
     assert read_layers(replace(wanted, **{which: Image(data)})).notes == ()
 
 
-def test_whole_numbers_that_single_precision_rounds_are_mentioned():
-    m = np.full(SHAPE, 2**24, dtype=np.int32)
-    m[3, 4:6] += 1
-    inputs = read_layers(request(tissue=Image(m, name="stiffness")))
-    assert inputs.notes == ("2 whole numbers of 'stiffness' above 2^24 were rounded",)
-    m[3, 4:6] += 1
-    assert read_layers(request(tissue=Image(m, name="stiffness"))).notes == ()
-
-
 @pytest.mark.parametrize("dtype", [np.int64, np.uint64])
 def test_the_largest_whole_numbers_are_a_stiffness(dtype):
     m = np.full(SHAPE, np.iinfo(dtype).max)
     inputs = read_layers(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
-    assert inputs.notes == ("180 whole numbers of 'stiffness' above 2^24 were rounded",)
+    assert (inputs.problem.stiffness == np.float32(np.iinfo(dtype).max)).all()
 
 
 class Unreadable:
@@ -531,14 +508,13 @@ def test_confidence_can_come_from_an_image():
     [
         ([[(40, 3), (1, 1)]], "vector 0 at (40, 3)"),
         ([[(5, 3), (1, 1)], [(5.2, 3), (2, 1)]], "vector 0 at (5, 3)"),
-        ([], "No arrow of 'arrows' starts"),
+        ([], "Nothing in 'arrows' counts on this slice"),
     ],
     ids=["outside", "conflict", "none"],
 )
 def test_arrows_that_say_nothing_clear_are_refused_by_number(arrows, said):
     error = refusal(request(boundary=arrow_layer(*arrows)))
     assert "'arrows'" in str(error)
-    assert "(Vectors layer, " in str(error)
     assert said in str(error)
 
 

@@ -30,7 +30,7 @@ def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated)
     screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert dock.status == "Took back: changed the stiffness of label 1 in 'Tissue'."
+    assert dock.status == "Took back: changed label 1 of 'Tissue'."
     person.key(Y, CTRL)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)

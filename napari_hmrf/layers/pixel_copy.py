@@ -5,7 +5,6 @@ from __future__ import annotations
 import weakref
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -92,23 +91,6 @@ def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
     shape = plane_shape(reference, frame)
     sized = isinstance(layer, Vectors) or plane_shape(layer, own) == shape
     return sized and frame.same_place(own, shape)
-
-
-def nearest_paint(layer: Any, frame: Frame) -> str:
-    """The nearest slice of a Labels layer that holds paint, in words; "" if none does.
-
-    Only of arrays in memory: to look through a stack on a disk would take too long.
-    """
-    data = full_resolution(layer)
-    if not isinstance(data, np.ndarray):
-        return ""
-    for axis in frame.others:
-        index = frame.index
-        for at in sorted(range(data.shape[axis]), key=lambda at: abs(at - index[axis])):
-            there = replace(frame, index=(*index[:axis], at, *index[axis + 1 :]))
-            if data[there.pixels].any():
-                return there.slice_seen
-    return ""
 
 
 class LayerCopies:

@@ -27,12 +27,12 @@ from napari_hmrf.layers.metadata import (
     rows_of,
     tissue_record,
 )
-from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
+from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, plane_shape
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.study.layer_names import LayerError, Named, naming
+from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -158,10 +158,10 @@ class _Reader:
             "boundary": request.boundary,
             "confidence": request.confidence,
         }
-        names = {part: Named.of(layer) for part, layer in parts.items() if isinstance(layer, Layer)}
+        names = {part: str(layer.name) for part, layer in parts.items() if isinstance(layer, Layer)}
         drawing = request.drawing
         if drawing is not None and (drawing.marks or "boundary" not in names):
-            names["drawing"] = Named(ARROWS, "Vectors layer")
+            names["drawing"] = ARROWS
         if not {"boundary", "drawing"} & set(names):
             raise LayerError(
                 reference, "has no boundary. Choose a layer of it, or draw how it moves."
@@ -233,7 +233,12 @@ class _Reader:
             return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
-            _refuse_unpainted(layer, self._frames[id(layer)])
+            here = self._frames[id(layer)].slice_seen
+            raise LayerError(
+                layer,
+                f"has no paint{f' in {here}' if here else ' yet'}: choose a row, then paint a wall "
+                "or something that moves.",
+            )
         rules = request.rules
         rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
@@ -306,21 +311,6 @@ class _Reader:
         return tuple(notes)
 
 
-def _refuse_unpainted(boundary: Any, own: Frame) -> None:
-    """Say where there is paint, if not here."""
-    elsewhere = nearest_paint(boundary, own)
-    if elsewhere:
-        raise LayerError(
-            boundary, f"has no paint in {own.slice_seen}; paint here or go to {elsewhere}."
-        )
-    raise LayerError(
-        boundary,
-        "is not painted yet.",
-        f"Nothing is painted in '{boundary.name}' yet: choose a row, then paint a wall or "
-        "something that moves.",
-    )
-
-
 def look_of(layer: Any) -> dict[str, Any]:
     """How an Image or Labels layer is drawn, as a new layer takes it."""
     if layer is None or getattr(layer, "rgb", False):
@@ -356,7 +346,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         part: str, name: str, data: Any, look: Mapping[str, Any], sort: str = "image", **what: Any
     ) -> None:
         """Make a layer, by the name that it had."""
-        name = study.names[part].name if part in study.names else name
+        name = study.names.get(part, name)
         known = described(**what)[METADATA] if what else {}
         made[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
@@ -378,7 +368,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         starts, steps = np.argwhere(counts > 0), motion.observed / grid.spacing
         if len(starts) > _MANY:
             field = DisplacementField.in_pixels(frame.put_field(steps))
-            name = study.names["boundary"].name if "boundary" in study.names else "Observed"
+            name = study.names.get("boundary", "Observed")
             place = frame.placement(image=True)
             made["boundary"] = Layer.create(*field_layer(field, place, name, BOUNDARY))
         else:

@@ -175,7 +175,7 @@ class Ground:
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None and not motion.drawing.marks:
-            notes.append(refusals.lack(problem, self.base.observed, self.stiffness > 0))
+            notes.append(refusals.lack(problem))
         notes.append(self._air_that_is_tissue)
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
@@ -252,7 +252,7 @@ class _Where:
         self.labels = np.full(shape, OTHER, dtype=np.int32)
         around = np.zeros(shape, dtype=bool)
         if tissue.labels is not None:
-            known, name = tissue.materials, study.named("tissue", "image").name
+            known, name = tissue.materials, study.named("tissue", "image")
             new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
             self.notes = [
                 f"label {row.label} of '{name}' is not in the table and got stiffness "
@@ -269,7 +269,6 @@ class _Where:
             if isinstance(self.prior, ElasticPrior):
                 self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
         elif tissue.stiffness is not None:
-            self.notes = [refusals.rounding(study, tissue.stiffness)]
             self.m = as_stiffness(tissue.stiffness)
         elif tissue.curve and (intensities := study.intensities) is not None:
             self.m = tissue.curve(intensities)
@@ -292,8 +291,7 @@ def _observe(study: Study, base: Canvas) -> list[str]:
         new = [label for label in unlisted(motion.labels, motion.rules) if label != 0]
         rules = [*motion.rules, *map(default_rule, new)]
         notes = [
-            f"label {label} of '{study.named('boundary').name}' is not in the table and was held "
-            "fixed"
+            f"label {label} of '{study.named('boundary')}' is not in the table and was held fixed"
             for label in new
         ]
         with study.naming(drawn=False):

@@ -6,7 +6,6 @@ Both are said of the parts that people know.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -76,21 +75,16 @@ def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
         if named is None:
             return  # the problem itself says it
         sentence = (
-            f"Nothing in '{named.name}' counts: its confidence is 0 everywhere. Give something a "
-            "confidence above 0, up to 1 for certain."
+            f"Nothing in '{named}' counts on this slice: add something, with a confidence above 0, "
+            "up to 1 for certain."
         )
-        if study.motion.labels is None and "confidence" not in study.names:
-            sentence = (
-                f"No arrow of '{named.name}' starts in this slice: add some, or choose a Labels "
-                "layer to paint on."
-            )
         raise LayerError(named, silent, sentence)
     if drawn is None and named and tissue and not (somewhere & (m != 0)).any():
         raise LayerError(
             named,
             "lies outside all tissue.",
-            f"All of '{named.name}' lies where there is no tissue (stiffness 0). Paint it on "
-            f"tissue, or give that place of '{tissue.name}' a stiffness.",
+            f"All of '{named}' lies where there is no tissue (stiffness 0). Paint it on "
+            f"tissue, or give that place of '{tissue}' a stiffness.",
         )
 
 
@@ -107,7 +101,7 @@ def refuse_void(study: Study, m: FloatArray) -> None:
         raise LayerError(
             named,
             "has stiffness 0 everywhere.",
-            f"There is no tissue in '{named.name}': all of it has stiffness 0. Give what is tissue "
+            f"There is no tissue in '{named}': all of it has stiffness 0. Give what is tissue "
             "a stiffness above 0.",
         )
 
@@ -120,52 +114,17 @@ def holes(study: Study) -> str:
     bad = int((~np.isfinite(image)).sum())
     if bad == image.size:
         raise LayerError(named, "is NaN everywhere in this slice. Choose another image or slice.")
-    return f"{bad} pixels of '{named.name}' are NaN or infinite" if bad else ""
+    return f"{bad} pixels of '{named}' are NaN or infinite" if bad else ""
 
 
-def rounding(study: Study, stiffness: npt.NDArray[Any]) -> str:
-    """Say so where single precision, which the solver works in, rounds whole numbers."""
-    if stiffness.dtype.kind not in "iu":
-        return ""
-    # Bit by bit: no float holds all 64-bit integers to compare with.
-    whole = np.maximum(stiffness, 1).astype(np.uint64)
-    lowest_bit = whole & (~whole + np.uint64(1))
-    rounded = int((whole // lowest_bit > 2**24).sum())
-    name = study.named("tissue", "image").name
-    return f"{rounded} whole numbers of '{name}' above 2^24 were rounded" if rounded else ""
-
-
-def lack(
-    problem: Problem, painted: npt.NDArray[np.floating[Any]], tissue: npt.NDArray[np.bool_]
-) -> str:
-    """Say what a painted boundary lacks: something that moves, or that holds the rest.
-
-    Parameters
-    ----------
-    problem : Problem
-    painted : ndarray, shape ([D,] H, W, n)
-        How what was painted should move, however sure that is.
-    tissue : ndarray of bool, shape ([D,] H, W)
-        What is tissue, be it held or not.
-    """
-    moves = painted != 0
+def lack(problem: Problem) -> str:
+    """Say what a painted boundary lacks: something that moves, or that holds the rest."""
+    moves, seen = problem.known & (problem.observed != 0), problem.known.any(axis=-1)
     if not moves.any():
         return (
-            "nothing that is painted moves: have something move or expand, by a distance other "
-            "than 0"
+            "nothing moves: have something on tissue move or expand, by a distance other than 0 "
+            "and with a confidence above 0"
         )
-    moves &= tissue[..., None]
-    if not moves.any():
-        return (
-            "nothing moves: all that is to move is painted where there is no tissue (stiffness 0). "
-            "Paint it on tissue, or give that place a stiffness"
-        )
-    if not (moves & (problem.confidence > 0)).any():
-        return (
-            "nothing moves: all that is to move has a confidence of 0, with which it does not "
-            "count. Give it one above 0, up to 1 for certain"
-        )
-    seen = problem.known.any(axis=-1)
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
     if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():
         return ""

@@ -14,7 +14,6 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.follower import Done
 
@@ -139,9 +138,7 @@ def _less(study: Study) -> str:
 
 
 def in_short(error: Exception) -> str:
-    """Why there is no result, as one sentence or two, without the technical details of a layer."""
-    if isinstance(error, LayerError):
-        return error.sentence
+    """Why there is no result, as one sentence or two."""
     if isinstance(error, ConvergenceError):
         return f"No result: {str(error).rstrip('.')}."
     if isinstance(error, HmrfError | ValueError):

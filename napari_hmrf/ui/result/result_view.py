@@ -23,7 +23,7 @@ from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.study.layer_names import Named, naming
+from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
@@ -206,11 +206,11 @@ class ResultView:
         self._errands.forget("comparison")
         field = field_of(reference)
         if shown is not None and field is not None:
-            answer, named = shown.answer, Named.of(reference)
+            answer, name = shown.answer, str(reference.name)
 
             def work() -> Comparison:
-                with naming(observed=named):
-                    return compare(answer.solution, answer.frame, field, named.name)
+                with naming(observed=name):
+                    return compare(answer.solution, answer.frame, field, name)
 
             self._errands.send("comparison", work, self._on_compared)
 
