@@ -257,18 +257,43 @@ def arrows_apart(
     return chosen
 
 
+def arrows_in_slices(
+    displacement: npt.ArrayLike,
+    *,
+    spacing: Sequence[float] | None = None,
+    tissue: npt.ArrayLike | None = None,
+    about: int = 1000,
+) -> FloatArray:
+    """Pick arrows of a volume, in each slice along its first axis about so many in the fullest.
+
+    What hardly moves has none. The parameters, what is returned and errors are those of `arrows`.
+    """
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    sizes = checked_sizes(spacing, 3)
+    row, col = _lattice(mask.sum(axis=(1, 2)).max() / about, sizes[1:])
+    lines = (slice(None), slice(row // 2, None, row), slice(col // 2, None, col))
+    chosen = np.zeros_like(mask)
+    chosen[lines] = mask[lines]
+    starts = np.argwhere(chosen)
+    steps = moved[tuple(starts.T)] - starts
+    lengths = np.linalg.norm(steps * sizes, axis=1)
+    far = lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)
+    found: FloatArray = np.stack([starts, steps], axis=1)[far].astype(np.float32)
+    return found
+
+
 def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
     """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
 
     Parameters
     ----------
-    where : ndarray of bool, shape (H, W)
-    apart : float or array_like, shape (2,)
-        Rows and columns of a cell, in pixels.
+    where : ndarray of bool, shape ([D,] H, W)
+    apart : float or array_like, shape (n,)
+        How large a cell is along each axis, in pixels.
 
     Returns
     -------
-    ndarray of int, shape (N, 2)
+    ndarray of int, shape (N, n)
     """
     pixels = np.argwhere(where)
     if not len(pixels):
@@ -276,7 +301,7 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
     cells = (pixels / np.asarray(apart)).astype(np.int64)
     off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
     order = np.argsort(off, kind="stable")
-    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     _, first = np.unique(key[order], return_index=True)
     return pixels[order[first]]
 

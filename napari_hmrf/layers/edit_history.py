@@ -211,7 +211,7 @@ class ViewerSteps:
 
     def go_to(self, slot: Any, turn: bool = False) -> None:
         """Show the slice that something was drawn on; only with `turn` if other axes are shown."""
-        if slot.place is None:
+        if slot.place is None or len(slot.place.plane) == 3:  # a volume is in each of its slices
             return
         plane, index = slot.place.plane, slot.place.index
         dims, layer = self._viewer.dims, slot.layer

@@ -22,7 +22,7 @@ def read_landmarks(
     where: Any,
     should: Any,
     frame: Frame,
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     view: View | None = None,
     *,
     radius: float | None = None,
@@ -75,7 +75,7 @@ def read_landmarks(
     radii = _radii(pairs.at, radius, frame, shape)
     with naming(observed=where, confidence=where):
         marks = tuple(
-            Landmark((a[0], a[1]), (b[0], b[1]), size, confidence)
+            Landmark(tuple(a), tuple(b), size, confidence)
             for a, b, size in zip(pairs.at.tolist(), pairs.to.tolist(), radii, strict=True)
         )
     return marks, tuple(beyond[:1])
@@ -88,7 +88,7 @@ class LandmarkPairs(NamedTuple):
     ----------
     numbers : ndarray of int
         Which of their layer they are.
-    at, to : ndarray, shape (N, 2)
+    at, to : ndarray, shape (N, n)
         Where things are and should be, in pixels of the slice.
     """
 
@@ -98,7 +98,7 @@ class LandmarkPairs(NamedTuple):
 
 
 def landmark_pairs(
-    where: Any, should: Any, frame: Frame, shape: tuple[int, int], view: View | None = None
+    where: Any, should: Any, frame: Frame, shape: tuple[int, ...], view: View | None = None
 ) -> LandmarkPairs:
     """Find the pairs on a slice; arguments and errors are those of `read_landmarks`."""
     what: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
@@ -132,7 +132,7 @@ def landmark_pairs(
     return LandmarkPairs(numbers, at, to)
 
 
-def _outside(places: FloatArray, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
+def _outside(places: FloatArray, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     return np.asarray(((places < -0.5) | (places > np.array(shape) - 0.5)).any(axis=1))
 
 
@@ -153,7 +153,7 @@ def _refuse_contradiction(
 
 
 def _radii(
-    at: FloatArray, radius: float | None, frame: Frame, shape: tuple[int, int]
+    at: FloatArray, radius: float | None, frame: Frame, shape: tuple[int, ...]
 ) -> list[float]:
     """The radius of each patch; where points are close, half of the way to the next one."""
     # Of two patches that overlap the later would win, and the earlier point not go where it should.

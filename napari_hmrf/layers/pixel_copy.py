@@ -14,6 +14,7 @@ from napari.layers import Vectors
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.layer_names import LayerError, full_resolution
 from napari_hmrf.study.study import is_same
 
@@ -25,18 +26,18 @@ _KEPT = 4
 CHANGES = ("data", "labels_update", "paint", "set_data")
 
 
-def plane_shape(layer: Any, frame: Frame) -> tuple[int, int]:
-    """Rows and columns of a layer's slice."""
+def plane_shape(layer: Any, frame: Frame) -> tuple[int, ...]:
+    """Rows and columns of a layer's slice; of a volume its planes, too."""
     if isinstance(layer, Vectors):
         raise LayerError(
             layer, "has no pixels. Choose an image, or paint the tissue in a Labels layer."
         )
     shape = full_resolution(layer).shape
-    return int(shape[frame.plane[0]]), int(shape[frame.plane[1]])
+    return tuple(int(shape[axis]) for axis in frame.plane)
 
 
 def check_size(
-    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
+    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, ...]
 ) -> None:
     """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
     if not frame.same_place(own, shape):
@@ -49,10 +50,11 @@ def check_size(
         return
     own_shape = plane_shape(layer, own)
     if own_shape != shape:
+        here = " in this slice" if len(shape) == 2 else ""
         raise LayerError(
             layer,
-            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but '{reference.name}' "
-            f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
+            f"has {grid_in_words(own_shape)} pixels{here}, but '{reference.name}' has "
+            f"{grid_in_words(shape)}. Choose layers of the same size, or resample one.",
         )
 
 

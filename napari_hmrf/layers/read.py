@@ -32,6 +32,7 @@ from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -259,7 +260,7 @@ class _Reader:
                     arrows = np.array(data, float)
                     y, known, out = arrow_observation(arrows, own, frame.spacing, shape)
             c = np.where(known, 1 if sure is None else sure, 0).astype(np.float32)
-            return y, np.repeat(c[..., None], 2, axis=-1), out
+            return y, np.repeat(c[..., None], len(shape), axis=-1), out
 
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
         y, c, out = self._copies.made(layer, of, observe)
@@ -282,13 +283,13 @@ class _Reader:
             pixels = self._slice(chosen)
             if isinstance(chosen, Labels):
                 return self._copies.made(chosen, (pixels,), lambda: pixels > 0)
-            if pixels.ndim != 2:
+            if pixels.ndim != len(self._shape):
                 raise LayerError(chosen, "is a colour image. Choose a grey image of values 0 to 1.")
             return pixels
         if image is None:
             raise LayerError(self._reference, "has no edges: choose an image.")
         pixels = self._slice(image)
-        return self._copies.made(image, (pixels,), lambda: at_edges(pixels))
+        return self._copies.made(image, (pixels,), lambda: at_edges(pixels, len(self._shape)))
 
     def _notes(self) -> tuple[str, ...]:
         request, frame, notes = self._request, self._frame, []
@@ -302,7 +303,7 @@ class _Reader:
                 f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
             )
         if self._multiscale:
-            notes.append(f"computed on the finest level, {self._shape[0]} x {self._shape[1]}")
+            notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
         notes += [
             f"of '{layer.name}' {self._frames[id(layer)].slice_seen} was taken"
             for layer in request.layers[1:]
@@ -339,7 +340,8 @@ def study_layers(study: Study) -> dict[str, Any]:
         they lie above each other.
     """
     grid, tissue, motion, pictures = study.grid, study.tissue, study.motion, study.pictures
-    frame = grid.place or Frame.at(grid.spacing, (grid.unit,) * 2)
+    n = len(grid.shape)
+    frame = grid.place or Frame.at(grid.spacing, (grid.unit,) * n, volume=n == 3)
     made: dict[str, Any] = {}
 
     def add(
@@ -362,9 +364,8 @@ def study_layers(study: Study) -> dict[str, Any]:
         look, rules = {"colormap": boundary_colours()}, motion.rules
         add("boundary", "Boundary", motion.labels, look, "labels", role=BOUNDARY, rows=rules)
     elif motion.observed is not None and motion.confidence is not None:
-        counts = (
-            motion.confidence if motion.confidence.ndim == 2 else motion.confidence.max(axis=-1)
-        )
+        counts = motion.confidence
+        counts = counts if counts.ndim == n else counts.max(axis=-1)
         starts, steps = np.argwhere(counts > 0), motion.observed / grid.spacing
         if len(starts) > _MANY:
             field = DisplacementField.in_pixels(frame.put_field(steps))

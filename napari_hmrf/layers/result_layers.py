@@ -16,7 +16,13 @@ import numpy.typing as npt
 from napari_hmrf.field.animation import Motion, moved_grid
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.comparison import Comparison
-from napari_hmrf.field.deformation import arrows_apart, pixels_between, smallest_determinant, spread
+from napari_hmrf.field.deformation import (
+    arrows_apart,
+    arrows_in_slices,
+    pixels_between,
+    smallest_determinant,
+    spread,
+)
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
 from napari_hmrf.field.resample import emptiness, resample
@@ -87,10 +93,10 @@ class Answer:
         return unit_symbol(self.frame.unit)
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, cols = self.solution.tissue.shape
-        return int(rows), int(cols)
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns, of a volume planes before these."""
+        shape: tuple[int, ...] = self.solution.tissue.shape
+        return shape
 
     @property
     def source(self) -> str:
@@ -137,15 +143,15 @@ class Outputs:
     overlaps : int
         Pixels at which one part of the tissue has moved onto another; only counted where there
         are pictures.
-    worst : (int, int), optional
-        Row and column of the worst of them.
+    worst : tuple of int, optional
+        The pixel of the worst of them.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
     overlaps: int = 0
-    worst: tuple[int, int] | None = None
+    worst: tuple[int, ...] | None = None
 
 
 def result_layers(
@@ -185,8 +191,8 @@ def result_layers(
     smallest = smallest_determinant(*field)
     folds, worst = int((smallest <= 0).sum()), None
     if folds:
-        row, col = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
-        worst = (int(row), int(col))
+        at = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
+        worst = tuple(map(int, at))
     shown = pictures or Pictures()
     facts = {
         **_whence(frame, shown),
@@ -217,8 +223,10 @@ def _arrow_layer(answer: Answer) -> LayerData:
     """Where the tissue goes; the layer holds the answer, in memory only."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    found = arrows_apart(d, spacing=spacing, tissue=tissue, about=ARROWS)
-    width = max(1.0, math.sqrt(tissue.sum() / ARROWS)) / 8
+    picked = arrows_apart if tissue.ndim == 2 else arrows_in_slices
+    found = picked(d, spacing=spacing, tissue=tissue, about=ARROWS)
+    fullest = tissue.sum(axis=(-2, -1)).max()
+    width = max(1.0, math.sqrt(fullest / ARROWS)) / 8
     look = {"vector_style": "arrow", "edge_color": label_colours.ARROWS, "edge_width": width}
     made = answer.layer("arrows", found, "arrows", look, "vectors")
     made.attributes["metadata"][METADATA]["answer"] = answer
@@ -235,7 +243,7 @@ def picture_layer(
     frame : Frame
     pictures : Pictures
         Which image it is, and how that is drawn.
-    picture : ndarray, shape (H, W) or (H, W, 3 or 4)
+    picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
         As it has moved.
     parameters : mapping
         Of the solution's provenance.
@@ -256,7 +264,7 @@ def layer_on(
     ----------
     frame : Frame
     data : ndarray
-        Pixels, shape (H, W) or (H, W, 3 or 4); or segments in pixels, shape (N, 2, 2).
+        Pixels, shape ([D,] H, W) or ([D,] H, W, 3 or 4); or segments in pixels, (N, 2, n).
     name : str
     known : mapping
         For its metadata.
@@ -268,7 +276,7 @@ def layer_on(
     attributes = {**look, **frame.placement(image=not lines), "name": name}
     attributes["metadata"] = {METADATA: dict(known)}
     if sort == "image":
-        attributes["rgb"] = data.ndim == 3
+        attributes["rgb"] = data.ndim > len(frame.plane)
     placed = frame.put_vectors(data) if lines else frame.put_image(data)
     return LayerData(placed, attributes, sort)
 
@@ -299,7 +307,7 @@ class Overlay(NamedTuple):
     name : Name
     layer : LayerData
         When all of the deformation is seen.
-    picture : ndarray, shape (H, W), optional
+    picture : ndarray, shape ([D,] H, W), optional
         Its pixels before they move with the tissue; None if they do not, or if it is of lines.
     """
 
@@ -388,7 +396,8 @@ def _motion_layer(answer: Answer, problem: Problem) -> LayerData:
     """How tissue was to move (y), as arrows."""
     y, known = problem.observed, problem.known  # what was held has a dot
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
-    starts = spread(np.asarray(known.any(axis=-1)), apart)
+    cell = (1, apart, apart)[-len(answer.shape) :]
+    starts = spread(np.asarray(known.any(axis=-1)), cell)
     steps = np.where(known, y, 0)[tuple(starts.T)] / problem.spacing
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300

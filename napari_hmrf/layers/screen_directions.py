@@ -61,7 +61,10 @@ class Directions(NamedTuple):
         frame : Frame
         viewer : napari.Viewer or ViewerModel, optional
         """
-        axes = list(frame.plane)
+        axes = list(frame.plane[-2:])
+        if len(frame.plane) == 3 and viewer is not None:
+            missing = viewer.dims.ndim - frame.ndim
+            axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
         linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
         linear = linear / np.linalg.norm(linear, axis=0)
         # Where the world's rows and columns run in the patient, or on the canvas.

@@ -27,15 +27,18 @@ class View:
         Of `point`, if the viewer has them.
     sliders : tuple of (float, float)
         Where the slider of each axis begins, and its step; it counts steps. None, if nobody looks.
+    volume : bool
+        Whether all of a volume is meant, and not the slice of it that is drawn.
     """
 
     displayed: tuple[int, ...]
     point: tuple[float, ...]
     units: tuple[str, ...] | None = None
     sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
+    volume: bool = False
 
     @classmethod
-    def of(cls, dims: Any) -> View:
+    def of(cls, dims: Any, volume: bool = False) -> View:
         """Copy a viewer's dims."""
         units = getattr(dims, "units", None)
         return cls(
@@ -43,6 +46,7 @@ class View:
             tuple(float(value) for value in dims.point),
             None if units is None else tuple(str(unit) for unit in units),
             tuple((float(span.start), float(span.step)) for span in dims.range),
+            volume,
         )
 
     def factors(self, layer: Any) -> npt.NDArray[np.float64]:
@@ -59,7 +63,7 @@ class View:
 
 
 def frame_of(layer: Any, view: View | None = None) -> Frame:
-    """The slice of a layer that a viewer shows.
+    """The slice of a layer that a viewer shows, or all of the volume in which it lies.
 
     Parameters
     ----------
@@ -90,12 +94,13 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
             "has a scale, rotation or affine that flattens it to less than its axes. Set one "
             "that keeps all its axes apart.",
         )
-    plane, index = _slice_shown(layer, matrix, view)
-    row_unit, col_unit = (str(layer.units[axis]) for axis in plane)
-    if np.isnan(unit_factor(col_unit, row_unit)):
+    plane = _axes_of(layer, view)
+    index = _index_on(layer, matrix, plane, view)
+    units = [str(layer.units[axis]) for axis in plane]
+    if np.isnan([unit_factor(unit, units[-1]) for unit in units]).any():
         raise LayerError(
             layer,
-            f"measures rows in {row_unit} and columns in {col_unit}. Give both axes a unit of "
+            f"measures its axes in {' and '.join(dict.fromkeys(units))}. Give each a unit of "
             "length.",
         )
     return Frame(
@@ -113,13 +118,15 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
     )
 
 
-def _slice_shown(
-    layer: Any, matrix: npt.NDArray[np.float64], view: View | None
-) -> tuple[tuple[int, int], tuple[int, ...]]:
-    """The layer's axes that a viewer draws as rows and columns, and its slice on the others."""
+def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
+    """The layer's axes that are those of a volume, or that a viewer draws as rows and columns."""
     ndim = int(layer.ndim)
     if view is None:
-        return (ndim - 2, ndim - 1), (0,) * ndim
+        return ndim - 2, ndim - 1
+    if view.volume:
+        if ndim < 3:
+            raise LayerError(layer, "is no volume. Choose one, or deform one slice at a time.")
+        return ndim - 3, ndim - 2, ndim - 1
     missing = len(view.point) - ndim
     rows, cols = (axis - missing for axis in view.displayed[-2:])
     if min(rows, cols) < 0:
@@ -128,28 +135,57 @@ def _slice_shown(
             f"has {ndim} axes, and not the one the viewer shows as world axis "
             f"{min(view.displayed[-2:])}. Show its own axes (the roll button below the canvas).",
         )
-    others = [axis for axis in range(ndim) if axis not in (rows, cols)]
+    return rows, cols
+
+
+def _index_on(
+    layer: Any, matrix: npt.NDArray[np.float64], plane: tuple[int, ...], view: View | None
+) -> tuple[int, ...]:
+    """Where what a viewer shows lies on the layer's other axes."""
+    ndim = int(layer.ndim)
+    index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
+    if view is None or not others:
+        return tuple(index)
     size = np.abs(matrix[:-1, :-1]).max()
-    if others and np.abs(matrix[np.ix_(others, [rows, cols])]).max() > 1e-9 * size:
+    if np.abs(matrix[np.ix_(others, plane)]).max() > 1e-9 * size:
         raise LayerError(
             layer,
             "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
             "others. Show the axes it was taken in, or resample it.",
         )
-    index = [0] * ndim
-    if others:
-        point = np.array(view.point[missing:]) * view.factors(layer)
-        pixel = np.asarray(layer.world_to_data(np.nan_to_num(point)))
-        extents = layer_extents(layer)
-        for axis in others:
-            index[axis] = round(float(pixel[axis]))
-            if extents and not 0 <= index[axis] < extents[axis]:
-                raise LayerError(
-                    layer,
-                    f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
-                    f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
-                )
-    return (rows, cols), tuple(index)
+    point = np.array(view.point[len(view.point) - ndim :]) * view.factors(layer)
+    pixel = np.asarray(layer.world_to_data(np.nan_to_num(point)))
+    extents = layer_extents(layer)
+    for axis in others:
+        index[axis] = round(float(pixel[axis]))
+        if extents and not 0 <= index[axis] < extents[axis]:
+            raise LayerError(
+                layer,
+                f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
+                f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
+            )
+    return tuple(index)
+
+
+def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
+    """Across which axis of a volume a viewer shows it in slices, and at which of these it is.
+
+    Parameters
+    ----------
+    frame : Frame
+        Of the volume.
+    view : View
+    """
+    missing = len(view.point) - frame.ndim
+    shown = {axis - missing for axis in view.displayed[-2:]}
+    across = next(at for at, axis in enumerate(frame.plane) if axis not in shown)
+    factors = np.ones(frame.ndim)
+    if view.units is not None:
+        units = zip(view.units[-frame.ndim :], frame.units, strict=True)
+        factors = np.array([unit_factor(unit, to) for unit, to in units])
+    world = np.nan_to_num(np.array(view.point[missing:]) * factors)
+    pixel = np.linalg.solve(np.array(frame.matrix), [*world, 1.0])
+    return across, round(float(pixel[frame.plane[across]]))
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:

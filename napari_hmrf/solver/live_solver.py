@@ -145,7 +145,9 @@ class LiveSolver:
         # Only the compute thread looks at what was found.
         self._earlier = Earlier()
 
-    def submit(self, problem: Input | Callable[[], Input], *, glance: bool = True) -> int:
+    def submit(
+        self, problem: Input | Callable[[], Input], *, glance: bool = True, finish: bool = True
+    ) -> int:
         """Have this solved instead of whatever waits.
 
         Parameters
@@ -157,6 +159,8 @@ class LiveSolver:
         glance : bool
             Whether a first glance may be shown where the solution takes long. Without, what is
             submitted after `forget` is solved bit by bit as `solve` does.
+        finish : bool
+            Whether it is solved to its end though something newer waits; a volume takes seconds.
 
         Returns
         -------
@@ -181,6 +185,7 @@ class LiveSolver:
                 time.perf_counter(),
                 self._dropped,
                 glance,
+                finish,
             )
             self._waiting, self._owed = request, True
             self._go_on()
@@ -266,7 +271,7 @@ class LiveSolver:
             self._earlier.look_at(problem, request.dropped)
             solve = partial(self._solve, problem, prior, request.backend)
             optimizer = request.optimizer
-            stop: CancelFlag = request.dropped
+            stop: CancelFlag = request.dropped if request.finish else _Overtaken(self, request)
             long = request.glance and self._takes_long(problem)
             if long and isinstance(optimizer, Multigrid):
                 glance = replace(optimizer, tolerance=GLANCE)
@@ -332,6 +337,7 @@ class _Request(NamedTuple):
     submitted: float
     dropped: threading.Event
     glance: bool
+    finish: bool
 
 
 class _Overtaken:

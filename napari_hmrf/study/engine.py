@@ -27,6 +27,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
@@ -75,9 +76,14 @@ class Engine:
         #: The newest answer; only for the compute thread, as is what follows.
         self.latest: Deformation | None = None
         self._asked: Deformation | None = None
+        # With the study that each was made of.
+        self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
+        self._drawn_on: Ground | None = None
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
         self._warper: tuple[Array | None, Pictures, Warper] | None = None
+        # Of a volume: across which axis, of which image.
+        self._slicer: tuple[int, Array, Warper] | None = None
 
     # From any thread
 
@@ -92,7 +98,13 @@ class Engine:
         waits = self._live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
-    def submit(self, study: Study, backend: str = "auto", settle: bool = False) -> None:
+    def submit(
+        self,
+        study: Study,
+        backend: str = "auto",
+        settle: bool = False,
+        plane: Plane | None = None,
+    ) -> None:
         """Have this answered instead of what waits.
 
         Parameters
@@ -103,6 +115,9 @@ class Engine:
         settle : bool
             Whether to solve it from nothing, bit by bit as `solve_study` does; then it is an error
             that nothing is held or moved.
+        plane : Plane, optional
+            Of a volume: all that is looked at while a hand moves it. The volume is solved on its
+            coarse grid, and only this plane of the image is moved.
         """
         if settle:
             self.forget()
@@ -114,7 +129,13 @@ class Engine:
             if dropped.is_set():
                 raise Cancelled
 
-        self._live.submit(lambda: self._state(study, checkpoint, settle), glance=not settle)
+        # A glance at a whole volume takes longer than it is worth, and so does what is outdated.
+        long = plane is None and len(study.grid.shape) == 3
+        self._live.submit(
+            lambda: self._state(study, checkpoint, settle, plane),
+            glance=not (settle or long),
+            finish=settle or not long,
+        )
 
     def forget(self) -> None:
         """Drop what waits, what is being solved, and what was found."""
@@ -135,25 +156,33 @@ class Engine:
     # On the compute thread
 
     def _state(
-        self, study: Study, checkpoint: Callable[[], None], settle: bool
+        self, study: Study, checkpoint: Callable[[], None], settle: bool, plane: Plane | None
     ) -> tuple[Problem, Prior]:
         """State the problem of a study, making anew only what differs from the one before."""
-        before, self._asked = self._asked, Deformation(study, settled=settle)
-        known = None if before is None else before.ground
-        same = known is not None and known.study.lies_as(study)
-        ground = known if known is not None and same else Ground.of(study, checkpoint)
-        self._asked = replace(self._asked, ground=ground)
-        if ground is not known or self._rendering is None:
+        self._asked = Deformation(study, settled=settle, plane=plane)
+        grid = self._asked.grid
+        fine = self._ground_of(study, CoarseGrid(), checkpoint)
+        ground = fine if grid.step == 1 else self._ground_of(study, grid, checkpoint)
+        self._asked = replace(self._asked, ground=fine)
+        if self._rendering is None or ground is not self._drawn_on:
             self._rendering, self._over = Rendering(ground.base), ()
-        drawing, canvas = study.motion.drawing, self._rendering.canvas
+            self._drawn_on = ground
+        drawing, canvas = grid.drawing(study.motion.drawing), self._rendering.canvas
         window = self._rendering.show(drawing)
-        if self._overlay is not None:
+        if self._overlay is not None and grid.step == 1:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
         if not (settle or drawing.marks or canvas.observed.any()):
             raise _StillError
         stated = replace(ground.statement(canvas), optimizer=study.optimizer)
         self._asked = replace(self._asked, stated=stated)
         return stated.problem, stated.prior
+
+    def _ground_of(self, study: Study, grid: CoarseGrid, checkpoint: Callable[[], None]) -> Ground:
+        """What a study's drawing lies on, made anew only where that differs from the one before."""
+        known = self._grounds.get(grid)
+        if known is None or not known[0].lies_as(study):
+            known = self._grounds[grid] = study, Ground.of(grid.study(study), checkpoint)
+        return known[1]
 
     def _deliver(self, update: Update) -> None:
         asked, error, latest = self._asked, update.error, self.latest
@@ -177,7 +206,9 @@ class Engine:
         self, asked: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """The image, and what lies over it, where a solution takes them."""
-        image, over = asked.study.pictures.image, self._over
+        image, over, plane = asked.study.pictures.image, self._over, asked.plane
+        if plane is not None:
+            return None if image is None else self._moved_plane(asked, image, plane, solution), ()
         if solution is None:
             return image, tuple(np.array(picture.image) for picture in over)
         shown = [] if image is None else [Picture(image, fill=emptiness(image))]
@@ -189,6 +220,23 @@ class Engine:
             known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
         moved = known[2](solution.displacement, solution.tissue)
         return moved.pop(0) if image is not None else None, tuple(moved)
+
+    def _moved_plane(
+        self, asked: Deformation, image: Array, plane: Plane, solution: Solution | None
+    ) -> Array:
+        """A slice of a volume where a solution on its coarse grid takes it."""
+        if solution is None or asked.ground is None:
+            return np.asarray(image.take(plane.number, plane.axis))
+        order, spacing = plane.order, asked.study.grid.spacing
+        known = self._slicer
+        if known is None or known[0] != plane.axis or known[1] is not image:
+            turned = image.transpose(*order, *range(3, image.ndim))
+            picture = Picture(turned, fill=emptiness(image))
+            warper = Warper(picture, spacing=[spacing[axis] for axis in order])
+            known = self._slicer = (plane.axis, image, warper)
+        d = solution.displacement.transpose(*order, 3)[..., list(order)]
+        tissue = (asked.ground.stiffness > 0).transpose(order)
+        return known[2].slice(plane.number, d, tissue, every=plane.grid.step)[0]
 
 
 class _StillError(HmrfError):
@@ -216,6 +264,8 @@ class Deformation:
         Why there is no solution, in words of the study.
     settled : bool
         Whether it was solved from nothing, as `solve_study` does.
+    plane : Plane, optional
+        Of a volume: what `image` shows, (H, W); by default all.
     """
 
     study: Study
@@ -226,6 +276,12 @@ class Deformation:
     overlay: tuple[Array, ...] = ()
     error: Exception | None = None
     settled: bool = False
+    plane: Plane | None = None
+
+    @property
+    def grid(self) -> CoarseGrid:
+        """What it was solved on."""
+        return CoarseGrid() if self.plane is None else self.plane.grid
 
     @property
     def moves(self) -> bool:
@@ -239,9 +295,13 @@ class Deformation:
         if self.solution is not None:
             solution = self.solution
             field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            before = inverse_point(point, *field)
+            site = self.grid.down(point)
+            before = inverse_point(site, *field)
             # What nobody held anywhere stayed out of it, and where it was.
-            before = before or (None if self._holds(point, solution.tissue) else point)
+            if before is not None:
+                before = self.grid.up(before)
+            elif not self._holds(site, solution.tissue):
+                before = point
         body = None if self.ground is None else self.ground.body
         return before if before is not None and self._holds(before, body) else None
 
@@ -249,7 +309,9 @@ class Deformation:
         """Where tissue that was at points, (N, n) in pixels, is seen."""
         if self.solution is None or not len(points):
             return points
-        return moved_points(points, self.solution.displacement, spacing=self.study.grid.spacing)
+        step, solution = self.grid.step, self.solution
+        moved = moved_points(points / step, solution.displacement, spacing=solution.spacing)
+        return moved * step
 
     def is_inside(self, point: Point) -> bool:
         """Whether a point is one of the grid."""

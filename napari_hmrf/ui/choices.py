@@ -14,7 +14,7 @@ from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, Slot, steps_
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
@@ -52,6 +52,7 @@ class Choices:
             "confidence": motion.boundary.confidence,
             "border": form.tissue.border,
             "edge": motion.edge,
+            "extent": form.extent,
         }
         self._beginning = self.values
         self._image: Any = None
@@ -94,8 +95,8 @@ class Choices:
 
     @property
     def view(self) -> View:
-        """Which slice is shown."""
-        return View.of(self._viewer.dims)
+        """Which slice is shown, and whether all of the volume is meant."""
+        return View.of(self._viewer.dims, self._form.extent.is_volume)
 
     @property
     def request(self) -> Request:
@@ -220,7 +221,8 @@ class Choices:
         known = self._edits.get(Slot(CHOICE, image))
         if known is None and before is None:  # what was chosen before an image stays with it
             return
-        self.values = known or self._beginning
+        meant = known_of(image).get("extent", "slice") if self._form.extent.visible else "slice"
+        self.values = known or {**self._beginning, "extent": meant}
         if known is None:
             with self.nobody_chooses():
                 for layer in painted_on(image, self._viewer.layers, self.view):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 from magicgui.widgets import Container, PushButton
@@ -18,11 +19,12 @@ from qtpy.QtWidgets import (
 from superqt import QCollapsible
 
 from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmWheel, Narrow, WholeEntries, row
 from napari_hmrf.ui.label_table import LabelTable
-from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
+from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
@@ -48,6 +50,7 @@ class DockForm:
     Attributes
     ----------
     image : LayerChoice
+    extent : ExtentChoice
     make, intensity : PushButton
         Add layers to paint on, and have tissue go by brightness.
     tissue : TissueSection
@@ -64,6 +67,8 @@ class DockForm:
         self.image = LayerChoice(
             layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
+        self.extent = ExtentChoice()
+        self.image.changed.connect(self.extent.look_at)
         self.make = PushButton(
             text="Layers to paint on",
             tooltip="Adds a tissue and a boundary layer on the image's pixels",
@@ -72,15 +77,26 @@ class DockForm:
             text="Tissue from brightness",
             tooltip="How bright the image is says how stiff tissue is, by a curve that you draw",
         )
-        self.tissue = TissueSection(layers, view)
-        self.motion = MotionForm(layers, view)
+
+        def shown() -> View | None:
+            seen = view()
+            return None if seen is None else replace(seen, volume=self.extent.is_volume)
+
+        self.tissue = TissueSection(layers, shown)
+        self.motion = MotionForm(layers, shown)
         self.result = ResultForm(layers, self.image)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
         self.model.model.changed.connect(self._on_model)
-        fields = (self.model, self.model.in_detail, self.motion.edge, self.motion.fields.preset)
+        fields = (
+            self.extent,
+            self.model,
+            self.model.in_detail,
+            self.motion.edge,
+            self.motion.fields.preset,
+        )
         parts = (self.tissue.edited, self.motion.boundary.edited)
         for told in (*parts, *(field.changed for field in fields)):
             told.connect(self.edited, max_args=0)
@@ -111,7 +127,7 @@ class DockForm:
             table.release()
 
     def _assemble(self, outer: Container) -> None:
-        first = Container(widgets=[self.image])
+        first = Container(widgets=[self.image, self.extent])
         ways = row(self.make, self.intensity)
         body = Container(widgets=[first, ways], labels=False)
         layout = body.native.layout()

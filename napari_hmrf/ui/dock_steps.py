@@ -29,6 +29,7 @@ _CHOSEN = {
     "confidence": "chose what says how sure the boundary is",
     "border": "changed whether the dark border is tissue",
     "edge": "changed whether the edge is held",
+    "extent": "changed between slice and volume",
 }
 
 

@@ -18,6 +18,7 @@ from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.coarse_grid import Plane
 from napari_hmrf.study.engine import Deformation, Engine, Pictures
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
@@ -90,18 +91,24 @@ class Follower:
         self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
         # Whether what was submitted is not painted yet, and the newest that waits for that.
         self._behind = False
-        self._next: tuple[Study, str] | None = None
+        self._next: tuple[Study, str, Plane | None] | None = None
         self._beside = Errands(lambda _: None)  # a drag says itself what went wrong
         self._rehearsed = False
         # What was painted where, at rest; only the compute thread looks at it.
         self._canvas: Canvas | None = None
 
-    def follow(self, study: Study, backend: str = "auto") -> None:
-        """Have the tissue move as a study says; returns at once."""
-        if self._behind:
-            self._next = study, backend
+    def follow(self, study: Study, backend: str = "auto", plane: Plane | None = None) -> None:
+        """Have the tissue move as a study says; returns at once.
+
+        Parameters
+        ----------
+        study, backend, plane
+            As `Engine.submit` takes them.
+        """
+        if self._behind and (plane is not None or len(study.grid.shape) == 2):
+            self._next = study, backend, plane
         else:
-            self._submit(study, backend)
+            self._submit(study, backend, plane=plane)
 
     def settle(self, study: Study, backend: str = "auto") -> None:
         """Have a study solved from nothing instead of all that waits; returns at once."""
@@ -153,9 +160,11 @@ class Follower:
 
     # In the window's thread
 
-    def _submit(self, study: Study, backend: str, settle: bool = False) -> None:
+    def _submit(
+        self, study: Study, backend: str, plane: Plane | None = None, settle: bool = False
+    ) -> None:
         self._behind, self._next = True, None
-        self._engine.submit(study, backend, settle)
+        self._engine.submit(study, backend, settle, plane)
 
     def _on_seen(self, seen: Seen) -> None:
         # What was wrong with an edit that has been replaced is put right by now, or said again.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_hmrf.layers.edit_history import ViewerSteps
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.ui.forms import row
 
 #: Lines of the status that are seen at most; its tooltip has all of it.
@@ -181,7 +183,7 @@ class LiveChoice(CheckBox):
         super().__init__(value=True)
         # Once somebody has decided, the size of the image decides nothing.
         self._decided = False
-        self._shape = (0, 0)
+        self._shape: tuple[int, ...] = (0, 0)
         self.changed.connect(self._on_decided)
         self.judge(self._shape)
 
@@ -195,15 +197,15 @@ class LiveChoice(CheckBox):
         self.value = on
         self._on_decided()
 
-    def judge(self, shape: tuple[int, int]) -> None:
+    def judge(self, shape: tuple[int, ...]) -> None:
         """Decide by the size, unless somebody else has decided; say why it is off."""
-        self._shape = rows, cols = shape
-        large = rows * cols > LARGEST
+        self._shape = shape
+        large = len(shape) == 2 and math.prod(shape) > LARGEST
         if not self._decided:
             with self.changed.blocked():
                 self.value = not large
         off = large and not self.on
-        self.text = f"Live: off, slow at {rows} x {cols}" if off else "Live"
+        self.text = f"Live: off, slow at {grid_in_words(shape)}" if off else "Live"
         self.tooltip = (_SLOW if off else "") + _LIVE
 
     def _on_decided(self, *_: object) -> None:

@@ -9,6 +9,7 @@ from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image, Points, Shapes
 
 from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.slice_view import layer_extents
 from napari_hmrf.ui.forms import align_labels, narrow
 
 
@@ -137,3 +138,27 @@ class LandmarkChoice(Container):
         if isinstance(layer, Points) and self.should.value is None and len(others) == 1:
             self.should.value = others[0]
         self.look()
+
+
+class ExtentChoice(ComboBox):
+    """How much of an image is deformed; there is a choice for images that have slices."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            label="deform",
+            choices=[("this slice", "slice"), ("the whole volume", "volume")],
+            tooltip="This slice: as if it had no neighbours, which is quick.\n"
+            "The whole volume: tissue moves in all three directions.",
+        )
+        self.visible = False
+
+    @property
+    def is_volume(self) -> bool:
+        """Whether all of a volume is deformed."""
+        return bool(self.value == "volume")
+
+    def look_at(self, image: Any) -> None:
+        """Offer what there is of an image."""
+        self.visible = image is not None and layer_extents(image)[-3:-2] > (1,)
+        if not self.visible:
+            self.value = "slice"

@@ -17,9 +17,11 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.slice_view import View, plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
 from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
@@ -40,6 +42,8 @@ _POLL = 30
 _PATIENCE = 0.4
 #: How long tissue must rest until all layers of a result are drawn, in milliseconds.
 _REST = 200
+#: Voxels on which a volume is solved while a hand moves it: several pictures a second.
+_GLANCED = 100_000
 
 
 class LiveStudy:
@@ -231,7 +235,7 @@ class LiveStudy:
             self._resting.start()
             return
         moved = self._pointer.display.moved
-        if moved is not None and moved.study.optimizer != self.study.optimizer:
+        if moved is not None and (moved.plane or moved.study.optimizer != self.study.optimizer):
             self._asked = None  # a drag is over
             self._follow(self.study)
         else:
@@ -279,8 +283,7 @@ class LiveStudy:
             self._asked = None
             self._pointer.stand_on(study, source)
             self._describe()
-            rows, cols = study.grid.shape
-            self._form.footer.live.judge((rows, cols))
+            self._form.footer.live.judge(study.grid.shape)
             self._follower.rehearse(study)
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
@@ -308,9 +311,17 @@ class LiveStudy:
         self._resting.stop()
         if self._is_hasty(study):
             study = replace(study, optimizer=Multigrid(TOLERANCE))
-        self._follower.follow(study, self._form.model.in_detail.details.device)
+        device = self._form.model.in_detail.details.device
+        self._follower.follow(study, device, self._glanced_at(study))
         if not self._poll.isActive():
             self._poll.start()
+
+    def _glanced_at(self, study: Study) -> Plane | None:
+        """What of a volume is looked at while a hand moves it; None: all of it."""
+        if len(study.grid.shape) == 2 or not self._pointer.hand.holding:
+            return None
+        axis, number = plane_shown(study.grid.place, View.of(self._viewer.dims))
+        return Plane(axis, number, CoarseGrid.of_at_most(_GLANCED, study.grid.shape))
 
     def _is_hasty(self, study: Study) -> bool:
         """Whether a frame of a drag is enough, that need not be nearer than can be seen."""

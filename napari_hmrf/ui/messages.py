@@ -105,11 +105,13 @@ def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
     outputs, parts, short = done.outputs, list[str](), ""
     if outputs.folds > HANDFUL and outputs.worst is not None:
-        row, col = outputs.worst
+        *deep, row, col = outputs.worst
+        slice_ = f"slice {deep[0]}, " if deep else ""
         short = f"Folds at {outputs.folds} pixels: show where"
         parts.append(
-            f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
-            f"pushed through itself (it folds), which no tissue does. {_less(done.moved.study)}."
+            f"Warning: at {outputs.folds} pixels, worst at {slice_}row {row}, column {col}, the "
+            "tissue is pushed through itself (it folds), which no tissue does. "
+            f"{_less(done.moved.study)}."
         )
     if outputs.overlaps > HANDFUL:
         short = short or f"Overlaps at {outputs.overlaps} pixels"

@@ -66,6 +66,8 @@ class SoftTissue(Dock):
     ----------
     image : napari.layers.Image or None
         What to deform; without, the motion alone is seen.
+    extent : {"slice", "volume"}
+        Whether the slice that is shown is deformed as if it had no neighbours, or all of a volume.
     tissue : napari.layers.Labels, Image, "brightness" or None
         Labels of tissues, an image of stiffness, or the image's brightness by its curve; without,
         tissue is what the image shows.
@@ -125,6 +127,7 @@ class SoftTissue(Dock):
     """
 
     image = Part[Any]("_form.image.value")
+    extent = Part[str]("_form.extent.value")
     tissue = Part[Any]("_form.tissue.choice.value")
     boundary = Part[Any]("_form.motion.boundary.choice.value")
     confidence = Part[Any]("_form.motion.boundary.confidence.value")
@@ -337,7 +340,7 @@ class SoftTissue(Dock):
             raise HmrfError(messages.WELCOME)
         by_itself = self.curve is not None
         chosen = (self.image if by_itself else self.tissue, self.boundary)
-        made = add_missing(self._viewer, self.image, *chosen, View.of(self._viewer.dims))
+        made = add_missing(self._viewer, self.image, *chosen, self._choices.view)
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
         self._choices.begin()
@@ -369,9 +372,8 @@ class SoftTissue(Dock):
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         study = self._live_study.study
         assert study is not None
-        rows, cols = study.grid.shape
-        view = View.of(self._viewer.dims)
-        marks, notes = read_landmarks(where, should, study.grid.place, (rows, cols), view, **how)
+        grid, view = study.grid, self._choices.view
+        marks, notes = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")

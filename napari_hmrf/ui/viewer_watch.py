@@ -140,7 +140,7 @@ class ViewerWatch:
         # An arrow over the image's edge makes the canvas larger, and napari says as much.
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
-            self._pointer.release()
+            self._pointer.turn()
             self.look_at_mouse()
             self._live.touch()
 

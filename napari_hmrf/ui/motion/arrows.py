@@ -15,6 +15,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
 from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
 from napari_hmrf.layers.metadata import add_known
+from napari_hmrf.layers.slice_view import View, plane_shown
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
@@ -133,7 +134,10 @@ class ArrowsLayer:
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
-        own = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
+        across = 0
+        if len(frame.plane) == 3:
+            across, _ = plane_shown(frame, View.of(self._viewer.dims))
+        own = arrow_lines(drawing, frame.spacing, selected, pending, self._radius, across)
         lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)
         same = np.array_equal(layer.edge_color, colours)
@@ -158,7 +162,7 @@ class ArrowsLayer:
         if layer is not None and frame is not None:
             # One pixel along the layer's last axis, in lengths of the world.
             step = float(np.linalg.norm(np.array(frame.matrix)[:-1, -2]))
-            layer.cursor_size = 2 * radius * step / frame.spacing[1]
+            layer.cursor_size = 2 * radius * step / frame.spacing[-1]
             layer.cursor = "circle"
 
     def show_tool(self, does: str) -> None:
@@ -264,13 +268,12 @@ class ArrowsLayer:
         self._drag.enter_context(cursor.events.position.blocker())
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
-        """Where the mouse is, in pixels of the slice; None in three dimensions."""
+        """Where the mouse is, in pixels of what is drawn on; None in three dimensions."""
         flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
         if self._frame is None or not flat:
             return None
         at = np.asarray(layer.world_to_data(event.position), dtype=float)
-        row, col = at[list(self._frame.plane)]
-        return float(row), float(col)
+        return tuple(at[list(self._frame.plane)].tolist())
 
     def _reach(self, layer: Any, event: Any) -> float:
         """How near an arrow's end is near enough, in the unit of the spacing."""

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
@@ -60,6 +61,9 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
+        # The image as it was seen last, and our own copy, if one is put together of slices.
+        self._whole: npt.NDArray[Any] | None = None
+        self._pieced: npt.NDArray[Any] = np.zeros(0)
         self.quiet = False
         # Where the brush was last, and of how many places its stroke was then.
         self._last: Point = (0.0, 0.0)
@@ -89,7 +93,7 @@ class Display:
         self._touches_wait.stop()
         before, moved = self.result, self.moved
         self._image = image
-        self.seen = None
+        self.seen = self._whole = None
         with self.own_doing():
             self._painting.forget()
             if before is not None and moved is not None:
@@ -134,20 +138,35 @@ class Display:
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""
         moved, result = seen.moved, self.result
+        picture = self._picture_of(moved)
         self.seen = seen
         self._take_paint(seen, hand)
         with self.own_doing():
             # What has not moved yet is shown, too, so that the first movement finds its layer.
-            if moved.image is not None and (moved.moves or self.arrows.active):
+            if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
-                picture = picture_layer(study.grid.place, study.pictures, moved.image, run)
-                self._show_result({"image": picture}, moving=moved.solution is not None)
+                made = picture_layer(study.grid.place, study.pictures, picture, run)
+                self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
                 # Hidden, not removed: where no lines are left napari 0.7 can end the program.
                 self._show_result({}, moving=False)
             else:
                 self._show_painting()
+
+    def _picture_of(self, moved: Deformation) -> npt.NDArray[Any] | None:
+        """The image as it has moved; of a volume a slice may be newer than the rest of it."""
+        if moved.plane is None:
+            self._whole = moved.image
+            return moved.image
+        if moved.image is None:
+            return None
+        whole = moved.study.pictures.image if self._whole is None else self._whole
+        assert whole is not None
+        if whole is not self._pieced:
+            self._whole = self._pieced = np.array(whole)
+        self._pieced[moved.plane.pixels] = moved.image
+        return self._pieced
 
     def finish(self, done: Done) -> None:
         """Show all layers of a state that has come to rest."""
@@ -223,8 +242,7 @@ class Display:
             below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
         pending = hand.pending
         if pending is not None and seen is not None:  # where its tissue is seen
-            (row, col) = seen.moved.goes_to(np.array([pending]))[0].tolist()
-            pending = row, col
+            pending = tuple(seen.moved.goes_to(np.array([pending]))[0].tolist())
         self.arrows.show(drawing, hand.selected, pending, below, quick=hand.holding)
 
     def leave(self) -> None:

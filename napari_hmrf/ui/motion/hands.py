@@ -27,8 +27,8 @@ class Hand:
     ----------
     history : History
         What is drawn on.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     shape : tuple of int
         Of the image.
 
@@ -36,7 +36,7 @@ class Hand:
     ----------
     selected : int or None
         The number of the mark made or taken hold of last.
-    pending : (float, float) or None
+    pending : tuple of float or None
         A place that was clicked, in the tissue at rest, and waits for another one.
     """
 
@@ -49,7 +49,7 @@ class Hand:
         shape: tuple[int, ...] = (1, 1),
     ) -> None:
         self._history = history
-        self._spacing = (float(spacing[0]), float(spacing[1]))
+        self._spacing = tuple(map(float, spacing))
         self._shape = shape
         self._selected: int | None = None
         self._ours = Drawing()
@@ -77,8 +77,8 @@ class Hand:
 
         Parameters
         ----------
-        point : (float, float)
-            Of the picture as it is seen, (row, col) in pixels.
+        point : tuple of float
+            Of the picture as it is seen, in pixels.
         reach : float
             How near to what can be picked up is near enough, in the unit of the spacing.
         how : Arrow or Stroke
@@ -243,8 +243,11 @@ class Pull(Hand):
     def _between(self, at: Point, head: Point, components: Components) -> Point:
         # Rounding of where it is seen must not move what stays.
         steps = between(at, head, self._spacing)
-        row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in steps)
-        return (0.0 if components == "col" else row, 0.0 if components == "row" else col)
+        *deep, row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in steps)
+        if components == "both":
+            return (*deep, row, col)
+        only = (row, 0.0) if components == "row" else (0.0, col)
+        return (*(0.0 for _ in deep), *only)
 
 
 class Pairs(Pull):

@@ -312,6 +312,14 @@ class Pointer:
                 self.said.emit("")
             self.draw()
 
+    def turn(self) -> None:
+        """Another slice is looked at; of a volume what is held goes along."""
+        moved = self.display.moved
+        if moved is None or len(moved.study.grid.shape) == 2:
+            self.release()
+        else:
+            self.draw()
+
     def cancel(self) -> None:
         """Give up the drag or the pair that goes on; without one, select nothing."""
         self.display.arrows.end_drag()

@@ -21,7 +21,7 @@ class Painting:
 
     Attributes
     ----------
-    picture : ndarray of uint8, shape (H, W), or None
+    picture : ndarray of uint8, shape ([D,] H, W), or None
         As of `show_painted`; None if nothing is painted.
     """
 
@@ -38,7 +38,7 @@ class Painting:
         Parameters
         ----------
         grid : Grid
-        painted : ndarray of uint8, shape (H, W), or None
+        painted : ndarray of uint8, shape ([D,] H, W), or None
             As it has moved; None if nothing is painted.
         drawing : Drawing
             Of which it is.
@@ -60,8 +60,8 @@ class Painting:
         ----------
         stroke : Stroke
             So far.
-        begin, end : (float, float)
-            Of this touch, where it is seen, (row, col) in pixels.
+        begin, end : tuple of float
+            Of this touch, where it is seen, in pixels.
         """
         touch = replace(stroke, lines=((begin, end),))
         self._touches.append((sum(map(len, stroke.lines)), touch))
@@ -70,7 +70,7 @@ class Painting:
         """Draw the touches into the picture."""
         if self.picture is None:
             self.picture = np.zeros(grid.shape, np.uint8)
-        whole = slice(0, grid.shape[0]), slice(0, grid.shape[1])
+        whole = tuple(slice(0, size) for size in grid.shape)
         for _, touch in self._touches:
             box = box_of(touch, grid.spacing, whole)
             number = number_of(touch.action, touch.confidence, touch.label)

@@ -1,0 +1,110 @@
+"""A volume that follows a hand: solved on a coarse grid, one slice of it moved; then all of it."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
+from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
+from napari_hmrf.study.engine import Engine
+from napari_hmrf.study.study import Pictures
+from napari_hmrf.tissue.drawing import Landmark, Stroke
+
+SHAPE, SPACING = (20, 24, 22), (1.5, 1.0, 1.0)
+PULL = Arrow((10, 12, 11), (0.0, 2.0, 1.0), 3)
+
+
+def a_study(*marks):
+    image = np.random.default_rng(3).integers(0, 255, SHAPE).astype(np.uint8)
+    return Study(
+        Grid(SHAPE, SPACING),
+        Tissue(stiffness=np.ones(SHAPE)),
+        Motion(hold_edge=True, drawing=Drawing(marks or (PULL,))),
+        pictures=Pictures(image=image),
+    )
+
+
+def answers_to(*asked):
+    """What an engine answers to studies, each with a plane to look at or None, one by one."""
+    found, there = [], threading.Event()
+
+    def deliver(moved):
+        found.append(moved)
+        there.set()
+
+    engine = Engine(deliver, "a test")
+    try:
+        for study, plane in asked:
+            engine.submit(study, plane=plane)
+            assert there.wait(60)
+            there.clear()
+    finally:
+        engine.close()
+    return found
+
+
+def test_a_coarse_grid_has_every_so_many_th_site():
+    study = CoarseGrid(4).study(a_study())
+    assert study.grid.shape == (5, 6, 6)
+    assert study.grid.spacing == (6.0, 4.0, 4.0)
+    assert study.pictures.image[2, 1, 5] == a_study().pictures.image[8, 4, 20]
+    assert study.motion.drawing.marks[0].at == (2.5, 3, 2.75)
+    assert study.motion.drawing.marks[0].by == PULL.by
+
+
+def test_every_mark_lies_on_the_coarse_grid_where_it_was():
+    marks = (
+        Landmark((4, 8, 12), (8, 8, 12), 2),
+        Stroke("pin", (((4, 8, 12), (8, 8, 12)),), 2),
+    )
+    landmark, stroke = CoarseGrid(4).drawing(Drawing(marks)).marks
+    assert (landmark.source, landmark.target) == ((1, 2, 3), (2, 2, 3))
+    assert stroke.lines == (((1, 2, 3), (2, 2, 3)),)
+
+
+@pytest.mark.parametrize("sites", [100, 1000, 5000, 10**6])
+def test_a_coarse_grid_has_as_many_sites_as_asked_for_at_most(sites):
+    grid = CoarseGrid.of_at_most(sites, SHAPE)
+    assert np.prod([-(-size // grid.step) for size in SHAPE]) <= sites
+    finer = CoarseGrid(max(grid.step - 1, 1))
+    assert grid.step == 1 or np.prod([-(-size // finer.step) for size in SHAPE]) > sites
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
+    study = a_study()
+    number = round(PULL.at[axis])
+    glance, whole = answers_to((study, Plane(axis, number, CoarseGrid(2))), (study, None))
+    assert glance.error is None
+    assert glance.solution.displacement.shape == (10, 12, 11, 3)
+    exact = whole.solution.displacement
+    near = glance.solution.displacement - exact[::2, ::2, ::2]
+    assert np.sqrt(np.mean(near**2)) < 0.2 * np.sqrt(np.mean(exact**2))
+    assert glance.image.shape == tuple(np.delete(SHAPE, axis))
+    # The point that is held goes where it is pulled in both.
+    for moved in (glance, whole):
+        assert moved.goes_to(np.array([PULL.at]))[0] == pytest.approx((10, 14, 12), abs=0.05)
+        assert moved.came_from((10, 14, 12)) == pytest.approx(PULL.at, abs=0.1)
+
+
+def test_a_slice_on_the_grid_itself_is_that_of_the_whole():
+    study = a_study()
+    glance, whole = answers_to((study, Plane(0, 10, CoarseGrid(1))), (study, None))
+    apart = np.abs(glance.image.astype(int) - whole.image[10])
+    assert apart.max() <= 1  # both to 0.01 voxel
+
+
+def test_the_whole_volume_is_moved_as_by_warp():
+    study = a_study()
+    (whole,) = answers_to((study, None))
+    solution = solve_study(study)
+    image = warp(
+        study.pictures.image, solution.displacement, spacing=SPACING, tissue=solution.tissue
+    )
+    assert np.abs(whole.image.astype(int) - image).max() <= 2
+
+
+def test_where_nothing_has_moved_a_volume_is_seen_as_it_is():
+    (still,) = answers_to((a_study(Stroke("free", (((1, 1, 1),),), 2)), Plane(1, 7, CoarseGrid(2))))
+    assert still.error is None
