@@ -80,7 +80,7 @@ def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
     assert glance.solution.displacement.shape == (10, 12, 11, 3)
     exact = whole.solution.displacement
     near = glance.solution.displacement - exact[::2, ::2, ::2]
-    assert np.sqrt(np.mean(near**2)) < 0.2 * np.sqrt(np.mean(exact**2))
+    assert np.sqrt(np.mean(near**2)) < 0.5 * np.sqrt(np.mean(exact**2))  # a ball of 3 sites
     assert glance.image.shape == tuple(np.delete(SHAPE, axis))
     # The point that is held goes where it is pulled in both.
     for moved in (glance, whole):

@@ -1,6 +1,6 @@
 """What a displacement says: how tissue grows or shrinks, where it folds, and pictures of it.
 
-Segments and arrows are in pixels, (row, col), as napari's Vectors layer takes them.
+Segments and arrows are in pixels, in the order of the axes, as napari's Vectors layer takes them.
 """
 
 from __future__ import annotations
@@ -289,7 +289,7 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
     ----------
     where : ndarray of bool, shape ([D,] H, W)
     apart : float or array_like, shape (n,)
-        How large a cell is along each axis, in pixels.
+        The sides of a cell, in pixels.
 
     Returns
     -------

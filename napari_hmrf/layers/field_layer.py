@@ -127,7 +127,7 @@ def frame_in(layer: Any, result: Answer) -> Frame | None:
         # A layer may be of that one slice alone.
         sizes = layer_extents(layer)
         index = tuple(min(at, size - 1) for at, size in zip(index, sizes, strict=True))
-        own = replace(own, plane=(plane[0], plane[1]), index=index)
+        own = replace(own, plane=plane, index=index)
         fits = plane_shape(layer, own) == result.shape
         return own if fits and result.frame.same_place(own, result.shape) else None
     except (ProblemError, ValueError, IndexError):
@@ -146,7 +146,7 @@ def picture_of(layer: Any, result: Answer) -> npt.NDArray[Any] | None:
     return None if own is None else copy_slice(layer, own)
 
 
-def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[float, float] | None:
+def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[float, ...] | None:
     """Where a point of the world lies on the pixels of a result; None beside it or its slice.
 
     Parameters
@@ -161,8 +161,8 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
 
     Returns
     -------
-    (float, float) or None
-        (row, col), whole numbers at the middle of a pixel.
+    tuple of float or None
+        ([depth,] row, col), whole numbers at the middle of a pixel.
     """
     point = np.asarray(position, dtype=float)[-layer.ndim :]
     if len(point) < layer.ndim:
@@ -173,9 +173,9 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
     frame = result.frame
     if any(index[axis] != frame.index[axis] for axis in frame.others):
         return None
-    rows, cols = frame.plane
-    inside = 0 <= index[rows] < result.shape[0] and 0 <= index[cols] < result.shape[1]
-    return (float(found[rows]), float(found[cols])) if inside else None
+    axes = list(frame.plane)
+    inside = ((index[axes] >= 0) & (index[axes] < result.shape)).all()
+    return tuple(found[axes].tolist()) if inside else None
 
 
 def slices_apart(layer: Any, result: Answer, view: View) -> tuple[str, str] | None:
@@ -189,7 +189,7 @@ def slices_apart(layer: Any, result: Answer, view: View) -> tuple[str, str] | No
     view : View
         What the viewer shows.
     """
-    if result.frame.ndim < 3 or len(view.displayed) != 2:
+    if not result.frame.others or len(view.displayed) != 2:
         return None
     try:
         shown = frame_of(layer, view)

@@ -24,6 +24,7 @@ _BOTH = {
     ("S", "I"): "S-I",
     ("A", "P"): "A-P",
     ("R", "L"): "R-L",
+    ("deeper", "shallower"): "through the slices",
 }
 _OPPOSITE = {way: other for pair in _BOTH for way, other in (pair, pair[::-1])} | {"": ""}
 #: Which side of the patient a letter stands for.
@@ -43,6 +44,10 @@ class Directions(NamedTuple):
     Attributes
     ----------
     rows, cols : {"down", "up", "right", "left", "S", "I", "A", "P", "R", "L", ""}
+    deep : str
+        Likewise across the slices of a volume; "" of a slice.
+    order : tuple of int
+        The axes of the displacements, in the order ([deep,] rows, columns).
     turn : float
         By how much the rows are turned from the way they have the name of, towards that of the
         columns, in radians.
@@ -51,6 +56,8 @@ class Directions(NamedTuple):
     rows: str = "down"
     cols: str = "right"
     turn: float = 0.0
+    deep: str = ""
+    order: tuple[int, ...] = (0, 1)
 
     @classmethod
     def of(cls, frame: Frame, viewer: Any = None) -> Directions:
@@ -61,10 +68,15 @@ class Directions(NamedTuple):
         frame : Frame
         viewer : napari.Viewer or ViewerModel, optional
         """
-        axes = list(frame.plane[-2:])
-        if len(frame.plane) == 3 and viewer is not None:
-            missing = viewer.dims.ndim - frame.ndim
-            axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
+        axes, deep = list(frame.plane[-2:]), ""
+        order: tuple[int, ...] = (0, 1)
+        if len(frame.plane) == 3:
+            if viewer is not None:
+                missing = viewer.dims.ndim - frame.ndim
+                axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
+            across = next(axis for axis in frame.plane if axis not in axes)
+            order = tuple(frame.plane.index(axis) for axis in (across, *axes))
+            deep = _way_across(frame, across)
         linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
         linear = linear / np.linalg.norm(linear, axis=0)
         # Where the world's rows and columns run in the patient, or on the canvas.
@@ -77,7 +89,7 @@ class Directions(NamedTuple):
         main = int(np.abs(linear[:, 0]).argmax())
         seen = linear[[main, 1 - main]]
         if abs(seen[1, 1]) < _ASIDE:
-            return cls("", "")
+            return cls("", "", deep=deep, order=order)
         forward = np.sign(np.diag(seen))
         rows, cols = (
             ways[at] if sign > 0 else _OPPOSITE[ways[at]]
@@ -85,19 +97,25 @@ class Directions(NamedTuple):
         )
         seen = seen * forward[:, None]
         turn = math.atan2(seen[1, 0] - seen[0, 1], seen[0, 0] + seen[1, 1])
-        return cls(rows, cols, round(turn, 9) + 0.0)
+        return cls(rows, cols, round(turn, 9) + 0.0, deep, order)
 
     def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
-        """A displacement along ([planes,] rows, columns) by components along the ways named."""
-        if not self.turn:
-            return by
-        *deep, row, col = by
-        cosine, sine = math.cos(self.turn), math.sin(self.turn)
-        return (*deep, cosine * row - sine * col, sine * row + cosine * col)
+        """A displacement by its components along the ways named, ([deep,] rows, columns).
+
+        One of fewer axes says nothing across the slices.
+        """
+        known = (*(0.0,) * (len(self.order) - len(by)), *by)[-len(self.order) :]
+        *deep, row, col = (known[axis] for axis in self.order)
+        if self.turn:
+            cosine, sine = math.cos(self.turn), math.sin(self.turn)
+            row, col = cosine * row - sine * col, sine * row + cosine * col
+        return (*deep, row, col)
 
     def along(self, seen: tuple[float, ...]) -> tuple[float, ...]:
-        """The inverse of `seen`."""
-        return self._replace(turn=-self.turn).seen(seen)
+        """The inverse of `seen`; of two components there is none across the slices."""
+        known = (*(0.0,) * (len(self.order) - len(seen)), *seen)
+        back = self._replace(turn=-self.turn, order=tuple(range(len(known)))).seen(known)
+        return tuple(back[self.order.index(axis)] for axis in range(len(back)))
 
     def about(self, axis: int) -> str:
         """What a number along an axis says: "How far down, along the rows; below 0: up"."""
@@ -129,13 +147,21 @@ class Directions(NamedTuple):
     def step(self, seen: tuple[float, ...]) -> str:
         """A step along the ways named in words: "5 down, 10 right", "5 P, 10 R"."""
         if not self.rows:
-            return f"({seen[0]:g}, {seen[1]:g})"
+            return f"({', '.join(f'{length:g}' for length in seen)})"
+        ways = (self.deep, self.rows, self.cols)[-len(seen) :]
         parts = [
             f"{abs(length):g} {way if length > 0 else _OPPOSITE[way]}"
-            for length, way in zip(seen, self[:2], strict=True)
+            for length, way in zip(seen, ways, strict=True)
             if length
         ]
         return ", ".join(parts) or "0"
+
+
+def _way_across(frame: Frame, axis: int) -> str:
+    """Which way of a patient the slices across an axis follow each other, or deeper."""
+    names = PATIENT_AXES.get(frame.axis_labels[axis])
+    backwards = frame.matrix[axis][axis] < 0
+    return "deeper" if names is None else names[int(backwards)]
 
 
 def _to(way: str) -> str:

@@ -180,12 +180,12 @@ def _along(axis: int, unit: str, ways: Directions) -> Column:
     """How far what moves does, along the rows or the columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
-        down, along = ways.seen(rule.vector)
-        seen = (down, amount) if axis else (amount, along)
+        *deep, down, along = ways.seen(rule.vector)
+        seen = (*deep, down, amount) if axis else (*deep, amount, along)
         return replace(rule, vector=ways.along(seen))
 
     def seen(rule: BoundaryRule) -> float | None:
-        return ways.seen(rule.vector)[axis] if rule.action == "move" else None
+        return ways.seen(rule.vector)[axis - 2] if rule.action == "move" else None
 
     return _distance(ways.label(axis), ways.about(axis), unit, seen, typed)
 

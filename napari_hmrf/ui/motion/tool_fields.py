@@ -105,7 +105,7 @@ class ToolFields(Container):
     @property
     def how(self) -> Arrow | Stroke:
         """A mark as the tool that is shown makes it; where it lies does not count."""
-        tool, somewhere = self._tool, (0.0, 0.0)
+        tool, somewhere = self._tool, (0.0,) * len(self._ways.order)
         values = {_SAYS.get(name, name): getattr(self, name).value for name in tool.fields}
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
@@ -135,10 +135,10 @@ class ToolFields(Container):
         title = self._tool.title
         match self._tool.name:
             case "move":
-                which, by = self.components.value, self._by
-                step = (0.0 if which == "col" else by[0], 0.0 if which == "row" else by[1])
-                down, along = (round(part, 2) + 0.0 for part in self._ways.seen(step))
-                return f"{title} {self._ways.step((down, along))}"
+                which, (*deep, row, col) = self.components.value, self._by
+                step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
+                seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
+                return f"{title} {self._ways.step(seen)}"
             case "expand":
                 amount = self.amount.value
                 return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
@@ -153,13 +153,15 @@ class ToolFields(Container):
         self._tool = tool
         for field in self:
             field.visible = field.name in tool.fields
+        if len(self._ways.order) == 3:  # of a volume a mark speaks of all its axes
+            self.components.visible, self.components.value = False, "both"
         self.preset.visible = "material" in tool.fields and not self._own_table
 
     def show_how(self, how: Mark) -> None:
         """Show how the selected mark was made, without changing it."""
         said = {"components": "both", **vars(how)}
         if isinstance(how, Stroke):
-            said["by_row"], said["by_col"] = self._ways.seen(how.by)
+            *_, said["by_row"], said["by_col"] = self._ways.seen(how.by)
             # The size of the brush is nothing of the stroke's that is changed with it.
             del said["radius"]
         for name in self._tool.fields:
@@ -191,8 +193,9 @@ class ToolFields(Container):
             field.tooltip = f"{ways.about(axis)}; in the unit of the image"
         for field, words in self._labels.items():
             field.label = f"{words} ({unit})"
+        self.show_for(self._tool)
         if turned:
-            for field, length in zip(steps, ways.seen(by), strict=True):
+            for field, length in zip(steps, ways.seen(by)[-2:], strict=True):
                 with field.changed.blocked():
                     field.value = length
             before = self.components.value
