@@ -136,6 +136,7 @@ class Unsaved(QObject):
         with self._choices.nobody_chooses():
             for part in ("image", "tissue", "boundary", "confidence"):
                 setattr(dock, part, layers.get(part))
+            dock.extent = "volume" if len(study.grid.shape) == 3 else "slice"
             if study.tissue.curve is not None:
                 dock.curve = study.tissue.curve
             dock.hold_edge = study.motion.hold_edge

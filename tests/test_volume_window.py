@@ -1,0 +1,244 @@
+"""A volume in a real window: pulled in a slice with the mouse, and all of it follows."""
+
+import numpy as np
+import pytest
+from patience import LONG_MS
+from person import CTRL, by_name, only
+from qtpy.QtCore import Qt
+from screen import Screen
+
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.tissue.boundary_rules import Material
+
+SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
+
+pytestmark = pytest.mark.usefixtures("without_controls")
+
+
+@pytest.fixture
+def volume(open_window, settle):
+    """Somebody who looks at the middle slice of a volume and has *Pull* in the hand."""
+    planes, rows, cols = np.indices(SHAPE)
+    data = (120 + 60 * ((planes // 4 + rows // 4 + cols // 4) % 2)).astype(np.uint8)
+    person, widget = open_window(data, scale=SCALE)
+    person.viewer.dims.set_point(0, 12 * SCALE[0])
+    Screen(widget).choose("the whole volume")
+    settle(widget)
+    if not widget.active:
+        Screen(widget).press("Pull")
+    settle(widget)
+    return person, widget
+
+
+def go_to(person, number):
+    person.viewer.dims.set_point(0, number * SCALE[0])
+
+
+def test_a_slice_is_deformed_until_the_whole_volume_is_chosen(volume, settle):
+    _, widget = volume
+    assert widget.study.grid.shape == SHAPE
+    widget.undo()
+    settle(widget)
+    assert widget.extent == "slice"
+    assert widget.study.grid.shape == SHAPE[1:]
+
+
+def test_an_image_without_slices_offers_no_volume(open_window):
+    _, widget = open_window()
+    assert not widget._form.extent.visible
+
+
+def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
+    person, widget = volume
+    seen = []
+    widget.seen.connect(seen.append)
+    person.press(16, 16)
+    person.move(18, 19)
+    qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
+    glance = seen[-1]
+    assert glance.plane is not None
+    assert glance.image.shape == SHAPE[1:]
+    person.move(19, 20)
+    person.release(19, 20)
+    settle(widget)
+    arrow = only(widget)
+    assert arrow.at == pytest.approx((12, 16, 16), abs=0.6)
+    assert arrow.by == pytest.approx((0, 3, 4), abs=0.6)
+    field = widget.solution.displacement
+    assert field.shape == (*SHAPE, 3)
+    assert field[12, 16, 16] == pytest.approx(arrow.by, abs=0.05)
+    assert 0.2 < field[14, 16, 16, 2] < arrow.by[2]
+    assert not field[0].any(), "the edge is held"
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    still = by_name(person.viewer, "MR").data
+    assert picture.data.shape == SHAPE
+    changed = (picture.data != still).any(axis=(1, 2))
+    assert changed[9:16].all()
+    assert not changed[0]
+    assert picture.scale.tolist() == list(SCALE)
+
+
+def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot):
+    person, widget = volume
+    seen = []
+    widget.seen.connect(seen.append)
+    person.press(16, 16)
+    for step in range(1, 4):
+        before = len(seen)
+        person.move(16 + step, 16 + step)
+        qtbot.waitUntil(lambda before=before: len(seen) > before, timeout=LONG_MS)
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    still = by_name(person.viewer, "MR").data
+    assert widget.history.in_progress
+    assert (picture.data[12] != still[12]).mean() > 0.02
+    assert np.array_equal(picture.data[5], still[5]), "what is not seen waits"
+    person.release(19, 19)
+    settle(widget)
+    assert not np.array_equal(picture.data[11], still[11])
+
+
+def test_what_is_held_goes_along_to_another_slice(volume, settle):
+    person, widget = volume
+    person.press(16, 16)
+    person.move(17, 17)
+    go_to(person, 14)
+    person.move(18, 16)
+    person.release(18, 16)
+    settle(widget)
+    assert only(widget).by == pytest.approx((2 * SCALE[0], 2, 0), abs=0.6)
+    assert widget.solution.displacement[12, 16, 16, 0] == pytest.approx(3, abs=0.05)
+
+
+def test_a_pull_in_a_slice_across_another_axis(volume, settle):
+    person, widget = volume
+    person.viewer.dims.order = (1, 0, 2)
+    person.viewer.dims.set_point(1, 16)
+    person.viewer.reset_view()
+    settle(widget)
+    person.drag((18, 16), (20, 17), (22, 18))
+    settle(widget)
+    arrow = only(widget)
+    assert arrow.at == pytest.approx((12, 16, 16), abs=0.8)
+    assert arrow.by == pytest.approx((4, 0, 2), abs=0.8)
+    assert widget.solution.displacement[12, 16, 16] == pytest.approx(arrow.by, abs=0.1)
+
+
+def test_pulls_of_a_slice_and_of_the_volume_are_two_drawings(volume, settle):
+    person, widget = volume
+    person.drag((16, 16), (18, 18))
+    settle(widget)
+    Screen(widget).choose("this slice")
+    settle(widget)
+    assert not widget.drawing.marks
+    Screen(widget).choose("the whole volume")
+    settle(widget)
+    assert only(widget).by == pytest.approx((0, 2, 2), abs=0.6)
+
+
+def test_undo_takes_a_pull_of_a_volume_back(volume, settle):
+    person, widget = volume
+    person.drag((16, 16), (18, 18))
+    settle(widget)
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert not widget.drawing.marks
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    assert not picture.visible or np.array_equal(picture.data, by_name(person.viewer, "MR").data)
+
+
+def test_a_brush_paints_a_ball(volume, settle):
+    person, widget = volume
+    widget.tool = "pin"
+    widget.fields.radius.value = 4.0
+    person.drag((16, 16), (16, 20))
+    settle(widget)
+    stroke = only(widget)
+    assert {point[0] for line in stroke.lines for point in line} == {12.0}
+    painted = by_name(person.viewer, "Motion, painted").data
+    assert painted[12, 16, 16] and painted[14, 16, 18]
+    assert not painted[15, 16, 18]
+    widget.tool = "pull"
+    person.drag((24, 24), (26, 24))
+    settle(widget)
+    assert widget.solution.displacement[12, 16, 18] == pytest.approx((0, 0, 0), abs=1e-3)
+
+
+def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume, settle):
+    person, widget = volume
+    labels = np.ones(SHAPE, int)
+    labels[10:15, 12:20, 20:28] = 2
+    rows = (Material(1, "soft", 1.0), Material(2, "stiff", 1000.0))
+    person.viewer.add_labels(labels, name="Tissue", scale=SCALE, metadata=described(TISSUE, rows))
+    settle(widget)
+    assert widget.tissue is by_name(person.viewer, "Tissue")
+    person.viewer.layers.selection = {by_name(person.viewer, "MR")}
+    Screen(widget).press("Pull")
+    settle(widget)
+    person.drag((16, 12), (16, 15))
+    settle(widget)
+    field = widget.solution.displacement[10:15, 12:20, 20:28]
+    assert np.ptp(field[..., 2]) < 0.1, "what is stiff keeps its shape"
+
+
+def test_the_slider_shows_a_volume_on_its_way(volume, settle):
+    person, widget = volume
+    person.drag((16, 16), (16, 22))
+    settle(widget)
+    whole = by_name(person.viewer, "MR deformed, elastic").data.copy()
+    widget.percent = 0
+    settle(widget)
+    picture = by_name(person.viewer, "MR deformed, elastic").data
+    assert np.array_equal(picture[12], by_name(person.viewer, "MR").data[12])
+    widget.percent = 100
+    settle(widget)
+    assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data[12], whole[12])
+
+
+def test_what_lies_over_a_volume_is_a_volume(volume, settle):
+    person, widget = volume
+    person.drag((16, 16), (16, 22))
+    settle(widget)
+    for overlay in ("magnitude", "jacobian", "equivalent"):
+        widget.overlay = overlay
+        settle(widget)
+        over = [
+            each
+            for each in person.viewer.layers
+            if each.name.startswith("MR ") and "elastic" in each.name
+        ]
+        assert any(each.data.shape == SHAPE and each.data.dtype.kind == "f" for each in over)
+    widget.overlay = "nothing"
+
+
+def test_the_readout_in_a_volume_names_all_three_ways(volume, settle):
+    person, widget = volume
+    person.drag((16, 16), (16, 22))
+    settle(widget)
+    probe = widget.at((12 * SCALE[0], 16, 21))
+    assert probe.site == pytest.approx((12, 16, 16), abs=2)
+    assert len(probe.displacement) == 3
+
+
+def test_a_volume_is_saved_and_opened_again(volume, settle, tmp_path):
+    person, widget = volume
+    person.drag((16, 16), (16, 20))
+    settle(widget)
+    drawing = widget.drawing
+    path = widget.save_study(tmp_path / "pulled.study")
+    widget.open_study(path)
+    settle(widget)
+    assert widget.extent == "volume"
+    assert widget.drawing == drawing
+    assert widget.study.grid.shape == SHAPE
+
+
+def test_deform_solves_a_volume_from_nothing(volume, settle):
+    person, widget = volume
+    person.drag((16, 16), (16, 20))
+    settle(widget)
+    before = widget.solution.displacement
+    widget.deform()
+    settle(widget)
+    assert np.abs(widget.solution.displacement - before).max() < 0.02
+    known = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]
+    assert known["slice"] == ""
