@@ -89,6 +89,7 @@ def _volume() -> None:
     c = np.zeros((_SLICES, _SLICES, _SLICES, 3))
     c[0] = c[-1] = 1
     solve(Problem(c, c, np.ones(c.shape[:3])), ElasticPrior(0.3), backend="cpu")
+    warp(c[..., 0], c)
 
 
 def _pictures() -> None:

@@ -39,7 +39,7 @@ def test_every_pixel_of_the_moved_image_finds_its_tissue(solution, fraction):
             here = bool(covered[row, col] and solution.tissue[at])
             asked += here
             expected = None if not here else at
-            answer = None if found is None else (found.row, found.col)
+            answer = None if found is None else found.site
             if answer != expected:  # halfway between two pixels either is right
                 apart = (
                     np.inf if None in (answer, expected) else np.abs(np.subtract(answer, at)).max()

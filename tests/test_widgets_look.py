@@ -530,7 +530,7 @@ def test_rigid_tissue_under_the_cursor_is_a_word():
 
 def test_lengths_under_the_cursor_are_rounded_to_what_matters():
     def said(down, right):
-        found = Probe(3, 4, (down, right), float(np.hypot(down, right)), 1.0)
+        found = Probe((3, 4), (down, right), float(np.hypot(down, right)), 1.0, 0.0)
         return at_point("px", found, Directions())
 
     assert said(6.37e-05, -2.3e-04) == "moves 0 px, Jacobian 1.000"
@@ -541,10 +541,10 @@ def test_lengths_under_the_cursor_are_rounded_to_what_matters():
 def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, set_to):
     # Where the right border of the tissue is seen, it has come from 3 px further left.
     found = look.at((10, 23.49))
-    assert found.col == 21
+    assert found.site[1] == 21
     assert found.displacement[1] == pytest.approx(3, abs=0.05)
     set_to(look, percent=50)
-    assert look.at((10, 22.5)).col == 21
+    assert look.at((10, 22.5)).site[1] == 21
     set_to(look, percent=0)
     assert look.at((10, 22.5)) is None
     assert look.at((10, 21)).length == pytest.approx(3, abs=0.05)
@@ -561,7 +561,7 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
     along = green_lagrange_strain(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
     )
-    col = look.at((10, 12)).col
+    col = look.at((10, 12)).site[1]
     assert f"strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
     assert along[10, col, 1, 1] > 0.05, "it is pulled out"
     for other in ("magnitude", "labels", "grid", "nothing"):

@@ -27,8 +27,8 @@ class Moment:
 
     Attributes
     ----------
-    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
-    overlay : ndarray, shape (H, W), optional
+    image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
+    overlay : ndarray, shape ([D,] H, W), optional
     grid : ndarray, shape (N, 2, 2), optional
         Segments as (start, direction), each (row, col) in pixels.
     """
@@ -51,12 +51,12 @@ class Motion:
     Attributes
     ----------
     solution : Solution
-    image : ndarray, shape (H, W) or (H, W, 3 or 4), optional
+    image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
         Before it moves.
-    overlay : ndarray, shape (H, W), optional
+    overlay : ndarray, shape ([D,] H, W), optional
         Before it moves: labels, or a quantity of the tissue, NaN where there is none.
     grid : bool
-        Whether the deformation grid moves, too.
+        Whether the deformation grid moves, too; of a slice only.
     quantity : Quantity, optional
         Of which `overlay` holds the values at 1; on the way they are those of the tissue there.
     """
@@ -112,7 +112,8 @@ class Motion:
     def _pictures(self) -> dict[str, Picture]:
         pictures = {}
         if self.image is not None:
-            pictures["image"] = Picture(self.image, order=1, fill=emptiness(self.image))
+            fill = emptiness(self.image, self.solution.tissue.ndim)
+            pictures["image"] = Picture(self.image, order=1, fill=fill)
         if self.overlay is not None:
             pictures["overlay"] = _overlaid(self.overlay)
         return pictures

@@ -19,7 +19,7 @@ class Comparison(NamedTuple):
     ----------
     reference : str
         Its name.
-    difference : ndarray, shape (H, W), float32
+    difference : ndarray, shape ([D,] H, W), float32
         The distance between where both have tissue go, in the unit of the result; NaN elsewhere.
     rmsd : float
         The root of its mean square; NaN if the reference knows none of the tissue.
@@ -34,15 +34,14 @@ class Comparison(NamedTuple):
 
 
 def compare(solution: Solution, frame: Frame, field: PixelField, reference: str) -> Comparison:
-    """Compare a result, of a slice, with a field of that name, wherever it lies.
+    """Compare a result, of a slice or volume, with a field of that name, wherever it lies.
 
     Raises
     ------
     ProblemError
         As of `PixelField.on`.
     """
-    rows, cols = solution.tissue.shape
-    found = field.on(frame, (rows, cols))
+    found = field.on(frame, solution.tissue.shape)
     known = found.known & solution.tissue
     apart = np.linalg.norm(solution.displacement - found.displacement, axis=-1)
     rmsd = float(np.sqrt((apart[known] ** 2).mean())) if known.any() else np.nan

@@ -1,6 +1,6 @@
 """What a displacement says: how tissue grows or shrinks, where it folds, and pictures of it.
 
-Segments and arrows are in pixels, (row, col), as napari's Vectors layer takes them.
+Segments and arrows are in pixels, in the order of the axes, as napari's Vectors layer takes them.
 """
 
 from __future__ import annotations
@@ -262,13 +262,13 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
 
     Parameters
     ----------
-    where : ndarray of bool, shape (H, W)
-    apart : float or array_like, shape (2,)
-        Rows and columns of a cell, in pixels.
+    where : ndarray of bool, shape ([D,] H, W)
+    apart : float or array_like, shape (n,)
+        The sides of a cell, in pixels.
 
     Returns
     -------
-    ndarray of int, shape (N, 2)
+    ndarray of int, shape (N, n)
     """
     pixels = np.argwhere(where)
     if not len(pixels):
@@ -276,7 +276,7 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
     cells = (pixels / np.asarray(apart)).astype(np.int64)
     off = np.abs(pixels / np.asarray(apart) - cells - 0.5).max(axis=1)
     order = np.argsort(off, kind="stable")
-    key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     _, first = np.unique(key[order], return_index=True)
     return pixels[order[first]]
 

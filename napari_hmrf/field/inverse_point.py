@@ -4,42 +4,58 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import permutations, product
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
+Point = TypeVar("Point", bound=tuple[float, ...])
 #: Tissue that is stretched has its sites so many pixels apart at most, or there is a gap.
 _APART = 3.0
+#: How far outside a tetrahedron, in barycentric coordinates, a point still counts as on its side;
+#: and six times the volume below which one has collapsed.
+_SIDE, _COLLAPSED = 1e-9, 1e-12
+#: The corners of the six tetrahedra of a cell, as `inverse_map` draws them: along edges from the
+#: first corner to the last.
+_TETRAHEDRA = np.array(
+    [
+        np.cumsum([(0, 0, 0), *np.eye(3, dtype=int)[list(way)]], axis=0)
+        for way in permutations(range(3))
+    ]
+)
 
 
 def inverse_point(
-    point: tuple[float, float],
-    displacement: npt.NDArray[np.float32],
+    point: Point,
+    displacement: npt.NDArray[np.floating],
     spacing: Sequence[float],
     tissue: npt.NDArray[np.bool_],
-    farthest: npt.NDArray[np.float32] | None = None,
+    farthest: npt.NDArray[np.floating] | None = None,
     fraction: float = 1.0,
-) -> tuple[float, float] | None:
+) -> Point | None:
     """Invert the motion at one point: faster than everywhere, and good to a fraction of a pixel.
+
+    In a volume it is exact for motion that is linear on tetrahedra, as of `inverse_map`.
 
     Parameters
     ----------
-    point : (float, float)
-        (row, col) in pixels.
-    displacement : ndarray, shape (H, W, 2)
+    point : tuple of float
+        ([depth,] row, col) in pixels.
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
         Material, in the unit of `spacing`.
-    spacing : sequence of float, shape (2,)
-        Size of a pixel in (row, col) direction.
-    tissue : ndarray of bool, shape (H, W)
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
+    tissue : ndarray of bool, shape ([D,] H, W)
         What moves.
-    farthest : ndarray, shape (2,), optional
+    farthest : ndarray, shape (n,), optional
         `farthest_of` the displacement, where it is known: to find it takes longer than the rest.
     fraction : float
         How much of the displacement the tissue has moved by.
 
     Returns
     -------
-    (float, float) or None
+    tuple of float, or None
         The X, in pixels, with X + fraction d(X) at the point; None where there is no tissue.
     """
     size = np.asarray(spacing, dtype=np.float64)
@@ -50,31 +66,73 @@ def inverse_point(
         min(extent, math.ceil(at + far) + 1)
         for at, far, extent in zip(point, reach, tissue.shape, strict=True)
     ]
-    if low[0] >= high[0] or low[1] >= high[1]:
+    if any(first >= past for first, past in zip(low, high, strict=True)):
         return None
-    window = (slice(low[0], high[0]), slice(low[1], high[1]))
+    window = tuple(slice(first, past) for first, past in zip(low, high, strict=True))
     there = tissue[window]
     steps = fraction * displacement[window] / size
     moved = steps + np.moveaxis(np.indices(there.shape), 0, -1) + low
+    exact = _in_tetrahedra(moved, there, point) if tissue.ndim == 3 else None
+    origin = _beside_sites(moved, there, point) if exact is None else exact
+    return None if origin is None else cast(Point, tuple((origin + low).tolist()))
+
+
+def _beside_sites(
+    moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
+) -> npt.NDArray[np.float64] | None:
+    """From the nearest site on, the motion is as linear as its neighbours in tissue say."""
     away = moved - point
-    squared = np.where(there, (away**2).sum(axis=-1), np.inf)
-    row, col = np.unravel_index(int(squared.argmin()), squared.shape)
-    if not squared[row, col] <= _APART**2:
+    squared = np.where(tissue, (away**2).sum(axis=-1), np.inf)
+    site = tuple(int(at) for at in np.unravel_index(int(squared.argmin()), squared.shape))
+    if not squared[site] <= _APART**2:
         return None
-    # From the nearest site on, the motion is as linear as its neighbours in tissue say.
-    gradient, step = np.eye(2), np.zeros(2)
-    lines = [(row, there[:, col], moved[:, col]), (col, there[row], moved[row])]
-    for axis, (at, inside, along) in enumerate(lines):
+    n = tissue.ndim
+    gradient, step = np.eye(n), np.zeros(n)
+    for axis, at in enumerate(site):
+        line: tuple[Any, ...] = (*site[:axis], slice(None), *site[axis + 1 :])
+        inside, along = tissue[line], moved[line]
         before = at - 1 if at > 0 and inside[at - 1] else at
         after = at + 1 if at + 1 < len(inside) and inside[at + 1] else at
         if before < after:
             gradient[:, axis] = (along[after] - along[before]) / (after - before)
     if abs(np.linalg.det(gradient)) > 1e-3:
-        step = np.clip(np.linalg.solve(gradient, -away[row, col]), -1, 1)
-    return float(row + low[0] + step[0]), float(col + low[1] + step[1])
+        step = np.clip(np.linalg.solve(gradient, -away[site]), -1, 1)
+    return np.array(site) + step
 
 
-def farthest_of(displacement: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """How far anything moves, (row, col), in the unit of the displacement."""
-    most: npt.NDArray[np.float32] = np.abs(displacement).reshape(-1, 2).max(axis=0)
+def _in_tetrahedra(
+    moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
+) -> npt.NDArray[np.float64] | None:
+    """By the moved tetrahedron that a point lies in; one turned over counts if no other does."""
+    cells = [
+        moved[tuple(slice(one, size - 1 + one) for one, size in zip(at, tissue.shape, strict=True))]
+        for at in product((0, 1), repeat=3)
+    ]
+    low, high = np.minimum.reduce(cells), np.maximum.reduce(cells)
+    around = ((low <= np.add(point, _SIDE)) & (high >= np.subtract(point, _SIDE))).all(axis=-1)
+    corners = (np.argwhere(around)[:, None, None] + _TETRAHEDRA).reshape(-1, 4, 3)
+    axes = tuple(np.moveaxis(corners, -1, 0))
+    places = moved[axes]
+    edges = np.swapaxes(places[:, 1:] - places[:, :1], 1, 2)
+    rest = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    volumes = np.linalg.det(edges) * np.linalg.det(rest)
+    there = tissue[axes].all(axis=1) & (np.abs(volumes) >= _COLLAPSED)
+    edges, volumes, corners = edges[there], volumes[there], corners[there]
+    parts = np.linalg.solve(edges, (point - places[there, 0])[..., np.newaxis])[..., 0]
+    inside = (parts >= -_SIDE).all(axis=1) & (parts.sum(axis=1) <= 1 + _SIDE)
+    for way in (volumes > 0, volumes < 0):
+        numbers = np.flatnonzero(inside & way)
+        if len(numbers):
+            first = numbers[0]
+            origin: npt.NDArray[np.float64] = (
+                corners[first, 0] + parts[first] @ rest[there][first].T
+            )
+            return origin
+    return None
+
+
+def farthest_of(displacement: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """How far anything moves along each axis, in the unit of the displacement."""
+    parts = displacement.reshape(-1, displacement.shape[-1])
+    most: npt.NDArray[np.floating] = np.maximum(parts.max(axis=0), -parts.min(axis=0))
     return most

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import jacobian_determinant
-from napari_hmrf.field.strain import equivalent_strain, folds, green_lagrange_strain, magnitude
+from napari_hmrf.field.strain import equivalent_strain, folds, magnitude, strain_values
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 
@@ -25,13 +25,13 @@ class Measurement(NamedTuple):
     pixels : int
         Of tissue, before it moved.
     area : float
-        Before it moved, in the squared unit of the spacing.
+        Before it moved, in the squared unit of the spacing; of a volume its volume, in the cubed.
     area_change : float
-        In per cent.
+        In per cent; of a volume, of its volume.
     mean_displacement, largest_displacement : float
         In the unit of the spacing.
     mean_strain, largest_strain : float
-        Equivalent strain of von Mises, plane strain assumed, in per cent.
+        Equivalent strain of von Mises, in a slice of plane strain, in per cent.
     folds : int
         Pixels at which it is pushed through itself.
     """
@@ -56,7 +56,7 @@ def measure(
     Parameters
     ----------
     solution : Solution
-    labels : array_like of int, shape (H, W)
+    labels : array_like of int, shape ([D,] H, W)
         Before it moved. What is no tissue of the solution is left out, whatever its label.
     names : mapping of int to str, optional
         Of the labels.
@@ -82,7 +82,7 @@ def measure(
     spacing = solution.spacing
     length, folded = magnitude(d), folds(d, spacing=spacing, tissue=tissue)
     area = jacobian_determinant(d, spacing=spacing, tissue=tissue)
-    strain = equivalent_strain(green_lagrange_strain(d, spacing=spacing, tissue=tissue))
+    strain = strain_values(equivalent_strain, d, spacing=spacing, tissue=tissue)
     pixel = float(np.prod(spacing))
     found = []
     for label in np.unique(image[tissue]).tolist():

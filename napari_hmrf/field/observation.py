@@ -1,4 +1,4 @@
-"""What is known of a displacement on the pixels of a slice: by a field elsewhere, or by arrows."""
+"""What is known of a displacement on the pixels of a slice or volume: by a field, or by arrows."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _REACH = 0.5 + 1e-3
 
 
 class Observation(NamedTuple):
-    """What is known of a displacement on the pixels of a slice.
+    """What is known of a displacement on the pixels of a slice or volume.
 
     Attributes
     ----------
-    displacement : ndarray, shape (H, W, 2), float32
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
         In the slice's unit; 0 where it is not known.
-    known : ndarray of bool, shape (H, W)
+    known : ndarray of bool, shape ([D,] H, W)
         Where a field reaches, or an arrow starts.
     out : float
         How far a field leads out of the slice at most, or how many arrows point straight out of it,
-        which do not count: the displacement does not say so.
+        which do not count: the displacement does not say so. Nothing leads out of a volume.
     """
 
     displacement: npt.NDArray[np.float32]
@@ -50,8 +50,8 @@ class PixelField(NamedTuple):
     field: DisplacementField
     frame: Frame
 
-    def on(self, frame: Frame, shape: tuple[int, int]) -> Observation:
-        """Look the field up at the pixels of a slice, wherever these lie.
+    def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
+        """Look the field up at the pixels of a slice or volume, wherever these lie.
 
         Where the world of either has no unit of length, pixels are taken for pixels.
 
@@ -80,21 +80,22 @@ class PixelField(NamedTuple):
         steps[known] = self.field.at(at[known]) @ back[:, :-1].T
         sizes = np.linalg.norm(np.array(frame.matrix)[:-1, :-1], axis=0)
         out = np.abs(steps * sizes)[:, list(frame.others)].max(initial=0.0)
-        d = (steps[:, list(frame.plane)] * frame.spacing).reshape(*shape, 2)
+        d = (steps[:, list(frame.plane)] * frame.spacing).reshape(*shape, len(shape))
         return Observation(d.astype(np.float32), known.reshape(shape), float(out))
 
-    def _by_pixels(self, frame: Frame, shape: tuple[int, int]) -> Observation:
+    def _by_pixels(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
         own = self.field.shape
-        rows, cols = (axis - frame.ndim for axis in frame.plane)
-        if (own[rows], own[cols]) != shape or math.prod(own) != math.prod(shape):
+        axes = [axis - frame.ndim for axis in frame.plane]
+        if tuple(own[axis] for axis in axes) != shape or math.prod(own) != math.prod(shape):
             raise ProblemError(
                 "observed",
                 f"is {grid_in_words(own)} in {self.frame.unit}, but the image "
                 f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
                 "length, or take a field on its pixels.",
             )
-        rows_first = np.moveaxis(self.field.displacement, (rows - 1, cols - 1), (-3, -2))
-        d = rows_first.reshape(*shape, -1)[..., [rows, cols]] * frame.spacing
+        ends, last = [axis - 1 for axis in axes], range(-len(axes) - 1, -1)
+        ordered = np.moveaxis(self.field.displacement, ends, tuple(last))
+        d = ordered.reshape(*shape, -1)[..., axes] * frame.spacing
         return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0)
 
 
@@ -102,7 +103,7 @@ def arrow_observation(
     vectors: npt.NDArray[np.float64],
     own: Frame,
     spacing: tuple[float, ...],
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
 ) -> Observation:
     """What arrows say, each counting for the pixel it starts in.
 
@@ -111,10 +112,10 @@ def arrow_observation(
     vectors : ndarray, shape (N, 2, D)
         Of a Vectors layer, in the pixels of the image.
     own : Frame
-        The layer's slice.
-    spacing : (float, float)
-        Size of a pixel in (row, col) direction, in the unit of the displacement.
-    shape : (int, int)
+        The layer's slice or volume.
+    spacing : tuple of float, shape (n,)
+        Size of a pixel along each axis of the grid, in the unit of the displacement.
+    shape : tuple of int, shape (n,)
         The grid.
 
     Raises
@@ -139,11 +140,11 @@ def arrow_observation(
         first = outside[0]
         raise ProblemError(
             "observed",
-            f"has {len(outside)} vectors that start outside the image of {shape[0]} x {shape[1]} "
+            f"has {len(outside)} vectors that start outside the image of {grid_in_words(shape)} "
             f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
             "Remove them.",
         )
-    y = np.zeros((*shape, 2), dtype=np.float32)
+    y = np.zeros((*shape, len(shape)), dtype=np.float32)
     known = np.zeros(shape, dtype=bool)
     steps = (arrows[:, 1] * spacing).astype(np.float32)
     y[tuple(at.T)] = steps

@@ -37,11 +37,11 @@ class OtherGrid:
     Attributes
     ----------
     solution : Solution
-    to : ndarray, shape (2 + k, n + 1)
-        From the grid's pixels, homogeneous, to the solution's (row, col), and then to how many
-        slices it is from the solution's along each of k axes.
-    plane : (int, int)
-        The grid's axes that are its rows and columns, those of the solution's slice.
+    to : ndarray, shape (m + k, n + 1)
+        From the grid's pixels, homogeneous, to the solution's along its m axes, and then to how
+        many slices it is from the solution's along each of k axes.
+    plane : sequence of int, shape (m,)
+        The grid's axes that are those of the solution.
     """
 
     solution: Solution
@@ -79,8 +79,9 @@ class OtherGrid:
                 "observed", "is measured in other units than the result. Give it those."
             )
         to = found[counted]
-        to[2:, -1] -= np.array(frame.index)[across]
-        if np.abs(to[2:, plane]).max(initial=0.0) * max(solution.tissue.shape) > 1:
+        out = to[len(plane) :]
+        out[:, -1] -= np.array(frame.index)[across]
+        if np.abs(out[:, plane]).max(initial=0.0) * max(solution.tissue.shape) > 1:
             raise ProblemError("observed", "is at an angle to the result. Resample one of them.")
         return cls(solution, to, plane)
 
@@ -95,18 +96,18 @@ class OtherGrid:
     def moved_pixels(self, pixels: Array, *, order: int) -> Array:
         """Move an image on the grid, which may have colours; by `order` as `warp`."""
         moved, n = np.array(pixels), self.to.shape[1] - 1
-        slices = np.moveaxis(moved, self.plane, (n - 2, n - 1))
         others = [axis for axis in range(n) if axis not in self.plane]
+        slices = np.moveaxis(moved, self.plane, range(len(others), n))
         before, found = None, None
-        for numbers in np.ndindex(*slices.shape[: n - 2]):
+        for numbers in np.ndindex(*slices.shape[: len(others)]):
             index = np.zeros(n)
             index[others] = numbers
             at = np.round(self.to @ [*index, 1.0], 6)
             if before is None or not np.array_equal(at, before):  # along time it is the same
-                before, found = at, self._origins_on(index, slices.shape[n - 2 : n])
+                before, found = at, self._origins_on(index, slices.shape[len(others) : n])
             if found is not None:
                 picture = slices[numbers]
-                fill = 0 if order == 0 else emptiness(picture)
+                fill = 0 if order == 0 else emptiness(picture, len(self.plane))
                 slices[numbers] = resample(picture, *found, order=order, fill=fill)
         return moved
 
@@ -114,12 +115,13 @@ class OtherGrid:
         """Where points are on the solution's pixels, and which of them are there at all."""
         at = points @ self.to[:, :-1].T + self.to[:, -1]
         size = np.array(self.solution.tissue.shape)
-        inside = (at[:, :2] > -_ON - _SAME) & (at[:, :2] < size - 1 + _ON + _SAME)
-        return at[:, :2], inside.all(axis=1) & (np.abs(at[:, 2:]) <= _ON).all(axis=1)
+        within, across = at[:, : len(size)], at[:, len(size) :]
+        inside = (within > -_ON - _SAME) & (within < size - 1 + _ON + _SAME)
+        return within, inside.all(axis=1) & (np.abs(across) <= _ON).all(axis=1)
 
     def _origins_on(self, index: Array, shape: tuple[int, ...]) -> tuple[Array, Array] | None:
         """Where the pixels of a slice came from, and which are seen; None if all stay."""
-        sites = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 2)
+        sites = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, len(shape))
         points = np.zeros((len(sites), len(index))) + index
         points[:, self.plane] = sites
         at, there = self._at(points)
@@ -133,12 +135,12 @@ class OtherGrid:
         nearest = np.clip(np.rint(at[there]).astype(int), 0, np.array(covered.shape) - 1)
         seen[there] = covered[tuple(nearest.T)]
         seen &= ((came > -_ON) & (came < np.array(shape) - 1 + _ON)).all(axis=1)
-        return came.reshape(*shape, 2), seen.reshape(shape)
+        return came.reshape(*shape, len(shape)), seen.reshape(shape)
 
     @cached_property
     def _back(self) -> Array:
         """Steps of the solution's pixels, in the grid's."""
-        inverse: Array = np.linalg.inv(self.to[:2][:, list(self.plane)])
+        inverse: Array = np.linalg.inv(self.to[: len(self.plane)][:, list(self.plane)])
         return inverse
 
     @cached_property

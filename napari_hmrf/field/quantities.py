@@ -10,9 +10,9 @@ from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
 from napari_hmrf.field.deformation import FloatArray, jacobian_determinant, smallest_determinant
 from napari_hmrf.field.strain import (
     equivalent_strain,
-    green_lagrange_strain,
     magnitude,
     principal_strains,
+    strain_values,
 )
 from napari_hmrf.solver.solution import Solution
 
@@ -21,7 +21,8 @@ Quantity = Literal[
 ]
 _PER_CENT = 100.0
 #: What there is to show, and its unit; "" stands for that of the lengths. Strains are
-#: Green-Lagrange's, in per cent of the length.
+#: Green-Lagrange's, in per cent of the length; of a volume those of rows and columns, and the shear
+#: between them, are those within its slices.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
     "jacobian": ("Jacobian", "area ratio"),
@@ -39,7 +40,7 @@ class Coloured(NamedTuple):
 
     Attributes
     ----------
-    values : ndarray, shape (H, W), float32
+    values : ndarray, shape ([D,] H, W), float32
         In the unit of `QUANTITIES`: strains in per cent. NaN where there is no tissue.
     limits : (float, float)
         Where the scale begins and ends.
@@ -82,20 +83,20 @@ def values_of(solution: Solution, quantity: Quantity) -> FloatArray:
         return np.where(tissue, magnitude(d), np.float32(np.nan))
     if quantity == "jacobian":
         return area_change(solution)
-    strain = green_lagrange_strain(d, spacing=spacing, tissue=tissue)
-    shown: FloatArray
-    if quantity == "equivalent":
-        shown = equivalent_strain(strain)
-    elif quantity in ("stretch", "squeeze"):
-        shown = principal_strains(strain)[..., 0 if quantity == "stretch" else 1]
-    else:
-        row, col = {"rows": (0, 0), "columns": (1, 1), "shear": (0, 1)}[quantity]
-        shown = strain[..., row, col]
-    return shown * np.float32(_PER_CENT)
+
+    def value(strain: FloatArray) -> FloatArray:
+        if quantity == "equivalent":
+            return equivalent_strain(strain)
+        if quantity in ("stretch", "squeeze"):
+            return principal_strains(strain)[..., 0 if quantity == "stretch" else -1]
+        one, other = {"rows": (-2, -2), "columns": (-1, -1), "shear": (-2, -1)}[quantity]
+        return strain[..., one, other]
+
+    return strain_values(value, d, spacing=spacing, tissue=tissue) * np.float32(_PER_CENT)
 
 
 def area_change(solution: Solution) -> FloatArray:
-    """By which factor the area of each site changes; NaN where there is no tissue.
+    """By which factor the area, or volume, of each site changes; NaN where there is no tissue.
 
     Where tissue folds it is the smallest determinant around the site, so that it is 0 or below at
     all folds.

@@ -37,9 +37,9 @@ def rehearse(
     Parameters
     ----------
     prior : Prior
-    image : ndarray, shape (H, W) or (H, W, channels)
+    image : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
         Will move.
-    spacing : tuple of float
+    spacing : tuple of float, shape (n,)
         Of its pixels.
     report, left
         As `progress` and `cancel` of `solve`.
@@ -48,19 +48,22 @@ def rehearse(
     """
     if left.is_set():
         return
-    pictures = [Picture(image[:_SIZE, :_SIZE], fill=emptiness(image))]
+    n = len(spacing)
+    corner, shape = (slice(_SIZE),) * n, (_SIZE,) * n
+    pictures = [Picture(image[corner], fill=emptiness(image, n))]
     if more:
         kinds = (np.uint8, np.float32)
-        pictures = [Picture(np.zeros((_SIZE, _SIZE), kind), order=0) for kind in kinds]
-        if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+        pictures = [Picture(np.zeros(shape, kind), order=0) for kind in kinds]
+        slips = n == 2  # in volumes nothing does
+        if slips and isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
             prior = replace(prior, penalty=1.0)
-    y, c = np.zeros((2, _SIZE, _SIZE, 2))
+    y, c = np.zeros((2, *shape, n))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
-    problem = Problem(y, c, np.ones((_SIZE, _SIZE)), spacing=spacing)
+    problem = Problem(y, c, np.ones(shape), spacing=spacing)
     small = prior.rehearsal(problem.shape)
     run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
-    tissue = np.ones(np.shape(pictures[0].image)[:2], dtype=bool)
+    tissue = np.ones(np.shape(pictures[0].image)[:n], dtype=bool)
     tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
     for picture in pictures:
-        Warper(picture)(np.zeros((*tissue.shape, 2), np.float32), tissue)
+        Warper(picture, spacing=spacing)(np.zeros((*tissue.shape, n), np.float32), tissue)

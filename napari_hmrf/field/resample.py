@@ -66,31 +66,41 @@ def resample(
     picture = as_image(image, there.shape)
     order = checked_order(order)
     background = checked_fill(fill, picture.dtype)
-    axes = tuple(np.moveaxis(source, -1, 0))
-    nearest = tuple(
-        np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
-        for at, size in zip(axes, there.shape, strict=True)
-    )
-    if order == 0 or picture.dtype.kind == "b":
-        moved: npt.NDArray[Any] = picture[nearest]
-    elif picture.ndim == there.ndim:
-        moved = _interpolated(picture, axes, nearest, order)
-    else:
-        channels = np.moveaxis(picture, -1, 0)
-        moved = np.stack(
-            [_interpolated(channel, axes, nearest, order) for channel in channels], axis=-1
-        )
+    moved = sampled(picture, source, order)
     moved[~there] = background
     return moved
 
 
-def emptiness(picture: npt.NDArray[Any]) -> Any:
+def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.NDArray[Any]:
+    """Look a picture, which may have colours, up at places, (..., n) in pixels; a new array."""
+    n = places.shape[-1]
+    axes = tuple(np.moveaxis(places, -1, 0))
+    nearest = tuple(
+        np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
+        for at, size in zip(axes, picture.shape[:n], strict=True)
+    )
+    if order == 0 or picture.dtype.kind == "b":
+        copied: npt.NDArray[Any] = picture[nearest]
+        return copied
+    if picture.ndim == n:
+        return _interpolated(picture, axes, nearest, order)
+    channels = np.moveaxis(picture, -1, 0)
+    return np.stack([_interpolated(channel, axes, nearest, order) for channel in channels], axis=-1)
+
+
+def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:
     """What is seen where tissue has left: black, or the darkest there is (air in CT).
 
     As Python's own number: a float cannot hold the largest integers.
+
+    Parameters
+    ----------
+    picture : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
+    axes : int
+        Those before the channels: 3 of a volume.
     """
     finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
-    return 0 if picture.ndim == 3 or not finite.size else finite.min().item()
+    return 0 if picture.ndim > axes or not finite.size else finite.min().item()
 
 
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
@@ -135,9 +145,9 @@ def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
 
     Returns
     -------
-    values : ndarray, shape (H, W)
+    values : ndarray, shape ([D,] H, W)
         Those given, where all are good, or none.
-    bad : ndarray, shape (H, W), bool
+    bad : ndarray, shape ([D,] H, W), bool
         Which were not finite.
     """
     bad = ~np.isfinite(values)

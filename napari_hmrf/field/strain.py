@@ -12,12 +12,13 @@ Differences are central, one-sided where a neighbour is missing, never taken acr
 the tissue, and along an axis on which a site has no neighbour it counts as unstrained. They are
 those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order: [..., 0, 1] is how
 the row component changes along a column step. Strains have no unit (0.01 is one per cent), whatever
-that of the displacement, as long as `spacing` shares it. Where there is no tissue all are NaN.
+that of the displacement, as long as `spacing` shares it. Where there is no tissue all are NaN. Of a
+volume the order is (depth, row, col).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +32,7 @@ from napari_hmrf.field.deformation import (
     magnitude,
     smallest_determinant,
 )
-from napari_hmrf.field.warp import BoolArray, Float64Array, checked_sizes, moved_sites
+from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
 from napari_hmrf.solver.problem import as_numbers
 
 __all__ = [
@@ -45,7 +46,11 @@ __all__ = [
     "principal_strains",
     "small_strain",
     "strain_through_slice",
+    "strain_values",
 ]
+
+#: Planes of a volume whose strains are in memory at once.
+_SLAB = 8
 
 
 def deformation_gradient(
@@ -170,6 +175,44 @@ def green_lagrange_strain(
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
     strain: FloatArray = (_symmetric(gradient) + product / 2).astype(np.float32)
     return strain
+
+
+def strain_values(
+    value: Callable[[FloatArray], FloatArray],
+    displacement: npt.ArrayLike,
+    *,
+    spacing: Sequence[float] | None = None,
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Compute one number of the `green_lagrange_strain` of each site.
+
+    Of a volume some planes after the others: all of its strains take nine times the memory.
+
+    Parameters
+    ----------
+    value : callable
+        Makes numbers, shape (...), of strains, shape (..., n, n), such as `equivalent_strain`.
+    displacement, spacing, tissue
+        As in `deformation_gradient`.
+
+    Returns
+    -------
+    ndarray, shape ([D,] H, W), float32
+
+    Raises
+    ------
+    ProblemError
+        Naming the input at fault.
+    """
+    d = as_field(displacement)
+    mask = np.ones(d.shape[:-1], bool) if tissue is None else as_numbers("tissue", tissue)
+    slab = len(d) if d.ndim == 3 else _SLAB
+    values = np.empty(d.shape[:-1], np.float32)
+    for begin in range(0, len(d), slab):
+        first, last = max(begin - 1, 0), begin + slab + 1
+        strain = green_lagrange_strain(d[first:last], spacing=spacing, tissue=mask[first:last])
+        values[begin : begin + slab] = value(strain[begin - first :][:slab])
+    return values
 
 
 def principal_strains(strain: npt.ArrayLike) -> FloatArray:
@@ -297,5 +340,7 @@ def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:
     tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
     if tensor.shape[-2:] not in [(n, n) for n in axes]:
         needed = " or ".join(f"(..., {n}, {n})" for n in axes)
-        raise ProblemError("strain", f"has shape {tensor.shape}. Give {needed}, (row, col).")
+        raise ProblemError(
+            "strain", f"has shape {tensor.shape}. Give {needed}, in the order of the axes."
+        )
     return tensor

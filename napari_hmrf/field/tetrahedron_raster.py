@@ -55,19 +55,23 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
     # `value` is 2 for those that kept their orientation and 1 for those that were turned over; a
     # voxel that already holds as much is left alone, but for a mark if what it holds came from
     # elsewhere. Only planes from `first` to before `past` are drawn on. Returns whether this one
-    # was turned over.
+    # was turned over, unless it reaches none of them.
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az = moved[plane, row, col, 0]
+    bz = moved[plane + b0, row + b1, col + b2, 0] - az
+    cz = moved[plane + c0, row + c1, col + c2, 0] - az
+    dz = moved[plane + 1, row + 1, col + 1, 0] - az
+    first_plane = math.ceil(max(1.0 * first, az + min(0.0, bz, cz, dz) - _SIDE))
+    last_plane = math.floor(min(past - 1.0, az + max(0.0, bz, cz, dz) + _SIDE))
+    if first_plane > last_plane:
+        return False
     ay = moved[plane, row, col, 1]
     ax = moved[plane, row, col, 2]
-    bz = moved[plane + b0, row + b1, col + b2, 0] - az
     by = moved[plane + b0, row + b1, col + b2, 1] - ay
     bx = moved[plane + b0, row + b1, col + b2, 2] - ax
-    cz = moved[plane + c0, row + c1, col + c2, 0] - az
     cy = moved[plane + c0, row + c1, col + c2, 1] - ay
     cx = moved[plane + c0, row + c1, col + c2, 2] - ax
-    dz = moved[plane + 1, row + 1, col + 1, 0] - az
     dy = moved[plane + 1, row + 1, col + 1, 1] - ay
     dx = moved[plane + 1, row + 1, col + 1, 2] - ax
     # The sides' normals: a place is so far from each, measured by the corner opposite.
@@ -83,8 +87,6 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
     bnz, bny, bnx = bnz / volume, bny / volume, bnx / volume
     cnz, cny, cnx = cnz / volume, cny / volume, cnx / volume
     dnz, dny, dnx = dnz / volume, dny / volume, dnx / volume
-    first_plane = math.ceil(max(1.0 * first, az + min(0.0, bz, cz, dz) - _SIDE))
-    last_plane = math.floor(min(past - 1.0, az + max(0.0, bz, cz, dz) + _SIDE))
     first_row = math.ceil(max(0.0, ay + min(0.0, by, cy, dy) - _SIDE))
     last_row = math.floor(min(state.shape[1] - 1.0, ay + max(0.0, by, cy, dy) + _SIDE))
     first_col = math.ceil(max(0.0, ax + min(0.0, bx, cx, dx) - _SIDE))
@@ -123,6 +125,16 @@ def _is_whole(tissue, plane, row, col):
 
 
 @_callee
+def _reaches(moved, first, past, plane, row, col):
+    """Whether a moved cell may lie on a plane from `first` to before `past`."""
+    low, high = math.inf, -math.inf
+    for corner in range(8):
+        place = moved[plane + corner // 4, row + corner // 2 % 2, col + corner % 2, 0]
+        low, high = min(low, place), max(high, place)
+    return low < past and high > first - 1
+
+
+@_callee
 def _tetrahedra(moved, tissue, source, state, reach, first, past):
     """Draw all tetrahedra onto the planes of voxels from `first` to before `past`."""
     depth, height, width = tissue.shape
@@ -139,6 +151,8 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
             for row in range(height - 1):
                 for col in range(width - 1):
                     if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
+                        continue
+                    if not _reaches(moved, first, past, plane, row, col):
                         continue
                     whole = _is_whole(tissue, plane, row, col)
                     for way in range(6):
@@ -241,7 +255,7 @@ def _holds(tissue, plane, row, col):
 
 
 @numba.njit(parallel=True, **_kept)
-def rasterise(moved, tissue, slabs):
+def rasterise(moved, tissue, planes, slabs):
     """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
 
     Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
@@ -258,20 +272,22 @@ def rasterise(moved, tissue, slabs):
         Where each site has moved, in voxels along the axes.
     tissue : ndarray, shape (D, H, W), bool
         Which sites there are.
+    planes : int
+        So many planes of voxels are drawn on, P; D, but for a part of a volume.
     slabs : int
-        Into so many slabs of planes the volume is cut, one or a few for each core.
+        Into so many slabs these planes are cut, one or a few for each core.
 
     Returns
     -------
-    source : ndarray, shape (D, H, W, 3), float64
+    source : ndarray, shape (P, H, W, 3), float64
         Where the tissue now on each voxel came from, in voxels.
-    state : ndarray, shape (D, H, W), uint8
+    state : ndarray, shape (P, H, W), uint8
         0 nothing came, 1 by a tetrahedron turned over, 2 by one that was not, or by an outline, 3
         by two that were not, from places more than a voxel apart.
     """
     depth, height, width = tissue.shape
-    source = np.zeros((depth, height, width, 3))
-    state = np.zeros((depth, height, width), np.uint8)
+    source = np.zeros((planes, height, width, 3))
+    state = np.zeros((planes, height, width), np.uint8)
     reach = np.empty((depth, 2))
     for number in numba.prange(depth):
         plane = np.int64(number)
@@ -285,8 +301,8 @@ def rasterise(moved, tissue, slabs):
         reach[plane, 1] = high
     for number in numba.prange(slabs):
         slab = np.int64(number)
-        first = slab * depth // slabs
-        past = (slab + 1) * depth // slabs
+        first = slab * planes // slabs
+        past = (slab + 1) * planes // slabs
         _tetrahedra(moved, tissue, source, state, reach, first, past)
         _outline(moved, tissue, source, state, reach, first, past)
     return source, state

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
-from napari_hmrf.field.quantities import area_change
+from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
 
@@ -16,21 +17,23 @@ class Probe(NamedTuple):
 
     Attributes
     ----------
-    row, col : int
-        The pixel it lay on before it moved.
-    displacement : (float, float)
-        (row, col), in the unit of the solution's spacing.
+    site : tuple of int
+        The pixel it lay on before it moved, (row, col), or the voxel, (depth, row, col).
+    displacement : tuple of float
+        In the order of the axes and the unit of the solution's spacing.
     length : float
         Of the displacement.
     jacobian : float
-        By which factor its area changes; 0 or below where it folds.
+        By which factor its area, or volume, changes; 0 or below where it folds.
+    strain : float
+        Its equivalent strain, in per cent.
     """
 
-    row: int
-    col: int
-    displacement: tuple[float, float]
+    site: tuple[int, ...]
+    displacement: tuple[float, ...]
     length: float
     jacobian: float
+    strain: float
 
 
 class Points:
@@ -43,16 +46,15 @@ class Points:
 
     def __init__(self, solution: Solution) -> None:
         self._solution = solution
-        self._jacobian = area_change(solution)
         self._farthest = farthest_of(solution.displacement)
 
-    def at(self, place: tuple[float, float], fraction: float = 0.0) -> Probe | None:
+    def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
         """Say what happens to the tissue that is seen at a place.
 
         Parameters
         ----------
-        place : (float, float)
-            (row, col) in pixels, where the tissue is seen.
+        place : tuple of float
+            ([depth,] row, col) in pixels, where the tissue is seen.
         fraction : float
             How much of the displacement it has moved by then: 0 to 1.
 
@@ -66,10 +68,23 @@ class Points:
         origin = inverse_point(place, *field, self._farthest, fraction)
         if origin is None:
             return None
-        row, col = (int(np.floor(along + 0.5)) for along in origin)
-        rows, cols = solution.tissue.shape
-        if not (0 <= row < rows and 0 <= col < cols and solution.tissue[row, col]):
+        site = tuple(int(np.floor(along + 0.5)) for along in origin)
+        inside = all(0 <= at < size for at, size in zip(site, solution.tissue.shape, strict=True))
+        if not (inside and solution.tissue[site]):
             return None
-        down, along = (float(part) for part in solution.displacement[row, col])
-        length = float(np.hypot(down, along))
-        return Probe(row, col, (down, along), length, float(self._jacobian[row, col]))
+        step = solution.displacement[site]
+        # What happens at a site its neighbours say: of a volume it would take long to know all.
+        around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
+        near = replace(
+            solution,
+            displacement=solution.displacement[around],
+            tissue=solution.tissue[around],
+        )
+        middle = tuple(min(at, 1) for at in site)
+        return Probe(
+            site,
+            tuple(step.tolist()),
+            float(np.linalg.norm(step)),
+            float(area_change(near)[middle]),
+            float(values_of(near, "equivalent")[middle]),
+        )

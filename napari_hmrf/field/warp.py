@@ -134,22 +134,39 @@ def inverse_map_and_overlaps(
         Naming the input at fault.
     """
     moving, mask = moved_sites(displacement, spacing, tissue)
-    coordinates, state = _rasterised(moving, mask)
+    coordinates, state = inverse_raster(moving, mask)
     still = ~mask & (state == 0)
     coordinates[still] = np.argwhere(still)
     return coordinates, (state > 0) | still, state == triangle_arrays.TWICE
 
 
-def _rasterised(
-    moved: Float64Array, tissue: BoolArray
+def inverse_raster(
+    moved: Float64Array, tissue: BoolArray, planes: int | None = None
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of sites by the loops, or by NumPy before these are compiled."""
+    """Invert the motion of sites by the loops, or by NumPy before these are compiled.
+
+    Parameters
+    ----------
+    moved, tissue
+        Of `moved_sites`.
+    planes : int, optional
+        Of a volume only so many planes are drawn on; by default all.
+
+    Returns
+    -------
+    source : ndarray, shape ([D,] H, W, n), float64
+        Where that which is seen at each pixel came from.
+    state : ndarray, shape ([D,] H, W), uint8
+        0 where nothing came; `TWICE` where two parts of the tissue did.
+    """
     if tissue.ndim == 3:
         loader.before_numba()
         from napari_hmrf.field import tetrahedron_raster
 
-        slabs = min(len(tissue), 4 * (os.cpu_count() or 1))
-        drawn = partial(tetrahedron_raster.rasterise, moved, loops.only_read(tissue), slabs)
+        planes = len(tissue) if planes is None else planes
+        slabs = min(planes, 4 * (os.cpu_count() or 1))
+        mask = loops.only_read(tissue)
+        drawn = partial(tetrahedron_raster.rasterise, moved, mask, planes, slabs)
         # This loop uses numba's own threads, which must not be entered from two threads.
         if compute_thread.is_current():
             coordinates, state = drawn()

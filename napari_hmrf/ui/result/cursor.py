@@ -92,7 +92,7 @@ class UnderCursor:
         ways = Directions.of(answer.frame, self._viewer)
         more = [self._stiffness(answer.problem, found)]
         if overlay is not None and overlay.picture is not None:
-            strain = float(overlay.picture[found.row, found.col])
+            strain = float(overlay.picture[found.site])
             more.insert(0, strain_of(overlay.name, strain))
         return at_point(answer.unit, found, ways, more, shown.percent)
 
@@ -101,13 +101,14 @@ class UnderCursor:
         if frame is None or tissue not in self._viewer.layers:
             return ""
         index = list(frame.index)
-        index[frame.plane[0]], index[frame.plane[1]] = found.row, found.col
+        for axis, at in zip(frame.plane, found.site, strict=True):
+            index[axis] = at
         unit, value = str(known_of(tissue).get("unit", "")), full_resolution(tissue)[tuple(index)]
         if isinstance(tissue, Image):
             return stiffness_of("", float(f"{float(value):.3g}"), unit)
         material = self._materials.get(int(value))
         if problem is not None:  # a brush may have made it other tissue
-            solved = problem.stiffness[found.row, found.col]
+            solved = problem.stiffness[found.site]
             same = [row for row in self._materials.values() if np.float32(row.stiffness) == solved]
             material = material if material in same else next(iter(same), None)
         if material is None:
@@ -148,7 +149,8 @@ def at_point(
 
     It is of the whole deformation, however much (`percent`) of it is seen.
     """
-    down, along = (_rounded(part) for part in ways.seen(found.displacement))
+    row, col = found.displacement
+    down, along = (_rounded(part) for part in ways.seen((row, col)))
     length = _rounded(found.length)
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step((down, along))})" if length else ""),
