@@ -125,6 +125,16 @@ def _is_whole(tissue, plane, row, col):
 
 
 @_callee
+def _reaches(moved, first, past, plane, row, col):
+    """Whether a moved cell may lie on a plane from `first` to before `past`."""
+    low, high = math.inf, -math.inf
+    for corner in range(8):
+        place = moved[plane + corner // 4, row + corner // 2 % 2, col + corner % 2, 0]
+        low, high = min(low, place), max(high, place)
+    return low < past and high > first - 1
+
+
+@_callee
 def _tetrahedra(moved, tissue, source, state, reach, first, past):
     """Draw all tetrahedra onto the planes of voxels from `first` to before `past`."""
     depth, height, width = tissue.shape
@@ -141,6 +151,8 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
             for row in range(height - 1):
                 for col in range(width - 1):
                     if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
+                        continue
+                    if not _reaches(moved, first, past, plane, row, col):
                         continue
                     whole = _is_whole(tissue, plane, row, col)
                     for way in range(6):

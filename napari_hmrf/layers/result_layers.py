@@ -210,7 +210,8 @@ def result_layers(
         overlaps = facts["overlaps"] = int(twice.sum())
         if (image := pictures.image) is not None:
             checkpoint()
-            moved = resample(image, origin, covered, order=1, fill=emptiness(image))
+            fill = emptiness(image, solution.tissue.ndim)
+            moved = resample(image, origin, covered, order=1, fill=fill)
             parameters = solution.provenance.parameters
             layers["image"] = picture_layer(frame, pictures, moved, parameters, facts)
     checkpoint()
