@@ -64,7 +64,7 @@ class DockSteps:
             field.changed.connect(self.note, max_args=0)
         choices.settled.connect(partial(self.note, by_itself=True))
         form.tissue.editor.plot.edited.connect(self._take_curve)
-        form.tissue.editor.plot.settled.connect(lambda _: self._model.end())
+        form.tissue.editor.plot.settled.connect(self._model.end)
         form.footer.undo.changed.connect(lambda _: steps.undo())
         form.footer.redo.changed.connect(lambda _: steps.redo())
         StepKeys(native, steps)

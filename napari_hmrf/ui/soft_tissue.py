@@ -412,7 +412,7 @@ class SoftTissue(Dock):
         form, pointer, live = self._form, self._pointer, self._live_study
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
-        form.tissue.editor.anew.clicked.connect(
+        form.tissue.editor.anew.changed.connect(
             lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
         )
         points = form.motion.boundary.landmarks
