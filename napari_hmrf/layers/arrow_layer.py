@@ -19,7 +19,6 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
 from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.tissue.drawing.marks import Point
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -42,8 +41,6 @@ def arrow_lines(
     drawing: Drawing,
     spacing: tuple[float, float],
     selected: int | None = None,
-    pending: Point | None = None,
-    radius: float = 1.0,
 ) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
 
@@ -54,10 +51,6 @@ def arrow_lines(
         Size of a pixel in (row, col) direction.
     selected : int, optional
         The number of the mark that is highlighted.
-    pending : (float, float), optional
-        A place that was clicked, and waits for where it should be; highlighted, too.
-    radius : float
-        Of what is to be there.
 
     Returns
     -------
@@ -67,12 +60,10 @@ def arrow_lines(
         Red, green, blue and opacity of each, 0 to 1.
     """
     marks = [
-        (mark, number == selected and pending is None)
+        (mark, number == selected)
         for number, mark in enumerate(drawing.marks)
         if not isinstance(mark, Stroke)
     ]
-    if pending is not None:
-        marks.append((Arrow(pending, (0.0, 0.0), radius), True))
     parts = []
     for mark, chosen in marks:
         red, green, blue, _ = SELECTED if chosen else DRAWN

@@ -122,18 +122,17 @@ class ArrowsLayer:
         self,
         drawing: Drawing,
         selected: int | None,
-        pending: Point | None = None,
         below: Iterable[Lines] = (),
         quick: bool = False,
     ) -> None:
-        """Draw the arrows, where the first click of a pair was, and more lines below them.
+        """Draw the arrows, and more lines below them.
 
         With `quick` more will follow soon, and only the canvas counts.
         """
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
-        own = arrow_lines(drawing, frame.spacing, selected, pending, self._radius)
+        own = arrow_lines(drawing, frame.spacing, selected)
         lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)
         same = np.array_equal(layer.edge_color, colours)

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
@@ -221,11 +219,7 @@ class Display:
             below.append(seen.marks)
         if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
             below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
-        pending = hand.pending
-        if pending is not None and seen is not None:  # where its tissue is seen
-            (row, col) = seen.moved.goes_to(np.array([pending]))[0].tolist()
-            pending = row, col
-        self.arrows.show(drawing, hand.selected, pending, below, quick=hand.holding)
+        self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""
