@@ -260,7 +260,7 @@ class Pointer:
         else:
             self.said.emit("")
         if self.tool.is_brush:
-            self.display.touch(hand, point, first=True)
+            self.display.touch(hand, first=True)
         if hand.holding:
             self.display.arrows.hide_circle()
         self.draw()
@@ -286,7 +286,7 @@ class Pointer:
         """Go on pulling or painting."""
         self.hand.move(point)
         if self.tool.is_brush and self.hand.holding:
-            self.display.touch(self.hand, point, first=False)
+            self.display.touch(self.hand, first=False)
 
     def release(self) -> None:
         """Let go."""
