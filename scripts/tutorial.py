@@ -188,18 +188,14 @@ def tumour(_: dict[str, Path]) -> None:
 
 
 def landmarks(_: dict[str, Path]) -> None:
-    """Landmarks: pairs of clicks, and two layers of points."""
+    """Landmarks: drawn by the mouse, and two layers of points."""
     person = Person(SIZE)
     open_sample(person, "Brain that expands outward")
     dock = open_dock(person)
     take(person, dock, "landmark")
     keep(person, "landmarks-tool")
     for where, should in (((96, 106), (88, 98)), ((150, 112), (156, 104)), ((96, 150), (91, 156))):
-        person.drag(where)
-        wait(0.5)
-        if where == (150, 112):
-            keep(person, "landmarks-half")
-        person.drag(should)
+        person.drag(where, should)
         wait_until(lambda: not dock.busy)
         print(dock.status, len(dock.drawing.marks))
     keep(person, "landmarks-pairs")

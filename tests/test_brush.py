@@ -11,7 +11,7 @@ from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.ui.motion.brush import Brush
-from napari_hmrf.ui.motion.hands import Pairs
+from napari_hmrf.ui.motion.hands import LandmarkPull
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)
@@ -38,8 +38,8 @@ def brush(history):
 
 
 @pytest.fixture
-def pairs(history):
-    return Pairs(history, SPACING)
+def landmark(history):
+    return LandmarkPull(history, SPACING)
 
 
 def drag(hand, how, *points, reach=1.0, **options):
@@ -47,10 +47,6 @@ def drag(hand, how, *points, reach=1.0, **options):
     for point in points[1:]:
         hand.move(point)
     return hand.release()
-
-
-def click(hand, point, how):
-    return drag(hand, how, point)
 
 
 def rendered(history):
@@ -202,46 +198,34 @@ def test_what_was_painted_last_is_known_of_each_pixel():
     assert [kinds[20, col] for col in (20, 22, 24, 30)] == [1, 1, 1, 0]
 
 
-def test_two_clicks_make_a_landmark(pairs, history):
+def test_one_drag_makes_a_landmark(landmark, history):
     how = grip(3.0, 0.5)
-    assert click(pairs, (10, 10), how) == ""
-    assert pairs.pending == (10, 10)
-    assert not history.drawing.marks
-    assert click(pairs, (14, 12), how) == "placed a landmark"
+    assert drag(landmark, how, (10, 10), (10.2, 10), (14, 12)) == "drew a landmark"
     assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0, 0.5),)
-    assert pairs.pending is None
-    assert history.edits.undo().word == "placed a landmark"
+    assert history.edits.undo().word == "drew a landmark"
 
 
-def test_one_drag_makes_a_landmark_too(pairs, history):
-    assert drag(pairs, grip(3.0), (10, 10), (10.2, 10), (14, 12)) == "placed a landmark"
-    assert history.drawing.marks == (Landmark((10, 10), (14, 12), 3.0),)
-
-
-def test_escape_gives_half_a_pair_up(pairs, history):
-    click(pairs, (10, 10), grip(3.0))
-    assert pairs.cancel()
-    assert pairs.pending is None
-    assert not pairs.cancel()
+def test_escape_gives_a_landmark_up(landmark, history):
+    assert landmark.press((10, 10), 1.0, grip(3.0))
+    landmark.move((14, 12))
+    assert landmark.cancel()
+    assert not landmark.cancel()
     assert (history.drawing, history.undo_word) == (Drawing(), "")
 
 
-def test_landmarks_are_taken_up_again_by_either_end(pairs, history):
+def test_landmarks_are_taken_up_again_by_either_end(landmark, history):
     history.do(Drawing((Landmark((10, 10), (20, 20), 3.0),)), "opened")
-    assert drag(pairs, grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
-    drag(pairs, grip(3.0), (10, 10), (9, 10))
+    assert drag(landmark, grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
+    drag(landmark, grip(3.0), (10, 10), (9, 10))
     assert history.drawing.marks == (Landmark((9, 10), (22, 20), 3.0),)
-    assert pairs.remove()
+    assert landmark.remove()
     assert history.edits.undo().word == "removed a landmark"
 
 
-def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(pairs, history):
-    assert pairs.press((10, 10), 1.0, grip(3.0), lambda _: (8.0, 9.0))
-    pairs.release()
-    click(pairs, (14, 14), grip(3.0))
+def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(landmark, history):
+    drag(landmark, grip(3.0), (10, 10), (14, 14), came_from=lambda _: (8.0, 9.0))
     assert history.drawing.marks == (Landmark((8, 9), (14, 14), 3.0),)
-    assert not pairs.press((40, 40), 1.0, grip(3.0), lambda _: None)
-    assert pairs.pending is None
+    assert not landmark.press((40, 40), 1.0, grip(3.0), lambda _: None)
 
 
 def test_what_was_painted_has_a_colour_of_its_own_and_is_paler_where_it_is_less_sure():

@@ -193,8 +193,7 @@ def test_tissue_comes_from_brightness_by_one_button(deform, viewer, wait_for):
     assert dock.tissue == "brightness"
     np.testing.assert_array_equal(stiffness.data > 0, inside)
     assert (np.diff(stiffness.data[12, 5:25]) >= 0).all(), "the brighter, the stiffer"
-    screen.choose("smooth")
-    screen.choose("linear")
+    screen.choose("smooth, linear")
     assert (dock.curve.between, dock.curve.logarithmic) == ("smooth", False)
     expected = dock.curve(viewer.layers["MR"].data)
     wait_for(lambda: np.array_equal(stiffness.data, expected))

@@ -99,14 +99,14 @@ def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(window, at_re
     at_rest()
     editor, preset = found._form.tissue.editor, found.fields.preset.native
     assert found.native.width() < 360, "as wide as it usually is"
-    for box in (editor.scale.native, editor.between.native, preset):
+    for box in (editor.joined.native, preset):
         looks = QStyleOptionComboBox()
         box.initStyleOption(looks)
         style = QStyle.ComplexControl.CC_ComboBox, looks, QStyle.SubControl.SC_ComboBoxEditField
         room = box.style().subControlRect(*style, box).width()
         assert box.fontMetrics().horizontalAdvance(box.currentText()) <= room, box.currentText()
-    unit = editor.unit
-    assert unit.fontMetrics().horizontalAdvance("unit") + 4 <= unit.contentsRect().width()
+    points = editor.points.native
+    assert points.fontMetrics().horizontalAdvance(points.text()) + 4 <= points.width()
 
 
 def test_what_is_opened_is_scrolled_to(window, at_rest, wait_for):

@@ -63,7 +63,7 @@ def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling, settle
     held = widget.drawing.marks[1]
     assert held.at[0] < 39.5, "it has come from further up"
     assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
-    assert widget.history.undo_word == "held a place"
+    assert widget.history.undo_word == "drew an arrow"
 
 
 def test_keys_remove_undo_and_redo(pulling, settle):

@@ -528,8 +528,8 @@ def test_a_curve_is_undone_with_what_it_shows(widget, small_sample, wait_for):
     shown = next(layer for layer in viewer.layers if "stiffness" in layer.name)
     stiff = shown.data.copy()
     editor = widget._form.tissue.editor
-    editor.plot.select(1)
-    editor.stiffness.setValue(editor.stiffness.value() * 3)
+    editor.points.native.setText("0: 1; 100: 3; 255: 1000")
+    editor.points.native.editingFinished.emit()
     assert widget.curve != before
     assert "changed the curve" in widget._form.footer.undo.tooltip
     wait_for(lambda: not np.array_equal(shown.data, stiff))

@@ -51,7 +51,7 @@ def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, history):
 
 def test_a_click_holds_tissue_where_it_is_seen(pull, history):
     grip = replace(GRIP, confidence=0.5)
-    assert drag(pull, (10, 10), how=grip, came_from=lambda _: (8.0, 11.0)) == "held a place"
+    assert drag(pull, (10, 10), how=grip, came_from=lambda _: (8.0, 11.0)) == "drew an arrow"
     assert history.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
 
 

@@ -22,7 +22,6 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.label_colours import DRAWN, SELECTED
 from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.tissue.drawing.marks import Point
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -45,8 +44,6 @@ def arrow_lines(
     drawing: Drawing,
     spacing: Sequence[float],
     selected: int | None = None,
-    pending: Point | None = None,
-    radius: float = 1.0,
     across: int = 0,
 ) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
@@ -58,10 +55,6 @@ def arrow_lines(
         Size of a pixel along each axis.
     selected : int, optional
         The number of the mark that is highlighted.
-    pending : tuple of float, optional
-        A place that was clicked, and waits for where it should be; highlighted, too.
-    radius : float
-        Of what is to be there.
     across : int
         Of a volume: the axis across the slices that are looked at.
 
@@ -73,12 +66,10 @@ def arrow_lines(
         Red, green, blue and opacity of each, 0 to 1.
     """
     marks = [
-        (mark, number == selected and pending is None)
+        (mark, number == selected)
         for number, mark in enumerate(drawing.marks)
         if not isinstance(mark, Stroke)
     ]
-    if pending is not None:
-        marks.append((Arrow(pending, (0.0,) * len(pending), radius), True))
     parts = []
     for mark, chosen in marks:
         red, green, blue, _ = SELECTED if chosen else DRAWN

@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from napari.layers import Labels
@@ -65,14 +65,6 @@ class Slot(NamedTuple):
     place: Place | None = None
 
 
-class Owner(Protocol):
-    """Who edits: it may be in the middle of something."""
-
-    def interrupt(self) -> bool:
-        """Give up what is half done; whether there was anything, which then is what is undone."""
-        ...
-
-
 class ViewerSteps:
     """The steps of a viewer; have them from `steps_of`.
 
@@ -96,7 +88,7 @@ class ViewerSteps:
     def __init__(self, viewer: Any) -> None:
         self.edits = StudyModel()
         self._viewer = weakref.proxy(viewer)
-        self._owners: weakref.WeakSet[Owner] = weakref.WeakSet()
+        self._owners: weakref.WeakSet[Any] = weakref.WeakSet()
         # What is done to leave the keys, of all layers and of the active one, as they were.
         self._keys, self._of_layer = ExitStack(), ExitStack()
         # Whether napari paints, and not an undo or a redo.
@@ -106,12 +98,12 @@ class ViewerSteps:
 
     def undo(self) -> None:
         """Take back what was done last, and go to where that was."""
-        if not self._interrupted() and not self._before_us("undo", self.edits.next_undo):
+        if not self._before_us("undo", self.edits.next_undo):
             self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Do again what was taken back last, and go to where that is."""
-        if not self._interrupted() and not self._before_us("redo", self.edits.next_redo):
+        if not self._before_us("redo", self.edits.next_redo):
             self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
     @property
@@ -124,7 +116,7 @@ class ViewerSteps:
         """What `redo` would do, for its button; it ends with the key."""
         return f"{self._tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
 
-    def bind_keys(self, owner: Owner) -> None:
+    def bind_keys(self, owner: Any) -> None:
         """Undo and redo by keys, wherever no layer has others for them.
 
         napari binds them to paint wherever a Labels layer is the active one; there its strokes
@@ -132,7 +124,7 @@ class ViewerSteps:
 
         Parameters
         ----------
-        owner : Owner
+        owner : object
             Who wants it; the keys stay until nobody does.
         """
         if not self._owners:
@@ -143,7 +135,7 @@ class ViewerSteps:
             self._on_active()
         self._owners.add(owner)
 
-    def unbind_keys(self, owner: Owner) -> None:
+    def unbind_keys(self, owner: Any) -> None:
         """Leave the viewer's keys as they were, unless somebody else still wants ours."""
         self._owners.discard(owner)
         if not self._owners:
@@ -191,9 +183,6 @@ class ViewerSteps:
         if known:
             getattr(layer, name)()
         return known
-
-    def _interrupted(self) -> bool:
-        return any(owner.interrupt() for owner in tuple(self._owners))
 
     def _tip(self, what: str, step: Step | None) -> str:
         if step is None:

@@ -122,15 +122,13 @@ class StudyModel:
         self.end()
         self._begun = Step(slot, self._now[slot], word)
 
-    def update(self, value: Any, word: str = "") -> None:
+    def update(self, value: Any) -> None:
         """Go on with the edit in progress.
 
         Parameters
         ----------
         value : object
             What the slot holds from now on.
-        word : str, optional
-            What is done, if that turns out to be something else than was begun.
 
         Raises
         ------
@@ -139,7 +137,6 @@ class StudyModel:
         """
         if self._begun is None:
             raise RuntimeError("no edit was begun; call begin() first, or do()")
-        self._begun = self._begun._replace(word=word or self._begun.word)
         self._show(self._begun.slot, value)
 
     def end(self) -> Step | None:
@@ -280,8 +277,8 @@ class History:
         self.edits.open(self.slot, Drawing())
         self.edits.begin(self.slot, word)
 
-    def update(self, drawing: Drawing, word: str = "") -> None:
-        """Go on with the edit in progress; the `word` is that of `StudyModel.update`.
+    def update(self, drawing: Drawing) -> None:
+        """Go on with the edit in progress.
 
         Raises
         ------
@@ -290,7 +287,7 @@ class History:
         """
         if not self.in_progress:
             raise RuntimeError("no edit was begun; call begin() first, or do()")
-        self.edits.update(drawing, word)
+        self.edits.update(drawing)
 
     def end(self) -> Step | None:
         """End the edit in progress, if there is one; returns what can be undone from now on."""

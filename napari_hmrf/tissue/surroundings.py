@@ -16,8 +16,6 @@ from napari_hmrf.solver.problem import as_numbers
 _APART = 0.35
 # And each of them so much of the surroundings.
 _PART = 0.02
-# Pixels along a side that say how bright air is.
-_ENOUGH = 400
 # Of how many pictures the border is known.
 _KEPT = 4
 _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
@@ -98,28 +96,6 @@ def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
         [dark.take(end, axis).ravel() for axis in range(dark.ndim) for end in (0, -1)]
     )
     return bool(edge.mean() >= _AROUND)
-
-
-def between_air_and_tissue(picture: npt.NDArray[Any]) -> float | None:
-    """Find an intensity that what surrounds something does not have, and what is in it has.
-
-    Parameters
-    ----------
-    picture : ndarray, shape ([D,] H, W)
-
-    Returns
-    -------
-    float or None
-        Halfway, to two digits; None if nothing dark surrounds anything.
-    """
-    # Of a large picture every few pixels tell as much, and the window waits for it.
-    step = max(1, max(picture.shape) // _ENOUGH)
-    picture = picture[(slice(None, None, step),) * picture.ndim]
-    dark, known = background_of(picture, picture.ndim), np.isfinite(picture)
-    air, inside = picture[dark & known], picture[~dark & known]
-    if not (surrounds(dark) and air.size and inside.size):
-        return None
-    return float(f"{(float(np.median(air)) + float(np.percentile(inside, 5))) / 2:.2g}")
 
 
 def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> str:

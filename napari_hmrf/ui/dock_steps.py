@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Owner, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Slot, ViewerSteps
 from napari_hmrf.layers.metadata import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.choices import Choices
@@ -48,14 +48,10 @@ class DockSteps:
         Likewise.
     steps : ViewerSteps
         Of the viewer.
-    owner : Owner
-        Who may be in the middle of something.
     """
 
-    def __init__(
-        self, native: Any, form: DockForm, choices: Choices, steps: ViewerSteps, owner: Owner
-    ) -> None:
-        self._form, self._choices, self._steps, self._owner = form, choices, steps, owner
+    def __init__(self, native: Any, form: DockForm, choices: Choices, steps: ViewerSteps) -> None:
+        self._form, self._choices, self._steps = form, choices, steps
         self._model = steps.edits
         form.model.values = self._model.get(_THE_MODEL, {})  # of a dock that was closed
         for table in form.tables:
@@ -65,20 +61,20 @@ class DockSteps:
             field.changed.connect(self.note, max_args=0)
         choices.settled.connect(partial(self.note, by_itself=True))
         form.tissue.editor.plot.edited.connect(self._take_curve)
-        form.tissue.editor.plot.settled.connect(lambda _: self._model.end())
+        form.tissue.editor.plot.settled.connect(self._model.end)
         form.footer.undo.changed.connect(lambda _: steps.undo())
         form.footer.redo.changed.connect(lambda _: steps.redo())
         StepKeys(native, steps)
         self._heard = Listening(
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
         )
-        steps.bind_keys(owner)
+        steps.bind_keys(self)
         self.note(by_itself=True)
         self.show()
 
     def release(self) -> None:
         """The dock is closed, or its window is gone."""
-        self._steps.unbind_keys(self._owner)
+        self._steps.unbind_keys(self)
         self._heard.release()
 
     def show(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
@@ -76,6 +77,14 @@ def give_menu(button: QPushButton, fill: Callable[[], None]) -> None:
     made.setToolTipsVisible(True)
     made.aboutToShow.connect(fill)
     button.setMenu(made)
+
+
+def number_of(text: str) -> float:
+    """A number as people type it, with a point or a comma; NaN for anything else."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return math.nan
 
 
 def attempt(action: Callable[[], object], refuse: Callable[[str], object]) -> None:

@@ -182,7 +182,7 @@ class SoftTissue(Dock):
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
         remember(form.model.in_detail["device"])
-        self._steps = DockSteps(self.native, form, self._choices, steps, self._pointer)
+        self._steps = DockSteps(self.native, form, self._choices, steps)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
@@ -414,7 +414,7 @@ class SoftTissue(Dock):
         form, pointer, live = self._form, self._pointer, self._live_study
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
-        form.tissue.editor.anew.clicked.connect(
+        form.tissue.editor.anew.changed.connect(
             lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
         )
         points = form.motion.boundary.landmarks

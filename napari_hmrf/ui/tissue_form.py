@@ -101,8 +101,8 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.editor = CurveEditor(_UNKNOWN)
         self.menu = MaterialMenu(self.table, layers)
         self._put_below("tissue", self.menu)
-        for part in (self.editor, self.border.native):
-            self.native.layout().addWidget(part)
+        for part in (self.editor, self.border):
+            self.native.layout().addWidget(part.native)
         self.border.changed.connect(lambda _: self.edited.emit())
 
     @property
@@ -129,7 +129,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.edited.emit()
 
     def _on_choice(self, layer: Any) -> None:
-        self.editor.setVisible(layer == BRIGHTNESS)
+        self.editor.visible = layer == BRIGHTNESS
         self.border.visible = isinstance(layer, Labels)  # without, the dark border is soft
         super()._on_choice(layer)
 

@@ -34,7 +34,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_in_words,
 )
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
-from napari_hmrf.ui.forms import add_entry, attempt, give_menu
+from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
@@ -96,14 +96,14 @@ class MaterialTable(LabelTable):
 def _stiffness(material: Material, text: str) -> Material:
     if text.casefold() == "inf" or read_stiffness(text) == RIGID:
         return replace(material, stiffness=RIGID)
-    stiffness = _number(text)
+    stiffness = number_of(text)
     if not 0 <= stiffness <= LARGEST_STIFFNESS:
         raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
     return replace(material, stiffness=stiffness)
 
 
 def _poisson(material: Material, text: str) -> Material:
-    poisson, (low, high) = _number(text), POISSON_RANGE
+    poisson, (low, high) = number_of(text), POISSON_RANGE
     if not low <= poisson <= high:
         raise ValueError(f"Poisson's ratio must be a number from {low:g} to {high:g}")
     return replace(material, poisson=poisson)
@@ -204,7 +204,7 @@ def _distance(
         return "" if found is None else f"{round(found, 9) + 0.0:g}"
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
-        if not math.isfinite(far := _number(text)):
+        if not math.isfinite(far := number_of(text)):
             raise ValueError(f"A distance must be a number, in {unit}")
         return changed(rule, far)
 
@@ -213,18 +213,10 @@ def _distance(
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
-    parts = [_number(part) for part in text.split("/")]
+    parts = [number_of(part) for part in text.split("/")]
     if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
         raise ValueError("Confidence must be a number from 0 to 1, or two: 1 / 0.5")
     return replace(rule, confidence=(parts[0], parts[-1]))
-
-
-def _number(text: str) -> float:
-    """A number as people type it, with a point or a comma; NaN for anything else."""
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        return math.nan
 
 
 def materials_of(layer: Any) -> Preset | None:

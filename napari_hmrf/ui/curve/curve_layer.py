@@ -49,7 +49,7 @@ class CurveLayer:
         intensities = study.intensities
         assert intensities is not None
         if before is None or before.pictures.image is not study.pictures.image:
-            self._editor.show_intensities(intensities)
+            self._editor.plot.show_intensities(intensities)
         elif before.tissue.curve == curve and before.grid == study.grid:
             return
         place, (softest, stiffest) = study.grid.place, curve.range

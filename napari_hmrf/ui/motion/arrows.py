@@ -123,11 +123,10 @@ class ArrowsLayer:
         self,
         drawing: Drawing,
         selected: int | None,
-        pending: Point | None = None,
         below: Iterable[Lines] = (),
         quick: bool = False,
     ) -> None:
-        """Draw the arrows, where the first click of a pair was, and more lines below them.
+        """Draw the arrows, and more lines below them.
 
         With `quick` more will follow soon, and only the canvas counts.
         """
@@ -137,7 +136,7 @@ class ArrowsLayer:
         across = 0
         if len(frame.plane) == 3:
             across, _ = plane_shown(frame, View.of(self._viewer.dims))
-        own = arrow_lines(drawing, frame.spacing, selected, pending, self._radius, across)
+        own = arrow_lines(drawing, frame.spacing, selected, across)
         lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)
         same = np.array_equal(layer.edge_color, colours)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,24 @@ import numpy.typing as npt
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
-from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, painted_layer, touches
+from napari_hmrf.layers.paint_layer import (
+    confidence_layer,
+    number_of,
+    outline_of,
+    painted_layer,
+    touches,
+)
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
-from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
 from napari_hmrf.ui.motion.hands import Hand
-from napari_hmrf.ui.motion.strokes import Painting
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
 #: if that takes longer than so many milliseconds, they go ahead.
@@ -55,8 +61,10 @@ class Display:
 
     def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
         self.arrows = ArrowsLayer(viewer, told)
-        self._painting = Painting()
         self.seen: Seen | None = None
+        # What was painted, as it has moved, and what is being painted, which lies on top.
+        self._painted: npt.NDArray[np.uint8] | None = None
+        self._stroke: Stroke | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
@@ -65,10 +73,7 @@ class Display:
         self._whole: npt.NDArray[Any] | None = None
         self._pieced: npt.NDArray[Any] = np.zeros(0)
         self.quiet = False
-        # Where the brush was last, and of how many places its stroke was then.
-        self._last: Point = (0.0, 0.0)
-        self._places = 0
-        self._touches_wait = single_shot(native, _AHEAD, self._show_touches)
+        self._stroke_waits = single_shot(native, _AHEAD, self._show_stroke)
 
     @property
     def moved(self) -> Deformation | None:
@@ -90,12 +95,11 @@ class Display:
 
     def stand_on(self, study: Study | None, image: Any) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
-        self._touches_wait.stop()
+        self._stroke_waits.stop()
         before, moved = self.result, self.moved
         self._image = image
-        self.seen = self._whole = None
+        self.seen = self._painted = self._stroke = self._whole = None
         with self.own_doing():
-            self._painting.forget()
             if before is not None and moved is not None:
                 before.drop_paint()
                 if moved.ground is not None and not moved.moves:
@@ -181,26 +185,39 @@ class Display:
         place, shown = seen.moved.study.grid.place, dict[Any, LayerData](layers)
         if seen.confidence is not None:
             shown[CONFIDENCE] = confidence_layer(place, seen.confidence)
-        if self._painting.picture is not None:
-            shown[PAINTED] = painted_layer(place, self._painting.picture, self.tissues)
+        if (picture := self._picture()) is not None:
+            shown[PAINTED] = painted_layer(place, picture, self.tissues)
         if result is not None:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
-        """Show what is painted; what is being painted stays where it is, until it is known."""
+        """Show what is painted."""
         self._take_paint(seen, hand)
         with self.own_doing():
             self._show_painting()
 
     def _take_paint(self, seen: Seen, hand: Hand) -> None:
-        self._touches_wait.stop()
-        stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
-        study = seen.moved.study
-        self._painting.take(study.grid, seen.painted, study.motion.drawing, stroke)
+        self._stroke_waits.stop()
+        self._painted = seen.painted
+        self._stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
+
+    def _picture(self) -> npt.NDArray[np.uint8] | None:
+        """What was painted and what is being painted, where it is seen."""
+        moved, stroke, painted = self.moved, self._stroke, self._painted
+        if moved is None or stroke is None:
+            return painted
+        grid = moved.study.grid
+        lines = (moved.goes_to(np.array(line)).tolist() for line in stroke.lines)
+        seen = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
+        picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
+        box = box_of(seen, grid.spacing, (slice(0, grid.shape[0]), slice(0, grid.shape[1])))
+        number = number_of(stroke.action, stroke.confidence, stroke.label)
+        picture[box][covered(seen, grid.spacing, box)] = number
+        return picture
 
     def _show_painting(self) -> None:
-        result, moved, picture = self.result, self.moved, self._painting.picture
+        result, moved, picture = self.result, self.moved, self._picture()
         if result is None or moved is None:
             return
         if picture is None:
@@ -209,28 +226,18 @@ class Display:
             place = moved.study.grid.place
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
 
-    def touch(self, hand: Hand, point: Point, first: bool) -> None:
+    def touch(self, hand: Hand, first: bool) -> None:
         """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
-        stroke = hand.mark
-        if self.seen is None or not isinstance(stroke, Stroke):
-            return
-        places = sum(map(len, stroke.lines))
-        if places == self._places and not first:
-            return
-        self._places = places
-        begin, self._last = point if first else self._last, point
-        self._painting.touch(stroke, begin, point)
+        self._stroke = hand.mark if isinstance(hand.mark, Stroke) else None
         if first:
-            self._show_touches()
-        elif not self._touches_wait.isActive():
-            self._touches_wait.start()
+            self._show_stroke()
+        elif not self._stroke_waits.isActive():
+            self._stroke_waits.start()
 
-    def _show_touches(self) -> None:
-        self._touches_wait.stop()
-        if (moved := self.moved) is not None:
-            self._painting.draw(moved.study.grid)
-            with self.own_doing():
-                self._show_painting()
+    def _show_stroke(self) -> None:
+        self._stroke_waits.stop()
+        with self.own_doing():
+            self._show_painting()
 
     def draw(self, drawing: Drawing, hand: Hand) -> None:
         """Show arrows, landmarks, and the marks of what is painted."""
@@ -240,10 +247,7 @@ class Display:
             below.append(seen.marks)
         if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
             below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
-        pending = hand.pending
-        if pending is not None and seen is not None:  # where its tissue is seen
-            pending = tuple(seen.moved.goes_to(np.array([pending]))[0].tolist())
-        self.arrows.show(drawing, hand.selected, pending, below, quick=hand.holding)
+        self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
 
     def leave(self) -> None:
         """Take away what nobody answers any more."""

@@ -36,11 +36,7 @@ class Hand:
     ----------
     selected : int or None
         The number of the mark made or taken hold of last.
-    pending : tuple of float or None
-        A place that was clicked, in the tissue at rest, and waits for another one.
     """
-
-    pending: Point | None = None
 
     def __init__(
         self,
@@ -157,17 +153,16 @@ class Hand:
     def _changed(self, mark: Any, how: Any) -> Mark:
         raise NotImplementedError
 
-    def _show(self, drawing: Drawing, number: int, word: str = "") -> None:
+    def _show(self, drawing: Drawing, number: int) -> None:
         self._ours, self._selected = drawing, number
-        self._history.update(drawing, word)
+        self._history.update(drawing)
         # The same drawing stays the one it was.
         self._ours = self._history.drawing
 
-    def _remake(self, mark: Mark, word: str = "") -> None:
-        """Have another mark in the place of the one that is held; in a `word`, what that does."""
+    def _remake(self, mark: Mark) -> None:
+        """Have another mark in the place of the one that is held."""
         if self._selected is not None:
-            drawing = self._history.drawing.replaced(self._selected, mark)
-            self._show(drawing, self._selected, word)
+            self._show(self._history.drawing.replaced(self._selected, mark), self._selected)
 
 
 class Pull(Hand):
@@ -177,8 +172,6 @@ class Pull(Hand):
     #: Where the pointer is, and how far from the end that is held.
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
-    #: What is done once the pointer has moved.
-    _pulled = ""
 
     def press(self, point: Point, reach: float, how: Arrow, came_from: Origin = unmoved) -> bool:
         """Take hold of the end of an arrow, or of tissue; as in `Hand`.
@@ -187,14 +180,23 @@ class Pull(Hand):
         it where it is seen.
         """
         self.release()
-        if self._take_again(point, reach):
-            return True
-        at = came_from(point)
-        if at is None:
+        drawing, at = self._history.drawing, came_from(point)
+        hit = drawing.at(point, reach, self._spacing)
+        if hit is not None:
+            word = f"moved {name_of(drawing.marks[hit.number])}"
+        elif at is not None:
+            hit = Hit(len(drawing.marks), "head")
+            drawing = drawing.with_mark(self._new(at, point, how))
+            word = f"drew {name_of(drawing.marks[hit.number])}"
+        else:
             self.select(None)
             return False
-        by = self._between(at, point, how.components)
-        self._take_new(replace(how, at=at, by=by), point, "held a place", "drew an arrow")
+        head, base = ends_of(drawing.marks[hit.number], self._spacing)
+        end = head if hit.part == "head" else base
+        self._offset = tuple(x - y for x, y in zip(point, end, strict=True))
+        self._part, self._at = hit.part, point
+        self._history.begin(word)
+        self._show(drawing, hit.number)
         return True
 
     def move(self, point: Point) -> None:
@@ -204,34 +206,15 @@ class Pull(Hand):
         self._at, leads, mark = point, self._part == "head", self.mark
         to = tuple(x - away for x, away in zip(point, self._offset, strict=True))
         if isinstance(mark, Landmark):
-            moved = replace(mark, target=to) if leads else replace(mark, source=to)
-            self._remake(moved, self._pulled)
+            self._remake(replace(mark, target=to) if leads else replace(mark, source=to))
         elif isinstance(mark, Arrow):
             at, head = (mark.at, to) if leads else (to, mark.head(self._spacing))
             by = self._between(at, head, mark.components)
-            self._remake(replace(mark, at=at, by=by), self._pulled)
+            self._remake(replace(mark, at=at, by=by))
 
-    def _take_again(self, point: Point, reach: float) -> bool:
-        """Take hold of the end of what is there; whether anything is."""
-        drawing = self._history.drawing
-        hit = drawing.at(point, reach, self._spacing)
-        if hit is not None:
-            self._take(drawing, hit, point, f"moved {name_of(drawing.marks[hit.number])}")
-        return hit is not None
-
-    def _take_new(self, mark: Arrow | Landmark, point: Point, word: str, pulled: str = "") -> None:
-        """Take hold of the head of what was not there before."""
-        drawing = self._history.drawing
-        hit = Hit(len(drawing.marks), "head")
-        self._take(drawing.with_mark(mark), hit, point, word, pulled)
-
-    def _take(self, drawing: Drawing, hit: Hit, point: Point, word: str, pulled: str = "") -> None:
-        head, base = ends_of(drawing.marks[hit.number], self._spacing)
-        end = head if hit.part == "head" else base
-        self._offset = tuple(x - y for x, y in zip(point, end, strict=True))
-        self._part, self._at, self._pulled = hit.part, point, pulled
-        self._history.begin(word)
-        self._show(drawing, hit.number)
+    def _new(self, at: Point, point: Point, how: Arrow) -> Arrow | Landmark:
+        """A mark that leads the tissue at a place to where it is seen."""
+        return replace(how, at=at, by=self._between(at, point, how.components))
 
     def _changed(self, mark: Any, how: Arrow) -> Mark:
         changed: Arrow | Landmark = replace(mark, radius=how.radius, confidence=how.confidence)
@@ -250,51 +233,11 @@ class Pull(Hand):
         return (*(0.0 for _ in deep), *only)
 
 
-class Pairs(Pull):
-    """Two clicks make a landmark, where something is and where it should be; so does one drag.
+class LandmarkPull(Pull):
+    """Leads from where something is to where it should be; its ends can be taken hold of again."""
 
-    Its ends can be taken hold of again.
-    """
-
-    _pressed: Point | None = None
-
-    def press(self, point: Point, reach: float, how: Arrow, came_from: Origin = unmoved) -> bool:
-        """Begin a pair, or end it, or take hold of the end of an arrow or a landmark."""
-        self.release()
-        if self.pending is not None:
-            self._place(self.pending, point, how)
-            return True
-        if self._take_again(point, reach):
-            return True
-        self.select(None)
-        self.pending = came_from(point)
-        if self.pending is None:
-            return False
-        self._pressed, self._reach, self._how = point, reach, how
-        return True
-
-    def move(self, point: Point) -> None:
-        """Go on to a point; from the first click of a pair that is a drag to where it should be."""
-        if self.pending is not None and self._pressed is not None:
-            if math.hypot(*between(self._pressed, point, self._spacing)) <= self._reach:
-                return
-            self._place(self.pending, self._pressed, self._how)
-        super().move(point)
-
-    def release(self) -> str:
-        """Let go; a pair whose second place was not clicked yet goes on waiting for it."""
-        self._pressed = None
-        return super().release()
-
-    def cancel(self) -> bool:
-        """Give up the pair that is begun, or what is held; whether there was any."""
-        half, self.pending, self._pressed = self.pending, None, None
-        return super().cancel() or half is not None
-
-    def _place(self, source: Point, target: Point, how: Arrow) -> None:
-        self.pending = self._pressed = None
-        mark = Landmark(source, target, how.radius, how.confidence)
-        self._take_new(mark, target, "placed a landmark")
+    def _new(self, at: Point, point: Point, how: Arrow) -> Arrow | Landmark:
+        return Landmark(at, point, how.radius, how.confidence)
 
 
 def name_of(mark: Mark) -> str:

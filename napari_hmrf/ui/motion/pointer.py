@@ -255,14 +255,12 @@ class Pointer:
         self._show_how()
         if not taken:
             self.said.emit(motion_messages.NOTHING)
-        elif hand.pending is not None:
-            self.said.emit(motion_messages.HALF)
         elif isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
             self.said.emit(motion_messages.NO_STEP)
         else:
             self.said.emit("")
         if self.tool.is_brush:
-            self.display.touch(hand, point, first=True)
+            self.display.touch(hand, first=True)
         if hand.holding:
             self.display.arrows.hide_circle()
         self.draw()
@@ -288,7 +286,7 @@ class Pointer:
         """Go on pulling or painting."""
         self.hand.move(point)
         if self.tool.is_brush and self.hand.holding:
-            self.display.touch(self.hand, point, first=False)
+            self.display.touch(self.hand, first=False)
 
     def release(self) -> None:
         """Let go."""
@@ -308,7 +306,7 @@ class Pointer:
                 self.refused.emit(motion_messages.UNHELD if sure else motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
-            if self.tool.name == "landmark" or pushed:  # nothing more is waited for
+            if pushed:  # nothing more is waited for
                 self.said.emit("")
             self.draw()
 
@@ -321,7 +319,7 @@ class Pointer:
             self.draw()
 
     def cancel(self) -> None:
-        """Give up the drag or the pair that goes on; without one, select nothing."""
+        """Give up the drag that goes on; without one, select nothing."""
         self.display.arrows.end_drag()
         if self.hand.cancel():
             self.said.emit(motion_messages.CANCELLED)
@@ -340,14 +338,6 @@ class Pointer:
         """Have the brush be so many times larger."""
         radius = self._fields.radius
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
-
-    def interrupt(self) -> bool:
-        """A pair of which only one place was clicked is what was done last."""
-        self.display.arrows.end_drag()
-        if self.hand.pending is None:
-            return False
-        self.cancel()
-        return True
 
     # What follows
 

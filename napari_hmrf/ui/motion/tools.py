@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
 from napari_hmrf.ui.motion.brush import Brush
-from napari_hmrf.ui.motion.hands import Hand, Pairs, Pull
+from napari_hmrf.ui.motion.hands import Hand, LandmarkPull, Pull
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,10 @@ TOOLS: tuple[Tool, ...] = (
         "Landmark",
         "L",
         ("radius", "confidence"),
-        "Click where something is, then where it should be.",
+        "Drag from where something is to where it should be.",
         "Or have two Points layers: the first where things are, the second where they should be, "
         "in the same order.",
-        Pairs,
+        LandmarkPull,
     ),
     Tool("pin", "Hold", "P", _HELD, "Paint what does not move."),
     Tool(
