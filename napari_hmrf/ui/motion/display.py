@@ -199,7 +199,8 @@ class Display:
 
     def _take_paint(self, seen: Seen, hand: Hand) -> None:
         self._stroke_waits.stop()
-        self._painted = seen.painted
+        if seen.moved.plane is None:  # else it stays as it was until all of the volume has followed
+            self._painted = seen.painted
         self._stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
@@ -211,7 +212,7 @@ class Display:
         lines = (moved.goes_to(np.array(line)).tolist() for line in stroke.lines)
         seen = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
-        box = box_of(seen, grid.spacing, (slice(0, grid.shape[0]), slice(0, grid.shape[1])))
+        box = box_of(seen, grid.spacing, tuple(slice(0, size) for size in grid.shape))
         number = number_of(stroke.action, stroke.confidence, stroke.label)
         picture[box][covered(seen, grid.spacing, box)] = number
         return picture
