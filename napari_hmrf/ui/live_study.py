@@ -43,7 +43,7 @@ _PATIENCE = 0.4
 #: How long tissue must rest until all layers of a result are drawn, in milliseconds.
 _REST = 200
 #: Voxels on which a volume is solved while a hand moves it: several pictures a second.
-_GLANCED = 100_000
+GLANCED = 100_000
 
 
 class LiveStudy:
@@ -321,7 +321,7 @@ class LiveStudy:
         if len(study.grid.shape) == 2 or not self._pointer.hand.holding:
             return None
         axis, number = plane_shown(study.grid.place, View.of(self._viewer.dims))
-        return Plane(axis, number, CoarseGrid.of_at_most(_GLANCED, study.grid.shape))
+        return Plane(axis, number, CoarseGrid.of_at_most(GLANCED, study.grid.shape))
 
     def _is_hasty(self, study: Study) -> bool:
         """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
