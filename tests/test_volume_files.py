@@ -34,6 +34,7 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.io.apply import apply_field, load_field
 from napari_hmrf.io.case import measured
 from napari_hmrf.io.fields import FIELD_SUFFIXES, Place, place_of
+from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.tables import save_measurements
 from napari_hmrf.solver.solution import Solution
@@ -263,7 +264,10 @@ def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
     assert line.endswith(",mm")
 
 
-def test_a_picture_that_moves_is_of_a_slice(solution, tmp_path):
+def test_pictures_are_of_a_slice(solution, tmp_path):
+    with pytest.raises(ProblemError, match="displacement: is of a volume"):
+        save_result_pictures(tmp_path, solution, smooth_image())
+    assert not list(tmp_path.iterdir())
     with pytest.raises(ProblemError, match="displacement: is of a volume"):
         save_moving_picture(tmp_path / "a.gif", solution, smooth_image())
 

@@ -334,7 +334,7 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 def _over_quadrants(
     reduced: Callable[[list[Float64Array]], Float64Array], moved: Float64Array, mask: BoolArray
 ) -> FloatArray:
-    """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void."""
+    """What becomes of the determinants of the quadrants around each site; NaN in void."""
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
     strip = _STRIP if mask.ndim == 2 else _SLAB

@@ -35,6 +35,12 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
 }
 
 
+def title_and_unit(quantity: Quantity, axes: int = 2) -> tuple[str, str]:
+    """What `QUANTITIES` says of a quantity, of a slice or of a volume, which has three axes."""
+    title, unit = QUANTITIES[quantity]
+    return title, unit.replace("area", "volume") if axes == 3 else unit
+
+
 class Coloured(NamedTuple):
     """A quantity of the tissue before it moved, and the scale of its colours.
 
