@@ -191,9 +191,9 @@ def moved_sites(
 
     Returns
     -------
-    moved : ndarray, shape (H, W, 2), float64
+    moved : ndarray, shape ([D,] H, W, n), float64
         X + d(X) in pixels; X where there is no tissue.
-    tissue : ndarray, shape (H, W), bool
+    tissue : ndarray, shape ([D,] H, W), bool
 
     Raises
     ------
@@ -214,10 +214,10 @@ def checked_field(
 
     Returns
     -------
-    displacement : ndarray, shape (H, W, 2), float64
+    displacement : ndarray, shape ([D,] H, W, n), float64
         Zero where there is no tissue.
-    spacing : ndarray, shape (2,)
-    tissue : ndarray, shape (H, W), bool
+    spacing : ndarray, shape (n,)
+    tissue : ndarray, shape ([D,] H, W), bool
         Everywhere, if it was not given.
 
     Raises

@@ -295,6 +295,8 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         )
     except HmrfError as error:
         raise Invalid(str(error)) from None
+    if place is not None and len(place.plane) != len(study.grid.shape):
+        raise Invalid(f"its plane is {place.plane} of a grid of {study.grid.shape}")
     if not all(0 < size < float("inf") for size in study.grid.spacing):
         raise Invalid(f"its pixel spacing is {study.grid.spacing}")
     solution, count = None, len(_OF_SOLUTION)

@@ -24,7 +24,13 @@ from napari_hmrf.field.deformation import (
     spread,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
+from napari_hmrf.field.quantities import (
+    QUANTITIES,
+    Coloured,
+    Quantity,
+    coloured,
+    title_and_unit,
+)
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
@@ -354,7 +360,7 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
     """Pixels before they move, and what else `Answer.layer` takes; None if there are none."""
     pictures, problem = answer.pictures, answer.problem
     if name in QUANTITIES:
-        title, unit = QUANTITIES[name]
+        title, unit = title_and_unit(name, answer.solution.tissue.ndim)
         shown = coloured(answer.solution, name)
         return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
     if name == "labels" and pictures.labels is not None:
