@@ -124,29 +124,16 @@ class ToolFields(Container):
     @property
     def words(self) -> str:
         """What the tool that is shown does, in a few words."""
-        words, which = self._action_words, self.components.value
+        words, which = self._tool.title, self.components.value
+        if self._tool.name == "move":
+            by = self._by
+            step = (0.0 if which == "col" else by[0], 0.0 if which == "row" else by[1])
+            down, along = (round(part, 2) + 0.0 for part in self._ways.seen(step))
+            words = f"{words} {self._ways.step((down, along))}"
         if "components" not in self._tool.fields or which == "both":
             return words
         axis = ("row", "col").index(which)
         return f"{words}, {self._ways.only(axis).partition(' (')[0]}"
-
-    @property
-    def _action_words(self) -> str:
-        title = self._tool.title
-        match self._tool.name:
-            case "move":
-                which, by = self.components.value, self._by
-                step = (0.0 if which == "col" else by[0], 0.0 if which == "row" else by[1])
-                down, along = (round(part, 2) + 0.0 for part in self._ways.seen(step))
-                return f"{title} {self._ways.step((down, along))}"
-            case "expand":
-                amount = self.amount.value
-                return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
-            case "confidence":
-                return f"{title} {self.sure.value:g}"
-            case "tissue":
-                return f"{title}: {self.material.current_choice}"
-        return title
 
     def show_for(self, tool: Tool) -> None:
         """Show the fields of a tool, and no others."""
