@@ -231,25 +231,6 @@ def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(
     assert "Confidence" in layers
 
 
-def test_a_confidence_over_nothing_that_is_held_or_moved_says_so(pulling, settle):
-    person, widget = pulling
-    person.key(PIN)
-    widget.fields.radius.value = 3.0
-    person.paint((20, 20), (20, 26))
-    person.key(CONFIDENCE)
-    widget.fields.sure.value = 0.0
-    person.paint((20, 25), (20, 30))
-    settle(widget)
-    assert "Nothing is held" not in widget.status
-    person.paint((40, 40), (40, 44))
-    settle(widget)
-    assert widget.status.startswith("Nothing is held or moved where you painted")
-    person.key(PIN)
-    person.paint((40, 40), (40, 44))
-    settle(widget)
-    assert "Nothing is held" not in widget.status
-
-
 def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pulling, settle):
     person, widget = pulling
     viewer, fields = person.viewer, widget.fields
@@ -764,21 +745,6 @@ def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(br
     person.paint((20, 20), (30, 20))
     settle(widget)
     assert displacement(widget) == pytest.approx(before, abs=0.02), "it was that already"
-
-
-def test_a_stroke_beside_all_tissue_is_said_to_change_nothing(open_window, settle):
-    rows, cols = np.indices((64, 64))
-    disc = np.hypot(rows - 32, cols - 32) < 18
-    person, widget = open_window((150 * disc).astype(np.uint8))
-    assert widget.start()
-    widget.tool = "pin"
-    settle(widget)
-    person.paint((4, 30), (4, 40))
-    settle(widget)
-    assert "no tissue where you painted" in widget.status
-    person.paint((30, 30), (30, 40))
-    settle(widget)
-    assert "no tissue" not in widget.status
 
 
 def test_a_radius_that_is_typed_is_one_step(pulling, settle):

@@ -124,7 +124,6 @@ def test_eyes_stay_as_somebody_left_them(at_hand, settle):
         person.drag(place, (20, 22))
         settle(dock)
         assert arrows.visible == shown
-        assert dock.arrows == shown
 
 
 def test_what_was_deformed_is_pulled_on_with_the_value_of_what_is_seen(at_hand, run, settle):
@@ -459,14 +458,6 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
     (labels,) = parts(viewer, "labels")
     assert labels.visible
     assert (labels.data != before).any()
-
-
-def test_the_boxes_say_which_layers_are_seen(at_hand, run, settle):
-    person, dock = at_hand
-    run(dock)
-    for seen_or_not in (False, True):
-        person.viewer.layers["MR arrows, elastic"].visible = seen_or_not
-        assert dock.arrows == seen_or_not
 
 
 # What is said of what is pulled

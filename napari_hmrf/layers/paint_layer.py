@@ -22,7 +22,7 @@ from napari_hmrf.layers.arrow_layer import Lines, barbed, coloured, crosses, dee
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Canvas, Stroke
-from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
+from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, distance_to, is_empty
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import Palette
 
@@ -208,12 +208,6 @@ def painted_marks(canvas: Canvas) -> Lines:
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 #: The arms of their crosses.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
-
-
-def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
-    """Whether a stroke covers any pixel of a mask."""
-    box = box_of(stroke, canvas.spacing, canvas.whole)
-    return bool((covered(stroke, canvas.spacing, box) & where[box]).any())
 
 
 def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) -> Lines:

@@ -376,11 +376,16 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
     if name == "stiffness" and problem is not None:
         m = problem.stiffness
         most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
-        tissue = answer.solution.provenance.parameters.get("tissue", {})
-        unit = tissue.get("unit") or tissue.get("curve", {}).get("unit") or "relative"
+        unit = stiffness_unit(answer) or "relative"
         look = {"colormap": label_colours.stiffness_colours(), **label_colours.OVER}
         return m, f"stiffness ({unit})", {**look, "contrast_limits": (1e-9, most)}
     return None
+
+
+def stiffness_unit(answer: Answer) -> str:
+    """The unit of the stiffness that a result was made with; "" where it is relative."""
+    tissue = answer.solution.provenance.parameters.get("tissue", {})
+    return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:

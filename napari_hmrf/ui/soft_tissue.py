@@ -96,9 +96,9 @@ class SoftTissue(Dock):
     result : napari.layers.Vectors or None
         The arrows that hold the result that is looked at: the newest, or one whose arrows were
         selected since; to be set, too.
-    percent, before, arrows : int, bool, bool
-        How much of the deformation is seen, from 0 to 100; whether the image is, as it was, without
-        its result; and whether arrows are drawn.
+    percent, before : int, bool
+        How much of the deformation is seen, from 0 to 100; and whether the image is, as it was,
+        without its result.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
         "difference" (from the reference), "stiffness" or "confidence"; where it was, "folds" or
@@ -147,7 +147,6 @@ class SoftTissue(Dock):
     percent = Part[int]("_form.result.slider.value")
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
-    arrows = Part[bool]("_form.result.arrows.value")
     reference = Part[Any]("_form.result.reference.value")
     comparison = Part[Comparison | None]("_view.comparison")
     more = Part[ResultMenu]("_view.more")

@@ -13,7 +13,7 @@ from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.study import Grid, Study
-from napari_hmrf.study.study_model import History, Step
+from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
@@ -33,7 +33,7 @@ _LARGER = 1.25
 
 
 class Pointer:
-    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Motion*.
+    """Draws on each slice of each image its own drawing; told by the layer *Motion*.
 
     Parameters
     ----------
@@ -84,7 +84,6 @@ class Pointer:
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
-        steps.said.connect(self._on_step)
         for field in fields:
             if field is not fields.preset:
                 field.changed.connect(self._on_field)
@@ -154,7 +153,6 @@ class Pointer:
         self.tool = tool
         self._open_hand()
         self._fields.show_for(tool)
-        self.display.arrows.show_tool(tool.how)
         self.draw()
         self.say_tool()
         if self.active:
@@ -228,8 +226,7 @@ class Pointer:
 
     def end(self) -> None:
         """Feel nothing any more."""
-        self.display.arrows.release()
-        self._steps.said.disconnect(self._on_step)
+        self.display.arrows.end_drag()
 
     # What the mouse and the keys do on the canvas
 
@@ -243,9 +240,6 @@ class Pointer:
         other = self.display.covering
         if other is not None:
             self.said.emit(motion_messages.covered(other.name))
-            return
-        if self.display.is_hidden:
-            self.said.emit(motion_messages.HIDDEN)
             return
         if self.tool.is_brush and not moved.is_inside(point):
             self.said.emit(motion_messages.OUTSIDE)
@@ -301,9 +295,6 @@ class Pointer:
             return
         if held:
             mark = self.hand.mark
-            if isinstance(mark, Stroke) and self.display.is_beside(mark, self.drawing):
-                sure = mark.action == "confidence"
-                self.refused.emit(motion_messages.UNHELD if sure else motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if pushed:  # nothing more is waited for
@@ -358,17 +349,6 @@ class Pointer:
             self.draw()
         elif not self._drawing_waits.isActive():
             self._drawing_waits.start()
-
-    def _on_step(self, _: str, step: Step | None) -> None:
-        """Select what undo or redo has changed or brought back, if the tool in the hand made it."""
-        if step is None or step.slot != self.history.slot:
-            return
-        marks = self.drawing.marks
-        new = [number for number, mark in enumerate(marks) if mark not in step.value.marks]
-        if len(new) == 1 and tool_of(marks[new[0]]) is self.tool:
-            self.hand.select(new[0])
-            self._show_how()
-            self.draw()
 
     def _on_field(self, *_: Any) -> None:
         how = self._fields.how

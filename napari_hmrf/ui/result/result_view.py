@@ -65,11 +65,9 @@ class ResultView:
         self.cursor = UnderCursor(viewer)
         self.player = Player(native, self._errands, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
-        self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
         form.reference.changed.connect(self._on_reference)
-        form.arrows.changed.connect(self._on_ticked)
         form.play.changed.connect(self._on_play)
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
         form.before.native.released.connect(partial(setattr, self, "before", False))
@@ -144,7 +142,6 @@ class ResultView:
 
     def release(self) -> None:
         """Listen no more."""
-        self._heard.release()
         self._events.release()
         self._errands.release()
         self.more.release()
@@ -161,7 +158,6 @@ class ResultView:
         other = before is None or shown is None or shown.layers is not before.layers
         # A newer state of the same is not seen as long as somebody looks at what was before.
         self._put_back(release=other)
-        self._heard.release()
         self.cursor.watch(None)
         if before is not None and other:
             before.layers.leave()
@@ -176,9 +172,7 @@ class ResultView:
             shown.copy_image()
         except HmrfError as error:
             self.said.emit(str(error))
-        self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
-        self._on_eye()
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
         points = partial(Points, shown.answer.solution)
@@ -248,19 +242,9 @@ class ResultView:
         if active not in (None, self.arrows) and result_of(active) is not None:
             self._look_at(active)
 
-    def _on_eye(self, *_: Any) -> None:
-        """Let the box say whether arrows are seen, whoever has hidden or shown them."""
-        if self.shown is not None:
-            with self._form.arrows.changed.blocked():
-                self._form.arrows.value = self.shown.layers.wants("arrows")
-
     def _on_chosen(self, *_: Any) -> None:
         self.before = False
         self._lay_over(chosen=True)
-
-    def _on_ticked(self, drawn: bool) -> None:
-        if self.shown is not None:
-            self.shown.layers.want("arrows", drawn)
 
     def _on_inserted(self, event: Any) -> None:
         shown, layer = self.shown, event.value
