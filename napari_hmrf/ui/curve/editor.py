@@ -10,7 +10,7 @@ from psygnal import Signal
 from qtpy import QtWidgets
 
 from napari_hmrf.tissue.stiffness_curve import Between, StiffnessCurve
-from napari_hmrf.tissue.surroundings import between_air_and_tissue
+from napari_hmrf.tissue.surroundings import void_threshold
 from napari_hmrf.ui.curve.plot import CurvePlot
 from napari_hmrf.ui.forms import menu
 
@@ -83,7 +83,7 @@ class CurveEditor(QtWidgets.QWidget):
         self.plot.show_intensities(values)
         if self.curve.void_below is None:
             # What a first tick says: it is likely, and the dark end of the curve if nothing is.
-            air = between_air_and_tissue(values)
+            air = void_threshold(values)
             self.void_below.show_value(self.curve.points[0][0] if air is None else air)
 
     def _assemble(self) -> None:
