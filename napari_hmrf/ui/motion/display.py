@@ -11,7 +11,7 @@ import numpy as np
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
-from napari_hmrf.layers.paint_layer import confidence_layer, outline_of, painted_layer, touches
+from napari_hmrf.layers.paint_layer import confidence_layer, painted_layer, touches, way_of
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -220,7 +220,7 @@ class Display:
         if seen is not None and seen.marks is not None:
             below.append(seen.marks)
         if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
-            below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
+            below.append(way_of(stroke, self.ground.base.spacing, seen.moved.goes_to))
         pending = hand.pending
         if pending is not None and seen is not None:  # where its tissue is seen
             (row, col) = seen.moved.goes_to(np.array([pending]))[0].tolist()

@@ -73,7 +73,7 @@ class Painting:
         whole = slice(0, grid.shape[0]), slice(0, grid.shape[1])
         for _, touch in self._touches:
             box = box_of(touch, grid.spacing, whole)
-            number = number_of(touch.action, touch.confidence, touch.label)
+            number = number_of(touch.action, touch.label)
             self.picture[box][covered(touch, grid.spacing, box)] = number
 
     def forget(self) -> None:
