@@ -39,20 +39,14 @@ def check_size(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
 ) -> None:
     """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
-    if not frame.same_place(own, shape):
+    own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
+    if own_shape != shape or not frame.same_place(own, shape):
+        own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
         raise LayerError(
             layer,
-            f"lies elsewhere than '{reference.name}': their scale, translation, rotation, "
-            "shear, affine or units differ. Give both the same transform, or resample one.",
-        )
-    if isinstance(layer, Vectors):
-        return
-    own_shape = plane_shape(layer, own)
-    if own_shape != shape:
-        raise LayerError(
-            layer,
-            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but '{reference.name}' "
-            f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
+            f"lies elsewhere than '{reference.name}': it has {own_size} pixels where that has "
+            f"{size}, or their scale, translation, rotation, shear, affine or units differ. Give "
+            "both the same, or resample one.",
         )
 
 

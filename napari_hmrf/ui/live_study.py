@@ -20,7 +20,6 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
@@ -173,7 +172,6 @@ class LiveStudy:
         try:
             request = self.request()
             study = self.read(request)
-            refuse_rigid(study)
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
@@ -201,7 +199,6 @@ class LiveStudy:
             alone = request.boundary is None
             marks = request.drawing.marks
             study = self.read(request if marks or alone else replace(request, drawing=None))
-            refuse_rigid(study)
         except (HmrfError, ValueError) as error:
             self._refuse(error)
             return
@@ -242,10 +239,8 @@ class LiveStudy:
     def show_before(self, before: bool) -> None:
         """Show the image as it was before it moved, or as it has moved again."""
         result = self._pointer.display.result
-        if result is not None and before:
-            result.hold_before(self.source)
-        elif result is not None:
-            result.release()
+        if result is not None:
+            result.show_before(before)
 
     def forget(self) -> None:
         """Work on nothing."""
@@ -390,7 +385,8 @@ class LiveStudy:
         if latest is None or study is None or self._form.footer.live.on or self.fresh:
             return self._report
         here = study.grid.place == latest.moved.study.grid.place
-        return f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
+        changed = messages.CHANGED if here else messages.OTHER_SLICE
+        return f"{self._form.model.objection or changed} {self.note}".rstrip()
 
     def _tell(self, anew: bool = False) -> None:
         """Say how the study is, once, unless that is to be said anew."""

@@ -104,12 +104,11 @@ def report(done: Done) -> str:
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
     outputs, parts, short = done.outputs, list[str](), ""
-    if outputs.folds > HANDFUL and outputs.worst is not None:
-        row, col = outputs.worst
+    if outputs.folds > HANDFUL:
         short = f"Folds at {outputs.folds} pixels: show where"
         parts.append(
-            f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
-            f"pushed through itself (it folds), which no tissue does. {_less(done.moved.study)}."
+            f"Warning: at {outputs.folds} pixels the tissue is pushed through itself (it folds), "
+            f"which no tissue does. {_less(done.moved.study)}."
         )
     if outputs.overlaps > HANDFUL:
         short = short or f"Overlaps at {outputs.overlaps} pixels"
