@@ -170,7 +170,7 @@ def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
 
 def test_layers_of_different_size_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
-    assert "it has 12 x 14 pixels where that has 12 x 15" in str(error)
+    assert "it has 12 x 14 pixels, that has 12 x 15" in str(error)
 
 
 @pytest.mark.parametrize(

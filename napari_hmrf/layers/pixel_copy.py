@@ -44,9 +44,9 @@ def check_size(
         own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
         raise LayerError(
             layer,
-            f"lies elsewhere than '{reference.name}': it has {own_size} pixels where that has "
-            f"{size}, or their scale, translation, rotation, shear, affine or units differ. Give "
-            "both the same, or resample one.",
+            f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
+            "or their scale, translation, rotation, shear, affine or units differ. Give both the "
+            "same, or resample one.",
         )
 
 

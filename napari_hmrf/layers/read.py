@@ -223,7 +223,7 @@ class _Reader:
             return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
-            here = self._frame.slice_seen
+            here = frame_of(layer, request.view).slice_seen
             raise LayerError(
                 layer,
                 f"has no paint{f' in {here}' if here else ' yet'}: choose a row, then paint a wall "
