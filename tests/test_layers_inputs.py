@@ -15,9 +15,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.solver.optimizers import ICM
-from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
-from napari_hmrf.study.ground import solve_study
+from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 MATERIALS = (Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(2, "soft", 10.0))
@@ -263,13 +261,20 @@ def test_rigid_tissue_reaches_the_elastic_model(made):
 
 
 @pytest.mark.parametrize(
-    ("made", "named"), [(lambda: None, "'Tissue'"), (stiffness_with_bone, "'stiffness'")]
+    ("made", "said"),
+    [
+        (lambda: None, "'Tissue' has rigid tissue ('bone'), which"),
+        (stiffness_with_bone, "'stiffness' has rigid tissue (an infinite stiffness), which"),
+    ],
+    ids=["labels", "image"],
 )
-def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, named):
-    study = read_study(with_bone(made()), SeilerPrior(), ICM())
-    with pytest.raises(ProblemError, match="Take the elastic model") as refused:
-        solve_study(study)
-    assert str(refused.value).startswith(f"{named} is infinite (rigid) somewhere")
+def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
+    error = refusal(with_bone(made()))
+    assert str(error) == (
+        f"{said} the paper's model cannot have, nor any in which what is held may slip. Take the "
+        "elastic model with 'holding force' under 'Advanced' at 'held exactly', or give it a "
+        "number."
+    )
 
 
 def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
@@ -277,9 +282,8 @@ def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
 
 
 def test_beside_rigid_tissue_nothing_may_slip():
-    study = read_study(with_bone(), ElasticPrior(penalty=1.0))
-    with pytest.raises(ProblemError, match="'held exactly'"):
-        solve_study(study)
+    with pytest.raises(ProblemError, match="'holding force' under 'Advanced' at 'held exactly'"):
+        read_layers(with_bone(), ElasticPrior(penalty=1.0))
 
 
 def test_a_stiffness_beyond_single_precision_is_refused_with_its_largest_value():

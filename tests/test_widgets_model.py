@@ -125,7 +125,7 @@ RIGID_AND_PAPER = (
     "'gel' is rigid, which the paper's model cannot have: it compares stiffness by ratios. Take "
     "the elastic model, or give a number in the table."
 )
-RIGID = "'Tissue' is infinite (rigid) somewhere, but the paper's prior compares"
+RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model cannot have"
 
 
 def be_rigid(widget):
@@ -139,23 +139,28 @@ def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sa
     be_rigid(widget)
     assert model.objection == RIGID_AND_PAPER
     assert not model.elastic.native.isHidden()
-    wait_for(lambda: "rigid" in widget.status)
+    wait_for(lambda: RIGID in widget.status)
     model.elastic.native.click()
     assert widget.model == "elastic"
     assert model.elastic.native.isHidden()
     wait_for(lambda: widget.status == READY)
     widget.model = "paper"
-    wait_for(lambda: "rigid" in widget.status)
+    wait_for(lambda: RIGID in widget.status)
     Cell(widget._form.tissue.table, 1, 2).write("900")
     assert not model.objection
     wait_for(lambda: widget.status == READY)
 
 
-def test_deform_refuses_rigid_tissue_of_the_paper_s_model(widget, small_sample, run):
+def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
+    widget, small_sample, busy_thread
+):
     small_sample(viewer_of(widget))
     be_rigid(widget)
-    assert run(widget) is None
-    assert widget.status.startswith(RIGID)
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+    assert said == [None], "though the thread that would work is busy"
+    assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which the paper's model")
 
 
 def paint_bone(widget, *place):
@@ -190,7 +195,7 @@ def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample,
     small_sample(viewer_of(widget))
     assert run(widget) is not None
     be_rigid(widget)
-    wait_for(lambda: "rigid" in widget.status)
+    wait_for(lambda: RIGID in widget.status)
     widget.undo()
     wait_for(lambda: "Tissue moved up to" in widget.status)
 

@@ -18,6 +18,7 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.layer_names import LayerError
+from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
@@ -108,6 +109,7 @@ class Ground:
         ProblemError
             Naming the part, what is wrong with it and what to do.
         """
+        refuse_rigid(study)
         image = study.pictures.image
         if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
             here = "is NaN everywhere in this slice. Choose another image or slice."

@@ -20,6 +20,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
@@ -172,6 +173,7 @@ class LiveStudy:
         try:
             request = self.request()
             study = self.read(request)
+            refuse_rigid(study)
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
@@ -199,6 +201,7 @@ class LiveStudy:
             alone = request.boundary is None
             marks = request.drawing.marks
             study = self.read(request if marks or alone else replace(request, drawing=None))
+            refuse_rigid(study)
         except (HmrfError, ValueError) as error:
             self._refuse(error)
             return
@@ -385,8 +388,7 @@ class LiveStudy:
         if latest is None or study is None or self._form.footer.live.on or self.fresh:
             return self._report
         here = study.grid.place == latest.moved.study.grid.place
-        changed = messages.CHANGED if here else messages.OTHER_SLICE
-        return f"{self._form.model.objection or changed} {self.note}".rstrip()
+        return f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
 
     def _tell(self, anew: bool = False) -> None:
         """Say how the study is, once, unless that is to be said anew."""

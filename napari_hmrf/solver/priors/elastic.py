@@ -126,7 +126,7 @@ class ElasticPrior:
             raise ProblemError(
                 "stiffness",
                 "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
-                "penalty at inf ('held exactly'), or give that tissue a number.",
+                "prior's penalty at inf, or give that tissue a number.",
             )
         check_held(problem)
         return self

@@ -139,8 +139,7 @@ class SeilerPrior:
             raise ProblemError(
                 "stiffness",
                 "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
-                "stiffness, which have no meaning there. Take the elastic model (ElasticPrior), or "
-                "give a number.",
+                "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
             )
         return replace(self, penalty=self.penalty_for(problem))
 
