@@ -388,15 +388,15 @@ def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
     screen.cell(GEL, "Stiffness").write("33")
     dock.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
     screen.cell(GEL, "Stiffness").write("44")
-    wait_for(lambda: "the stiffness of label 1" in screen.button("Undo").toolTip())
+    wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
-    assert "Took back: changed the stiffness of label 1" in screen.words
+    assert "Took back: changed label 1" in screen.words
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
     assert dock.materials[1].stiffness == 20
-    assert "the stiffness of label 1" in screen.button("Redo").toolTip()
+    assert "changed label 1" in screen.button("Redo").toolTip()
     screen.press("Redo")
     screen.press("Redo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)

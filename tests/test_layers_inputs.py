@@ -168,9 +168,7 @@ def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
 
 def test_layers_of_different_size_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
-    assert str(error).startswith("'Tissue' has 12 x 14 pixels")
-    assert str(error).endswith("(Labels layer, uint8, 12 x 14)")
-    assert "12 x 15" in str(error)
+    assert "it has 12 x 14 pixels, that has 12 x 15" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -233,7 +231,6 @@ def test_an_impossible_stiffness_names_its_layer(value, said):
     m[3, 4] = value
     error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
     assert str(error).startswith("'stiffness' has ")
-    assert "(Image layer, float64, 12 x 15)" in str(error)
     assert said in str(error)
     assert "(3, 4)" in str(error)
 
@@ -273,9 +270,10 @@ def test_rigid_tissue_reaches_the_elastic_model(made):
 )
 def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
     error = refusal(with_bone(made()))
-    assert error.sentence == (
-        f"{said} the paper's model cannot have: it compares stiffness by ratios. Take the elastic "
-        "model, or give it a number."
+    assert str(error) == (
+        f"{said} the paper's model cannot have, nor any in which what is held may slip. Take the "
+        "elastic model with 'holding force' under 'Advanced' at 'held exactly', or give it a "
+        "number."
     )
 
 
@@ -284,9 +282,7 @@ def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
 
 
 def test_beside_rigid_tissue_nothing_may_slip():
-    with pytest.raises(
-        ProblemError, match="Set 'holding force' under 'Advanced' to 'held exactly'"
-    ):
+    with pytest.raises(ProblemError, match="'holding force' under 'Advanced' at 'held exactly'"):
         read_layers(with_bone(), ElasticPrior(penalty=1.0))
 
 
@@ -305,8 +301,7 @@ def test_an_extreme_stiffness_ratio_is_refused():
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
-        "Nothing is painted in 'Boundary' yet: choose a row, then paint a wall or something that "
-        "moves. (Labels layer, uint8, 12 x 15)"
+        "'Boundary' has no paint yet: choose a row, then paint a wall or something that moves."
     )
 
 
@@ -314,21 +309,10 @@ def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
     void = request()
     airy = tuple(Material(label, "air", 0.0) for label in range(3))
     error = refusal(Request(void.tissue, void.boundary, void.image, airy, RULES))
-    assert str(error).startswith("There is no tissue in 'Tissue'")
+    assert str(error).startswith("'Tissue' is 0 everywhere: there is no tissue")
     unsure = tuple(BoundaryRule(label, "fixed", confidence=(0.0, 0.0)) for label in (1, 2))
     error = refusal(Request(void.tissue, void.boundary, void.image, MATERIALS, unsure))
-    assert str(error).startswith("Nothing in 'Boundary' counts")
-
-
-def test_paint_on_another_slice_is_pointed_to():
-    viewer, wanted = stack((9, *SHAPE))
-    wanted.boundary.data[:] = 0
-    wanted.boundary.data[5] = boundary_labels()
-    wanted.boundary.data[0] = boundary_labels()
-    viewer.dims.set_current_step(0, 7)
-    assert str(refusal(seen(viewer, wanted))).startswith(
-        "'Boundary' has no paint in slice 7; paint here or go to slice 5."
-    )
+    assert str(error).startswith("'Boundary' is 0 everywhere: nothing says how any tissue moves")
 
 
 def test_a_boundary_in_the_void_alone_is_refused():
@@ -355,11 +339,10 @@ def test_a_piece_of_tissue_that_hangs_on_nothing_is_mentioned():
     assert any("touches no boundary" in note for note in inputs.notes)
 
 
-def test_holes_in_the_picture_are_counted_and_a_picture_of_nothing_refused():
+def test_a_picture_with_holes_is_taken_and_a_picture_of_nothing_refused():
     holes = picture()
     holes[0, :3] = np.nan
-    inputs = read_layers(request(image=Image(holes, name="MR")))
-    assert inputs.notes == ("3 pixels of 'MR' are NaN or infinite",)
+    assert not read_layers(request(image=Image(holes, name="MR"))).notes
     nothing = Image(np.full(SHAPE, np.nan), name="MR", contrast_limits=(0, 1))
     assert "'MR'" in str(refusal(request(image=nothing)))
 
@@ -396,8 +379,6 @@ def test_a_multiscale_image_is_solved_on_its_finest_level_and_it_is_said():
     inputs = read_layers(request(image=Image(levels, multiscale=True)))
     assert inputs.problem.shape == SHAPE
     assert inputs.notes == ("computed on the finest level, 12 x 15",)
-    assert inputs.pictures.level == 0
-    assert read_layers(request()).pictures.level is None
 
 
 def test_one_row_of_pixels_is_a_problem_and_one_pixel_is_not():
@@ -445,20 +426,11 @@ def test_a_mask_elsewhere_in_the_stack_does_not_matter(which):
     assert read_layers(replace(wanted, **{which: Image(data)})).notes == ()
 
 
-def test_whole_numbers_that_single_precision_rounds_are_mentioned():
-    m = np.full(SHAPE, 2**24, dtype=np.int32)
-    m[3, 4:6] += 1
-    inputs = read_layers(request(tissue=Image(m, name="stiffness")))
-    assert inputs.notes == ("2 whole numbers of 'stiffness' above 2^24 were rounded",)
-    m[3, 4:6] += 1
-    assert read_layers(request(tissue=Image(m, name="stiffness"))).notes == ()
-
-
 @pytest.mark.parametrize("dtype", [np.int64, np.uint64])
 def test_the_largest_whole_numbers_are_a_stiffness(dtype):
     m = np.full(SHAPE, np.iinfo(dtype).max)
     inputs = read_layers(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
-    assert inputs.notes == ("180 whole numbers of 'stiffness' above 2^24 were rounded",)
+    assert (inputs.problem.stiffness == np.float32(np.iinfo(dtype).max)).all()
 
 
 class Unreadable:
@@ -531,14 +503,13 @@ def test_confidence_can_come_from_an_image():
     [
         ([[(40, 3), (1, 1)]], "vector 0 at (40, 3)"),
         ([[(5, 3), (1, 1)], [(5.2, 3), (2, 1)]], "vector 0 at (5, 3)"),
-        ([], "No arrow of 'arrows' starts"),
+        ([], "'arrows' is 0 everywhere: nothing says how any tissue moves"),
     ],
     ids=["outside", "conflict", "none"],
 )
 def test_arrows_that_say_nothing_clear_are_refused_by_number(arrows, said):
     error = refusal(request(boundary=arrow_layer(*arrows)))
     assert "'arrows'" in str(error)
-    assert "(Vectors layer, " in str(error)
     assert said in str(error)
 
 
@@ -569,7 +540,7 @@ def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
     assert inputs.problem.confidence[6, 3].all()
     np.testing.assert_array_equal(inputs.problem.observed[6, 3], (1, 0))
     assert inputs.problem.confidence[7, 3].all()
-    assert inputs.notes == ("1 arrow points straight out of the slice and did not count",)
+    assert inputs.notes == ("'arrows' leads out of the slice, too, which did not count",)
 
 
 def test_arrows_that_agree_merge():
@@ -662,7 +633,7 @@ def test_flat_labels_lie_on_every_slice():
     assert read_layers(flat).frame.ndim == 3
 
 
-def test_of_labels_with_more_axes_than_the_image_the_slice_taken_is_said():
+def test_of_labels_with_more_axes_than_the_image_the_slice_shown_is_taken():
     viewer = ViewerModel()
     labels = np.zeros((4, *SHAPE), np.uint8)
     labels[2] = tissue_labels()
@@ -672,7 +643,6 @@ def test_of_labels_with_more_axes_than_the_image_the_slice_taken_is_said():
     viewer.dims.set_current_step(0, 2)
     inputs = read_layers(seen(viewer, wanted))
     assert inputs.frame.slice_name == ""
-    assert inputs.notes == ("of 'Tissue' z = 2 was taken",)
     np.testing.assert_array_equal(inputs.pictures.labels, tissue_labels())
 
 
@@ -730,10 +700,3 @@ def test_a_boundary_that_slips_through_the_coarse_levels_is_told(width, thin):
     )
     told = any("at least 3 pixels wide" in note for note in read_layers(wanted).notes)
     assert told == thin
-
-
-def test_one_layer_for_both_is_taken_but_spoken_of():
-    both = Labels(boundary_labels(SHAPE), name="Both")
-    materials = tuple(Material(label, "gel", 20.0) for label in range(4))
-    wanted = replace(request(tissue=both, boundary=both), materials=materials)
-    assert read_layers(wanted).notes[0].startswith("'Both' is both the tissue and the boundary")

@@ -40,7 +40,6 @@ from napari_hmrf import (
     solve_study,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.study.layer_names import Named
 
 SHAPE = (20, 24)
 GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", Frame.at((0.5, 0.8), ("mm", "mm")))
@@ -81,8 +80,8 @@ def by_labels():
         Motion(labels=painted(), rules=rules, drawing=PULL),
         prior=ElasticPrior(plane="strain"),
         optimizer=Multigrid(1e-2),
-        pictures=Pictures(picture(), labels(), "t1", "Tissue", 0),
-        names={"image": Named("t1", "Image layer, uint8, 20 x 24")},
+        pictures=Pictures(picture(), labels(), "t1", "Tissue"),
+        names={"image": "t1"},
         notes=("its first note",),
     )
 

@@ -44,7 +44,7 @@ def by_name(widget, name):
 
 def results_of(widget):
     """Layers that hold a result, lowest first."""
-    return [layer for layer in viewer_of(widget).layers if "folds" in known_of(layer)]
+    return [layer for layer in viewer_of(widget).layers if "provenance" in known_of(layer)]
 
 
 @pytest.fixture
@@ -544,7 +544,7 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     outputs = run(widget)
     assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
-    assert f"at {outputs.folds} pixels, worst at row {outputs.worst[0]}" in widget.warning
+    assert f"at {outputs.folds} pixels the tissue is pushed" in widget.warning
     # All is listed on the chip; folds can be seen, without solving again.
     chip = Screen(widget).button("⚠  2 warnings: show where")
     assert chip.toolTip() == widget.warning
@@ -604,7 +604,7 @@ def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sa
     viewer.layers.remove("Boundary")
     widget.hold_edge = False
     assert run(widget) is None
-    assert widget.status.startswith("Nothing is held or moved yet")
+    assert widget.status.startswith("'Motion' is 0 everywhere: nothing says how any tissue moves")
     widget.hold_edge = True
     assert not run(widget).solution.displacement.any()
     assert widget.status.startswith("Nothing moves yet")
@@ -743,7 +743,7 @@ def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
     assert not widget.idle  # it is the compute thread that finds out
     busy_thread.set()
     wait_for(lambda: widget.idle)
-    assert widget.status.startswith("There is no tissue in 'Tissue'")
+    assert widget.status.startswith("'Tissue' is 0 everywhere: there is no tissue")
 
 
 # Cancel, removal, closing

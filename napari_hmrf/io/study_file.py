@@ -25,7 +25,6 @@ from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.study.ground import solve_study
-from napari_hmrf.study.layer_names import Named
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -42,7 +41,6 @@ _OF_SOLUTION = "solution_"
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
 _GRID = TypeAdapter(Grid)
-_NAMES = TypeAdapter(dict[str, Named])
 
 
 class Saved(NamedTuple):
@@ -210,7 +208,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "shape": list(study.grid.shape),
             "spacing": list(study.grid.spacing),
             "unit": study.grid.unit,
-            "place": study.grid.place_as_dict,
+            "place": study.grid.place and study.grid.place.as_dict(),
         },
         "tissue": {
             "materials": [row.as_row() for row in tissue.materials],
@@ -230,10 +228,9 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "pictures": {
             "name": pictures.name,
             "labels_name": pictures.labels_name,
-            "level": pictures.level,
             "digest": "" if image is None else _digest(image),
         },
-        "names": {part: asdict(name) for part, name in study.names.items()},
+        "names": dict(study.names),
         "notes": list(study.notes),
         "solution": None,
     }
@@ -290,9 +287,8 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 labels=arrays.get("labels"),
                 name=str(pictures["name"]),
                 labels_name=str(pictures["labels_name"]),
-                level=pictures["level"],
             ),
-            names=_NAMES.validate_python(header["names"]),
+            names={part: _name_in(kept) for part, kept in header["names"].items()},
             notes=tuple(str(note) for note in header["notes"]),
         )
     except HmrfError as error:
@@ -308,6 +304,11 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         if solution.tissue.shape != study.grid.shape:
             raise Invalid("its study and its field are of different size")
     return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
+
+
+def _name_in(kept: Any) -> str:
+    """What a part of a study is called; earlier files say more of it."""
+    return str(kept["name"] if isinstance(kept, Mapping) else kept)
 
 
 def _preset_as_dict(preset: Preset) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 An arrow is a line from where tissue was to where it goes, with two barbs; around its head lies the
 outline of the patch that it holds. A landmark has a cross at its base, too. What speaks of one
-direction only has a double arrow along that through its patch. What is not certain is paler, what
-is selected has another colour.
+direction only has a double arrow along that through its patch. What is selected has another
+colour.
 """
 
 from __future__ import annotations
@@ -27,14 +27,12 @@ Lines = tuple[FloatArray, FloatArray]
 
 NAME = "Motion"
 #: The outline of a patch of radius 1, around its middle.
-_TURN = np.linspace(0, 2 * np.pi, 21)
-_OUTLINE = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=-1)
+_ANGLES = np.linspace(0, 2 * np.pi, 21)
+TURN = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1)
 #: Length of the barbs and of a pin's cross, in radii of the patch.
 _BARB = 0.5
 #: How far a double arrow goes, in radii of the patch, and the length of its barbs in parts of that.
 _BEYOND, _TIP = 1.4, 0.25
-#: How opaque what hardly counts is.
-_PALEST = 0.35
 
 
 def arrow_lines(
@@ -64,12 +62,9 @@ def arrow_lines(
         for number, mark in enumerate(drawing.marks)
         if not isinstance(mark, Stroke)
     ]
-    parts = []
-    for mark, chosen in marks:
-        red, green, blue, _ = SELECTED if chosen else DRAWN
-        opacity = _PALEST + (1 - _PALEST) * mark.confidence
-        parts.append((_lines_of(mark, spacing), (red, green, blue, opacity)))
-    return coloured(parts)
+    return coloured(
+        (_lines_of(mark, spacing), SELECTED if chosen else DRAWN) for mark, chosen in marks
+    )
 
 
 def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]]) -> Lines:
@@ -159,7 +154,7 @@ def _lines_of(mark: Arrow | Landmark, spacing: tuple[float, float]) -> npt.NDArr
     size, radius, length = np.array(spacing), arrow.radius, math.hypot(*arrow.by)
     base, by = np.array([arrow.at]) * size, np.array([arrow.by])
     head, barb = base + by, _BARB * radius
-    outline = head + radius * _OUTLINE
+    outline = head + radius * TURN
     parts = [np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)]
     if length > 0.1 * radius:
         parts.append(barbed(base, by, min(barb, 0.5 * length)))

@@ -25,16 +25,6 @@ _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
 }
 #: Of whose values some were changed by hand.
 _CHANGED = "changed since taken from: "
-#: What is changed in a row.
-_WORDS = {
-    "name": "the name",
-    "stiffness": "the stiffness",
-    "poisson": "Poisson's ratio",
-    "action": "what is done",
-    "vector": "the motion",
-    "amount": "the motion",
-    "confidence": "the confidence",
-}
 
 
 def known_of(layer: Any) -> Mapping[str, Any]:
@@ -64,7 +54,9 @@ def described(
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
-        known[_TABLES[role][0]] = [_as_row(row) for row in rows]
+        known[_TABLES[role][0]] = [
+            row.as_row() if isinstance(row, Material) else asdict(row) for row in rows
+        ]
     said = {"unit": unit, "preset": preset, "whose": whose}
     return {METADATA: {**known, **{name: words for name, words in said.items() if words}}}
 
@@ -116,10 +108,6 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
         return ()
 
 
-def _as_row(row: Material | BoundaryRule) -> dict[str, Any]:
-    return row.as_row() if isinstance(row, Material) else asdict(row)
-
-
 class Table(NamedTuple):
     """What a table of tissues or of boundaries says.
 
@@ -155,15 +143,11 @@ class Table(NamedTuple):
 
 def change(before: Table, after: Table, name: str) -> str:
     """What was done to the table of a layer of that name, in the past tense."""
-    was = {row.label: row for row in before.rows}
-    now = {row.label: row for row in after.rows}
-    if len(now) == len(was) + 1 and all(now.get(label) == row for label, row in was.items()):
-        (label,) = now.keys() - was.keys()
-        return f"added label {label} to '{name}'"
-    differing = [label for label in now if now[label] != was.get(label)]
-    if len(differing) != 1 or now.keys() != was.keys() or before.unit != after.unit:
+    was, now = ({row.label: row for row in table.rows} for table in (before, after))
+    differing = [label for label in was | now if was.get(label) != now.get(label)]
+    if len(differing) != 1:
         return f"changed the table of '{name}'"
-    old, new = was[differing[0]], now[differing[0]]
-    changed = [name for name, value in vars(new).items() if value != vars(old).get(name)]
-    what = _WORDS.get(changed[0], "the row") if len(changed) == 1 else "the row"
-    return f"changed {what} of label {new.label} in '{name}'"
+    (label,) = differing
+    return (
+        f"changed label {label} of '{name}'" if label in was else f"added label {label} to '{name}'"
+    )

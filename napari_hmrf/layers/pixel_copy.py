@@ -5,7 +5,6 @@ from __future__ import annotations
 import weakref
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -40,20 +39,14 @@ def check_size(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, int]
 ) -> None:
     """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
-    if not frame.same_place(own, shape):
+    own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
+    if own_shape != shape or not frame.same_place(own, shape):
+        own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
         raise LayerError(
             layer,
-            f"lies elsewhere than '{reference.name}': their scale, translation, rotation, "
-            "shear, affine or units differ. Give both the same transform, or resample one.",
-        )
-    if isinstance(layer, Vectors):
-        return
-    own_shape = plane_shape(layer, own)
-    if own_shape != shape:
-        raise LayerError(
-            layer,
-            f"has {own_shape[0]} x {own_shape[1]} pixels in this slice, but '{reference.name}' "
-            f"has {shape[0]} x {shape[1]}. Choose layers of the same size, or resample one.",
+            f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
+            "or their scale, translation, rotation, shear, affine or units differ. Give both the "
+            "same, or resample one.",
         )
 
 
@@ -92,23 +85,6 @@ def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
     shape = plane_shape(reference, frame)
     sized = isinstance(layer, Vectors) or plane_shape(layer, own) == shape
     return sized and frame.same_place(own, shape)
-
-
-def nearest_paint(layer: Any, frame: Frame) -> str:
-    """The nearest slice of a Labels layer that holds paint, in words; "" if none does.
-
-    Only of arrays in memory: to look through a stack on a disk would take too long.
-    """
-    data = full_resolution(layer)
-    if not isinstance(data, np.ndarray):
-        return ""
-    for axis in frame.others:
-        index = frame.index
-        for at in sorted(range(data.shape[axis]), key=lambda at: abs(at - index[axis])):
-            there = replace(frame, index=(*index[:axis], at, *index[axis + 1 :]))
-            if data[there.pixels].any():
-                return there.slice_seen
-    return ""
 
 
 class LayerCopies:

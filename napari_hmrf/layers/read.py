@@ -13,7 +13,6 @@ from napari.layers import Labels, Layer, Vectors
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
-from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
 from napari_hmrf.layers.label_colours import boundary_colours
@@ -27,12 +26,12 @@ from napari_hmrf.layers.metadata import (
     rows_of,
     tissue_record,
 )
-from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, nearest_paint, plane_shape
+from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, plane_shape
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.study.layer_names import LayerError, Named, naming
+from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -143,10 +142,6 @@ class _Reader:
         self._shape = plane_shape(reference, self._frame)
         self._of_arrows: tuple[str, ...] = ()
         self._multiscale = any(layer.multiscale for layer in request.layers)
-        self._frames = {
-            id(layer): self._frame if layer is reference else frame_of(layer, request.view)
-            for layer in request.layers
-        }
 
     def study(self, prior: Prior, optimizer: Optimizer) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
@@ -158,14 +153,10 @@ class _Reader:
             "boundary": request.boundary,
             "confidence": request.confidence,
         }
-        names = {part: Named.of(layer) for part, layer in parts.items() if isinstance(layer, Layer)}
+        names = {part: str(layer.name) for part, layer in parts.items() if isinstance(layer, Layer)}
         drawing = request.drawing
         if drawing is not None and (drawing.marks or "boundary" not in names):
-            names["drawing"] = Named(ARROWS, "Vectors layer")
-        if not {"boundary", "drawing"} & set(names):
-            raise LayerError(
-                reference, "has no boundary. Choose a layer of it, or draw how it moves."
-            )
+            names["drawing"] = ARROWS
         return Study(
             grid=Grid(self._shape, frame.spacing, frame.unit, frame),
             tissue=tissue,
@@ -179,7 +170,6 @@ class _Reader:
                 labels_name="" if request.tissue is None else str(request.tissue.name),
                 look=look_of(request.image),
                 labels_look=look_of(request.tissue) if tissue.labels is not None else {},
-                level=0 if self._multiscale else None,
             ),
             names=names,
             notes=(*self._notes(), *self._of_arrows),
@@ -187,7 +177,7 @@ class _Reader:
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
         """The pixels of a layer that are the reference's."""
-        own = self._frames[id(layer)]
+        own = frame_of(layer, self._request.view)
         check_size(layer, own, self._reference, self._frame, self._shape)
         return self._copies.of(layer, own)
 
@@ -233,16 +223,21 @@ class _Reader:
             return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
-            _refuse_unpainted(layer, self._frames[id(layer)])
+            here = frame_of(layer, request.view).slice_seen
+            raise LayerError(
+                layer,
+                f"has no paint{f' in {here}' if here else ' yet'}: choose a row, then paint a wall "
+                "or something that moves.",
+            )
         rules = request.rules
         rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """What arrows or a field observe, and how sure that is."""
-        frame, shape, data = self._frame, self._shape, self._copies.of(layer)
-        sure, field = self._sure(), field_of(layer)
-        own = frame if field else self._frames[id(layer)]
+        request, frame, shape = self._request, self._frame, self._shape
+        data, sure, field = self._copies.of(layer), self._sure(), field_of(layer)
+        own = frame if field else frame_of(layer, request.view)
         if field is None:
             check_size(layer, own, self._reference, frame, shape)
 
@@ -258,14 +253,8 @@ class _Reader:
 
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
         y, c, out = self._copies.made(layer, of, observe)
-        if field is None and out:
-            what = "1 arrow points" if out == 1 else f"{out} arrows point"
-            self._of_arrows = (f"{what} straight out of the slice and did not count",)
-        elif out > _OUT * max(frame.spacing):
-            far = f"{out:.3g} {unit_symbol(frame.unit)}"
-            self._of_arrows = (
-                f"'{layer.name}' leads up to {far} out of the slice, which did not count",
-            )
+        if out > (0 if field is None else _OUT * max(frame.spacing)):
+            self._of_arrows = (f"'{layer.name}' leads out of the slice, too, which did not count",)
         return y, c
 
     def _sure(self) -> npt.NDArray[Any] | None:
@@ -286,39 +275,12 @@ class _Reader:
         return self._copies.made(image, (pixels,), lambda: at_edges(pixels))
 
     def _notes(self) -> tuple[str, ...]:
-        request, frame, notes = self._request, self._frame, []
-        if request.tissue is not None and request.tissue is request.boundary:
-            notes.append(
-                f"'{request.tissue.name}' is both the tissue and the boundary: choose another "
-                "layer for one of them, unless that is meant"
-            )
-        if frame.skew > _RIGHT_ANGLE:
-            notes.append(
-                f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
-            )
+        skew, notes = self._frame.skew, []
+        if skew > _RIGHT_ANGLE:
+            notes.append(f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles")
         if self._multiscale:
             notes.append(f"computed on the finest level, {self._shape[0]} x {self._shape[1]}")
-        notes += [
-            f"of '{layer.name}' {self._frames[id(layer)].slice_seen} was taken"
-            for layer in request.layers[1:]
-            if self._frames[id(layer)].ndim > frame.ndim
-        ]
         return tuple(notes)
-
-
-def _refuse_unpainted(boundary: Any, own: Frame) -> None:
-    """Say where there is paint, if not here."""
-    elsewhere = nearest_paint(boundary, own)
-    if elsewhere:
-        raise LayerError(
-            boundary, f"has no paint in {own.slice_seen}; paint here or go to {elsewhere}."
-        )
-    raise LayerError(
-        boundary,
-        "is not painted yet.",
-        f"Nothing is painted in '{boundary.name}' yet: choose a row, then paint a wall or "
-        "something that moves.",
-    )
 
 
 def look_of(layer: Any) -> dict[str, Any]:
@@ -356,7 +318,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         part: str, name: str, data: Any, look: Mapping[str, Any], sort: str = "image", **what: Any
     ) -> None:
         """Make a layer, by the name that it had."""
-        name = study.names[part].name if part in study.names else name
+        name = study.names.get(part, name)
         known = described(**what)[METADATA] if what else {}
         made[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
@@ -378,7 +340,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         starts, steps = np.argwhere(counts > 0), motion.observed / grid.spacing
         if len(starts) > _MANY:
             field = DisplacementField.in_pixels(frame.put_field(steps))
-            name = study.names["boundary"].name if "boundary" in study.names else "Observed"
+            name = study.names.get("boundary", "Observed")
             place = frame.placement(image=True)
             made["boundary"] = Layer.create(*field_layer(field, place, name, BOUNDARY))
         else:

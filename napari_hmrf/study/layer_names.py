@@ -1,66 +1,29 @@
-"""How errors name a layer: by what the user called it first, by what it is after that."""
+"""How errors name a layer: by what the user called it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from napari_hmrf.errors import ProblemError
 
 
-@dataclass(frozen=True)
-class Named:
-    """What is kept of a layer to name it by when it may be gone.
-
-    Attributes
-    ----------
-    name : str
-        The user's.
-    details : str
-        Such as "Labels layer, uint8, 300 x 300".
-    """
-
-    name: str
-    details: str
-
-    @classmethod
-    def of(cls, layer: Any) -> Named:
-        """Of a layer, or of what was already kept of one."""
-        if isinstance(layer, Named):
-            return layer
-        kind = layer.__class__.__name__  # not type(): napari hands plugins proxies
-        if kind in ("Vectors", "Points", "Shapes"):
-            details = f"{len(layer.data)} {kind.lower()}, {layer.ndim}-D"
-        else:
-            data = full_resolution(layer)
-            details = f"{data.dtype}, {' x '.join(str(extent) for extent in data.shape)}"
-        return cls(str(layer.name), f"{kind} layer, {details}")
-
-
 class LayerError(ProblemError):
-    """What is wrong with a layer: a sentence for people, then what the layer is.
+    """What is wrong with a layer, in a sentence for people.
 
     Parameters
     ----------
-    layer : napari.layers.Layer or Named
+    layer : napari.layers.Layer or str
+        Or its name.
     message : str
         What is wrong and what to do, as it goes on after the layer's name.
-    sentence : str, optional
-        The same as a sentence of its own, where the name does not come first.
-
-    Attributes
-    ----------
-    sentence : str
-        Without the technical details.
     """
 
-    def __init__(self, layer: Any, message: str, sentence: str = "") -> None:
-        named = Named.of(layer)
-        super().__init__(named.name, message)
-        self.sentence = sentence or f"'{named.name}' {message}"
-        self.args = (f"{self.sentence} ({named.details})",)
+    def __init__(self, layer: Any, message: str) -> None:
+        name = layer if isinstance(layer, str) else str(layer.name)
+        super().__init__(name, message)
+        self.args = (f"'{name}' {message}",)
 
 
 def full_resolution(layer: Any) -> Any:

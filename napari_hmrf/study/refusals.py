@@ -1,27 +1,18 @@
-"""What a study is refused for before any work, and what its owner may not expect of it.
-
-Both are said of the parts that people know.
-"""
+"""What a study is refused for before any work, said of the parts that people know."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import scipy
 
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
 
-FloatArray = npt.NDArray[np.float32]
-
 
 def refuse_rigid(study: Study) -> None:
-    """Refuse rigid tissue of a prior that cannot have it, in words and before any work.
+    """Refuse rigid tissue of a prior that cannot have it.
 
     Raises
     ------
@@ -29,147 +20,17 @@ def refuse_rigid(study: Study) -> None:
         Naming the tissue, what in it is rigid and what to do.
     """
     prior, tissue = study.prior, study.tissue
-    why = (
-        "which the paper's model cannot have: it compares stiffness by ratios. Take the elastic "
-        "model, or give it a number."
-    )
-    if isinstance(prior, ElasticPrior):
-        if prior.penalty == math.inf:
-            return
-        why = (
-            "beside which nothing that is held may slip. Set 'holding force' under 'Advanced' to "
-            "'held exactly', or give it a number."
-        )
-    if tissue.labels is not None:
-        rigid = [row for row in tissue.materials if row.is_rigid]
-        names = [row.name or f"label {row.label}" for row in rigid if row.label in tissue.labels]
-        there, which = bool(names), " and ".join(f"'{name}'" for name in names)
-    else:
-        given = tissue.stiffness
-        there, which = given is not None and bool((given == np.inf).any()), "an infinite stiffness"
-    if there:
-        raise LayerError(study.named("tissue", "image"), f"has rigid tissue ({which}), {why}")
-
-
-def refuse_nothing(study: Study, m: FloatArray, c: FloatArray) -> None:
-    """Refuse what holds nothing, and what holds only where there is no tissue.
-
-    Parameters
-    ----------
-    study : Study
-    m : ndarray, shape (H, W)
-        Stiffness.
-    c : ndarray, shape (H, W, 2)
-        Confidence.
-
-    Raises
-    ------
-    ProblemError
-        Naming the boundary.
-    """
-    named, drawn, tissue = map(study.names.get, ("boundary", "drawing", "tissue"))
-    somewhere, silent = (c != 0).any(axis=-1), "says nothing of how tissue moves."
-    if not somewhere.any():
-        if drawn is not None:
-            sentence = "Nothing is held or moved yet: take a tool and drag tissue, or paint."
-            raise LayerError(drawn, silent, sentence)
-        if named is None:
-            return  # the problem itself says it
-        sentence = (
-            f"Nothing in '{named.name}' counts: its confidence is 0 everywhere. Give something a "
-            "confidence above 0, up to 1 for certain."
-        )
-        if study.motion.labels is None and "confidence" not in study.names:
-            sentence = (
-                f"No arrow of '{named.name}' starts in this slice: add some, or choose a Labels "
-                "layer to paint on."
-            )
-        raise LayerError(named, silent, sentence)
-    if drawn is None and named and tissue and not (somewhere & (m != 0)).any():
+    if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+        return
+    labels, rigid = tissue.labels, [row for row in tissue.materials if row.is_rigid]
+    painted = [row for row in rigid if labels is not None and row.label in labels]
+    which = [f"'{row.name or row.label}'" for row in painted]
+    if tissue.stiffness is not None and (tissue.stiffness == np.inf).any():
+        which = ["an infinite stiffness"]
+    if which:
         raise LayerError(
-            named,
-            "lies outside all tissue.",
-            f"All of '{named.name}' lies where there is no tissue (stiffness 0). Paint it on "
-            f"tissue, or give that place of '{tissue.name}' a stiffness.",
+            study.named("tissue", "image"),
+            f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, nor "
+            "any in which what is held may slip. Take the elastic model with 'holding force' "
+            "under 'Advanced' at 'held exactly', or give it a number.",
         )
-
-
-def refuse_void(study: Study, m: FloatArray) -> None:
-    """Refuse a study without any tissue.
-
-    Raises
-    ------
-    ProblemError
-        Naming what says where there is some.
-    """
-    if not m.any():
-        named = study.named("tissue", "image")
-        raise LayerError(
-            named,
-            "has stiffness 0 everywhere.",
-            f"There is no tissue in '{named.name}': all of it has stiffness 0. Give what is tissue "
-            "a stiffness above 0.",
-        )
-
-
-def holes(study: Study) -> str:
-    """Refuse a picture of nothing; count the holes of another, as a clause."""
-    image, named = study.pictures.image, study.named("image")
-    if image is None or image.dtype.kind != "f":
-        return ""
-    bad = int((~np.isfinite(image)).sum())
-    if bad == image.size:
-        raise LayerError(named, "is NaN everywhere in this slice. Choose another image or slice.")
-    return f"{bad} pixels of '{named.name}' are NaN or infinite" if bad else ""
-
-
-def rounding(study: Study, stiffness: npt.NDArray[Any]) -> str:
-    """Say so where single precision, which the solver works in, rounds whole numbers."""
-    if stiffness.dtype.kind not in "iu":
-        return ""
-    # Bit by bit: no float holds all 64-bit integers to compare with.
-    whole = np.maximum(stiffness, 1).astype(np.uint64)
-    lowest_bit = whole & (~whole + np.uint64(1))
-    rounded = int((whole // lowest_bit > 2**24).sum())
-    name = study.named("tissue", "image").name
-    return f"{rounded} whole numbers of '{name}' above 2^24 were rounded" if rounded else ""
-
-
-def lack(
-    problem: Problem, painted: npt.NDArray[np.floating[Any]], tissue: npt.NDArray[np.bool_]
-) -> str:
-    """Say what a painted boundary lacks: something that moves, or that holds the rest.
-
-    Parameters
-    ----------
-    problem : Problem
-    painted : ndarray, shape (H, W, 2)
-        How what was painted should move, however sure that is.
-    tissue : ndarray of bool, shape (H, W)
-        What is tissue, be it held or not.
-    """
-    moves = painted != 0
-    if not moves.any():
-        return (
-            "nothing that is painted moves: have something move or expand, by a distance other "
-            "than 0"
-        )
-    moves &= tissue[..., None]
-    if not moves.any():
-        return (
-            "nothing moves: all that is to move is painted where there is no tissue (stiffness 0). "
-            "Paint it on tissue, or give that place a stiffness"
-        )
-    if not (moves & (problem.confidence > 0)).any():
-        return (
-            "nothing moves: all that is to move has a confidence of 0, with which it does not "
-            "count. Give it one above 0, up to 1 for certain"
-        )
-    seen = problem.known.any(axis=-1)
-    rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
-    if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():
-        return ""
-    return (
-        "nothing holds the tissue, so that all of it gives way: paint what stays where it is, such "
-        "as bone, as 'fixed'"
-    )

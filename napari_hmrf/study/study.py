@@ -17,7 +17,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.study.layer_names import Named, naming
+from napari_hmrf.study.layer_names import naming
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -49,12 +49,6 @@ class Grid:
     spacing: tuple[float, ...]
     unit: str = "pixel"
     place: Any = None
-
-    @property
-    def place_as_dict(self) -> dict[str, Any] | None:
-        """The place in JSON types, as `Solution.frame` and files have it."""
-        kept: dict[str, Any] | None = None if self.place is None else self.place.as_dict()
-        return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +138,6 @@ class Pictures:
     labels : ndarray of int, shape (H, W), optional
     name, labels_name : str
         Of what they came from; results are named after them.
-    level : int, optional
-        Of an image of several resolutions: 0, the finest.
     look, labels_look : dict
         How they are drawn: colormap and the like, as a new layer takes it.
     """
@@ -154,7 +146,6 @@ class Pictures:
     labels: Array | None = None
     name: str = ""
     labels_name: str = ""
-    level: int | None = None
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
 
@@ -183,7 +174,7 @@ class Study:
         How it is minimised.
     pictures : Pictures
         What is deformed along with the tissue, and what it may be told from.
-    names : mapping of str to Named
+    names : mapping of str to str
         What people call the parts: "image", "tissue", "boundary", "confidence" and "drawing". What
         is wrong is said of these.
     notes : tuple of str
@@ -220,7 +211,7 @@ class Study:
     prior: Prior = field(default_factory=ElasticPrior)
     optimizer: Optimizer = field(default_factory=Multigrid)
     pictures: Pictures = field(default_factory=Pictures)
-    names: Mapping[str, Named] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __post_init__(self, model: str) -> None:
@@ -254,10 +245,9 @@ class Study:
         given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
         return any(given)
 
-    def named(self, *parts: str) -> Named:
+    def named(self, *parts: str) -> str:
         """What people call a part: the first of these that has a name."""
-        known = (self.names[part] for part in parts if part in self.names)
-        return next(known, Named(parts[0], "of the study"))
+        return next((self.names[part] for part in parts if part in self.names), parts[0])
 
     def same_as(self, other: Study) -> bool:
         """Whether a field of the other would be the same, and move the same image."""

@@ -242,10 +242,8 @@ class LiveStudy:
     def show_before(self, before: bool) -> None:
         """Show the image as it was before it moved, or as it has moved again."""
         result = self._pointer.display.result
-        if result is not None and before:
-            result.hold_before(self.source)
-        elif result is not None:
-            result.release()
+        if result is not None:
+            result.show_before(before)
 
     def forget(self) -> None:
         """Work on nothing."""

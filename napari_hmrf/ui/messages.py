@@ -14,7 +14,6 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
 from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.follower import Done
 
@@ -105,12 +104,11 @@ def report(done: Done) -> str:
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
     outputs, parts, short = done.outputs, list[str](), ""
-    if outputs.folds > HANDFUL and outputs.worst is not None:
-        row, col = outputs.worst
+    if outputs.folds > HANDFUL:
         short = f"Folds at {outputs.folds} pixels: show where"
         parts.append(
-            f"Warning: at {outputs.folds} pixels, worst at row {row}, column {col}, the tissue is "
-            f"pushed through itself (it folds), which no tissue does. {_less(done.moved.study)}."
+            f"Warning: at {outputs.folds} pixels the tissue is pushed through itself (it folds), "
+            f"which no tissue does. {_less(done.moved.study)}."
         )
     if outputs.overlaps > HANDFUL:
         short = short or f"Overlaps at {outputs.overlaps} pixels"
@@ -139,9 +137,7 @@ def _less(study: Study) -> str:
 
 
 def in_short(error: Exception) -> str:
-    """Why there is no result, as one sentence or two, without the technical details of a layer."""
-    if isinstance(error, LayerError):
-        return error.sentence
+    """Why there is no result, as one sentence or two."""
     if isinstance(error, ConvergenceError):
         return f"No result: {str(error).rstrip('.')}."
     if isinstance(error, HmrfError | ValueError):

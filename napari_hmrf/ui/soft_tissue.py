@@ -370,13 +370,11 @@ class SoftTissue(Dock):
         assert study is not None
         rows, cols = study.grid.shape
         view = View.of(self._viewer.dims)
-        marks, notes = read_landmarks(where, should, study.grid.place, (rows, cols), view, **how)
+        marks = read_landmarks(where, should, study.grid.place, (rows, cols), view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
         self.start()
-        for note in notes:
-            self.say(messages.sentence_of(note))
 
     def take_materials(self, materials: Preset | Any) -> None:
         """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.

@@ -11,6 +11,7 @@ from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from napari_hmrf.layers.field_layer import holds_field
+from napari_hmrf.layers.image_result import CONFIDENCE
 from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
@@ -187,4 +188,4 @@ def _what_moves(layer: Any) -> str:
 def _may_be_confidence(layer: Any) -> bool:
     """Whether a layer is grey or a mask, and no picture of what brushes have made of confidence."""
     grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
-    return grey and known_of(layer).get("kind") != "painted confidence"
+    return grey and known_of(layer).get("kind") != CONFIDENCE
