@@ -42,8 +42,6 @@ class Column(NamedTuple):
         What the cell of a row says; where that is "" there is nothing to be typed either.
     typed : callable
         The row after something was typed; ValueError says why that means nothing.
-    tip : callable
-        What the mouse finds in the cell of a row.
     choices : sequence of str
         What there is to choose from, if nothing is to be typed.
     """
@@ -52,7 +50,6 @@ class Column(NamedTuple):
     about: str
     shown: Callable[[Any], str]
     typed: Callable[[Any, str], Any] = lambda row, text: row
-    tip: Callable[[Any], str] = lambda row: ""
     choices: Sequence[str] = ()
 
 
@@ -122,14 +119,12 @@ class LabelTable(QTableWidget):
                 "",
                 "Label and colour; click a row to paint with it",
                 lambda row: str(row.label),
-                tip=lambda row: "Click to paint with this label",
             ),
             Column(
                 self.title,
                 "Any name",
                 lambda row: row.name,
                 lambda row, text: replace(row, name=text),
-                lambda row: self.about(row) or row.name,
             ),
         ]
 
@@ -140,10 +135,6 @@ class LabelTable(QTableWidget):
     def words(self, row: Any) -> str:
         """What a row says, in words."""
         raise NotImplementedError
-
-    def about(self, row: Any) -> str:
-        """What there is to say of a row beside its name."""
-        return ""
 
     # What is in it
 
@@ -303,7 +294,7 @@ class LabelTable(QTableWidget):
             if about.choices:
                 self.setCellWidget(row, column, self._box(item, about.choices))
         item.setText(text)
-        item.setToolTip(about.tip(value))
+        item.setToolTip(text)  # the dock is narrow
         typing = Qt.ItemFlag.ItemIsEditable
         typed = column == NAME or (column > NAME and text)
         flags = item.flags() | typing if typed else item.flags() & ~typing

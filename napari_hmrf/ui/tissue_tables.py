@@ -60,17 +60,16 @@ class MaterialTable(LabelTable):
                 f"Stiffness ({unit})" if unit else "Relative\nstiffness",
                 "Young's modulus, in any unit as long as it is the same for all tissues: only "
                 "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone "
-                "or an implant; the elastic model has that, the paper's has not.",
+                "or an implant; the elastic model has that, the paper's has not.\n"
+                "Label 0 is every pixel that you do not paint.",
                 lambda row: stiffness_in_words(row.stiffness),
                 _stiffness,
-                _about,
             ),
             Column(
                 "Poisson's\nratio",
                 ABOUT_POISSON,
                 lambda row: f"{row.poisson:g}" if self._elastic and row.is_deformable else "",
                 _poisson,
-                _about,
             ),
         ]
 
@@ -87,10 +86,6 @@ class MaterialTable(LabelTable):
         """How stiff it is."""
         amount = stiffness_in_words(row.stiffness)
         return amount if row.is_rigid else f"stiffness {amount}"
-
-    def about(self, row: Material) -> str:
-        """What is unpainted is of a tissue, too."""
-        return _of_unpainted(row)
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -109,17 +104,6 @@ def _poisson(material: Material, text: str) -> Material:
     return replace(material, poisson=poisson)
 
 
-def _of_unpainted(material: Material) -> str:
-    unpainted = "Every pixel you do not paint has this stiffness; with 0 it is no tissue"
-    return unpainted if material.label == 0 else ""
-
-
-def _about(material: Material) -> str:
-    if material.is_rigid:
-        return "Moves and turns as one, such as bone or an implant, without changing its shape"
-    return _of_unpainted(material) if material.is_deformable else "No tissue, such as air"
-
-
 class BoundaryTable(LabelTable):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
@@ -135,13 +119,10 @@ class BoundaryTable(LabelTable):
             Column(
                 "Action",
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                "Expands: so far outward, along the normal of its outline",
+                "Expands: so far outward, along the normal of its outline, which must be a closed "
+                "ring or filled",
                 self.words,
                 lambda row, text: replace(row, action=_BY_WORD[text]),
-                lambda row: (
-                    "Expanding regions must be closed rings or filled: they move along the outward "
-                    "normal of their outline"
-                ),
                 tuple(_BY_WORD),
             ),
             *(_along(axis, unit, ways) for axis in (0, 1)),
@@ -209,7 +190,7 @@ def _distance(
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # the dock is narrow
-    return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed, lambda _: f"in {unit}")
+    return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed)
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
@@ -318,13 +299,7 @@ class MaterialMenu(QPushButton):
         return file
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
-        rows = "\n".join(
-            f"{row.label}  {row.name}: {stiffness_in_words(row.stiffness, preset.unit)}"
-            + (f", Poisson's ratio {row.poisson:g}" if row.is_deformable else "")
-            for row in preset.materials
-        )
-        source = f"\nSource: {preset.source}" if preset.source else ""
-        about = f"<p style='white-space:pre-wrap'>{escape(rows + source, quote=False)}</p>"
+        about = f"<p>{escape(preset.source, quote=False)}</p>"  # as rich text it is wrapped
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
         add_entry(menu, title, about, lambda _=False: self.take(preset))
 
