@@ -130,15 +130,13 @@ class DockForm:
             step.addWidget(part.native)
             if open_:
                 step.expand(animate=False)
-            step.toggled.connect(partial(self._on_toggled, step))
             layout.addWidget(step)
+            shown = single_shot(step, _LAID_OUT, partial(self._scroll_to, step))
+            step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
         layout.setSpacing(4)
         layout.addStretch()
         # The dock may be lower than the form is, but no narrower.
         self._scroll = scroll = Narrow()
-        self._opened: QCollapsible | None = None
-        self._laid_out = single_shot(scroll, _LAID_OUT, partial(self._on_toggled, None))
-        scroll.verticalScrollBar().rangeChanged.connect(self._show_opened)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -158,17 +156,11 @@ class DockForm:
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 
-    def _on_toggled(self, step: QCollapsible | None, opened: bool = False) -> None:
-        self._opened = step if opened else None
-        if opened:
-            self._laid_out.start()
-
-    def _show_opened(self, *_: int) -> None:
-        """Scroll to a step that was opened: to all of it, or at least to its beginning."""
-        step, bar = self._opened, self._scroll.verticalScrollBar()
-        if step is not None:
-            least = step.geometry().bottom() + 1 - bar.pageStep()
-            bar.setValue(min(step.y(), max(bar.value(), least)))
+    def _scroll_to(self, step: QCollapsible) -> None:
+        """Scroll to all of a step that was opened, or at least to its beginning."""
+        bar = self._scroll.verticalScrollBar()
+        least = step.geometry().bottom() + 1 - bar.pageStep()
+        bar.setValue(min(step.y(), max(bar.value(), least)))
 
     def _on_tissue(self) -> None:
         layer = self.tissue.layer if self.tissue.curve is None else self.image.value
