@@ -94,7 +94,7 @@ class Guide:
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or motion_messages.FLAT
         begun = boundary.choice.value is not None
-        how = motion_messages.START if form.footer.live.on or not begun else messages.READY
+        how = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how
         return self._paused or form.model.objection or how

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 import weakref
 from dataclasses import replace
@@ -182,7 +183,7 @@ class LiveStudy:
             self._cannot(error)
             return False
         study = self._stand_on(study, request.layers[0])
-        if self._form.footer.live.on or self._pointer.active:
+        if self._form.footer.live.value or self._pointer.active:
             self._follow(study)
         else:
             self._failed = ""
@@ -279,8 +280,7 @@ class LiveStudy:
             self._asked = None
             self._pointer.stand_on(study, source)
             self._describe()
-            rows, cols = study.grid.shape
-            self._form.footer.live.judge((rows, cols))
+            self._form.footer.live.judge(math.prod(study.grid.shape))
             self._follower.rehearse(study)
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
@@ -387,7 +387,7 @@ class LiveStudy:
             return f"The tissue does not follow yet. {self._failed} {stays}".rstrip()
         if self._pointer.active:
             return ""
-        if latest is None or study is None or self._form.footer.live.on or self.fresh:
+        if latest is None or study is None or self._form.footer.live.value or self.fresh:
             return self._report
         here = study.grid.place == latest.moved.study.grid.place
         return f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()

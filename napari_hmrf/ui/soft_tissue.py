@@ -155,7 +155,7 @@ class SoftTissue(Dock):
     compare_with = Part[Any]("_form.result.second.value")
     residual = Part[str]("_form.result.landmarks.value")
     sides = Part[Sides]("_sides.shown")
-    live = Part[bool]("_form.footer.live.on")
+    live = Part[bool]("_form.footer.live.value")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")
