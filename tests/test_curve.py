@@ -599,16 +599,6 @@ def test_every_preset_is_offered_with_its_source(widget, small_sample):
     assert widget.status == said
 
 
-def test_bone_is_one_entry_of_the_menu_away(widget, small_sample):
-    small_sample(widget._viewer)
-    before = widget.materials
-    entries(widget._form.tissue.menu)["Bone or implant (rigid)"].trigger()
-    assert widget.materials[:-1] == before
-    bone = widget.materials[-1]
-    assert bone.is_rigid
-    assert widget.tissue.selected_label == bone.label, "to be painted with next"
-
-
 def test_materials_are_taken_from_another_layer(widget, small_sample):
     viewer = widget._viewer
     small_sample(viewer)

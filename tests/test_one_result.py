@@ -562,7 +562,6 @@ def test_paint_is_put_on_the_image_as_it_was(at_hand, settle):
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     Screen(dock).click_row("gel")
-    assert dock.status.startswith("Painting 'gel' (label 1)")
     assert not any(viewer.layers[name].visible for name in pictures(viewer))
     assert viewer.layers["MR"].visible
     grab(dock)
@@ -674,15 +673,6 @@ def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
     settle(puller)
     arrows = viewer.layers["Motion"]
     assert len(arrows.edge_color) == len(arrows.data)
-
-
-def test_painting_is_spoken_of_as_long_as_somebody_paints(widget, small_sample):
-    image, tissue, _ = small_sample(widget._viewer)
-    widget.hand_brush(tissue)
-    name = next(row.name for row in widget.materials if row.label == tissue.selected_label)
-    assert widget.status == f"Painting '{name}' (label {tissue.selected_label}) in 'Tissue'."
-    widget._viewer.layers.selection = {image}
-    assert widget.status == widget.invitation
 
 
 def test_nothing_is_said_of_a_point_before_anybody_points(at_hand, run, settle):

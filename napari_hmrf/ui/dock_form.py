@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 from magicgui.widgets import Container, PushButton
-from napari.layers import Labels
 from psygnal import Signal
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import (
@@ -20,7 +19,7 @@ from superqt import QCollapsible
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import CalmWheel, Narrow, WholeEntries, row
+from napari_hmrf.ui.forms import CalmWheel, Narrow, row
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
@@ -79,7 +78,6 @@ class DockForm:
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
-        self.model.model.changed.connect(self._on_model)
         fields = (self.model, self.model.in_detail, self.motion.edge, self.motion.fields.preset)
         parts = (self.tissue.edited, self.motion.boundary.edited)
         for told in (*parts, *(field.changed for field in fields)):
@@ -146,8 +144,6 @@ class DockForm:
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)
-        for menu in outer.native.findChildren(QComboBox):
-            menu.installEventFilter(WholeEntries(menu))
         calm = CalmWheel(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
             for field in body.native.findChildren(kind):
@@ -163,8 +159,5 @@ class DockForm:
         bar.setValue(min(step.y(), max(bar.value(), least)))
 
     def _on_tissue(self) -> None:
-        layer = self.tissue.layer if self.tissue.curve is None else self.image.value
-        self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
-
-    def _on_model(self, *_: str) -> None:
-        self.tissue.table.show_poisson(self.model.is_elastic)
+        by_itself = self.tissue.curve is not None
+        self.model.tissue_is(self.image.value if by_itself else self.tissue.layer)

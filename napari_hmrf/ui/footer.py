@@ -9,7 +9,6 @@ from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
-    QProgressBar,
     QPushButton,
     QSizePolicy,
     QVBoxLayout,
@@ -75,8 +74,7 @@ class Footer(QWidget):
         self.help.native.setFixedWidth(28)
         self.chip = QPushButton()
         self.warning = ""
-        self._bar = QProgressBar()
-        self._status, self._details = Prose(_LINES), Prose(1)
+        self._status = Prose(_LINES)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
@@ -86,19 +84,15 @@ class Footer(QWidget):
             row(self.deform, self.cancel),
         ]
         self.chip.setStyleSheet(_CHIP)
-        self._bar.setFixedHeight(12)
         self.chip.hide()
-        self._bar.hide()
-        for label in (self._status, self._details):
-            label.native.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            label.native.setContentsMargins(4, 0, 4, 0)
+        words = self._status.native
+        words.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        words.setContentsMargins(4, 0, 4, 0)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
-        rows = [each.native for each in self._rows]
-        for part in (self._status.native, self._bar, self.chip, *rows, self._details.native):
+        for part in (words, self.chip, *(each.native for each in self._rows)):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
-        self.tell("")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def show_steps(self, steps: ViewerSteps) -> None:
@@ -121,11 +115,6 @@ class Footer(QWidget):
         """Show, where the mouse rests on the sentence, what few want to know of it."""
         self._status.tooltip = technical
 
-    def tell(self, brief: str, details: str = "") -> None:
-        """Show a line about a result, and where the mouse rests on it what few want to know."""
-        self._details.say(brief or " ")  # its line stays, so that no button moves
-        self._details.tooltip = details
-
     def warn(self, sentences: str, short: str = "") -> None:
         """Show what is to be known of the tissue that is seen; "" if nothing."""
         self.warning = sentences
@@ -133,25 +122,9 @@ class Footer(QWidget):
         self.chip.setText(f"⚠  {short or 'Good to know'}")
         self.chip.setToolTip(sentences)
 
-    def start(self, status: str) -> None:
-        """Show at once that work begins, though the window may be busy for a moment yet."""
-        self.deform.enabled, self.cancel.enabled = False, True
-        self._bar.setRange(0, 0)
-        self._bar.show()
-        self.say(status)
-        for widget in (self.deform, self.cancel, self._status):
-            widget.native.repaint()
-
-    def progress(self, fraction: float) -> None:
-        """Show how far the work is; nobody knows while nothing of it is done."""
-        done = round(1000 * fraction)
-        self._bar.setRange(0, 1000 if done else 0)
-        self._bar.setValue(done)
-
-    def stop(self) -> None:
-        """Show that nothing is going on."""
-        self.deform.enabled, self.cancel.enabled = True, False
-        self._bar.hide()
+    def show_work(self, going_on: bool) -> None:
+        """Show whether there is anything to be cancelled before the next can begin."""
+        self.deform.enabled, self.cancel.enabled = not going_on, going_on
 
 
 class LiveChoice(CheckBox):

@@ -42,6 +42,7 @@ def narrow(menu: Any) -> None:
     box = menu.native
     box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     box.setMinimumContentsLength(8)
+    box.view().setTextElideMode(Qt.TextElideMode.ElideMiddle)
 
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
@@ -144,18 +145,6 @@ class CalmWheel(QObject):
             return False
         event.ignore()
         return True
-
-
-class WholeEntries(QObject):
-    """Filters events of a menu: whenever its list opens, it is as wide as its widest entry."""
-
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Measure the entries before they are shown."""
-        if event.type() in (QEvent.Type.MouseButtonPress, QEvent.Type.KeyPress):
-            entries = watched.view()
-            beside = entries.verticalScrollBar().sizeHint().width() + 2 * entries.frameWidth()
-            entries.setMinimumWidth(entries.sizeHintForColumn(0) + beside)
-        return False
 
 
 def align_labels(form: Container) -> None:

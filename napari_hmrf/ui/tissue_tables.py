@@ -28,7 +28,6 @@ from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     default_material,
-    default_rigid,
     default_rule,
     read_stiffness,
     stiffness_in_words,
@@ -48,11 +47,10 @@ class MaterialTable(LabelTable):
     """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
 
     role, title = TISSUE, "Tissue"
-    _elastic = True
 
     @property
     def columns(self) -> list[Column]:
-        """Poisson's ratios, too, of elastic tissue."""
+        """Stiffness in the unit that is known, and Poisson's ratio."""
         unit = self.contents.unit  # shown only, for ratios are what matters
         return [
             *super().columns,
@@ -67,25 +65,15 @@ class MaterialTable(LabelTable):
             ),
             Column(
                 "Poisson's\nratio",
-                ABOUT_POISSON,
-                lambda row: f"{row.poisson:g}" if self._elastic and row.is_deformable else "",
+                f"{ABOUT_POISSON}\nThe paper's model does not ask for it.",
+                lambda row: f"{row.poisson:g}" if row.is_deformable else "",
                 _poisson,
             ),
         ]
 
-    def show_poisson(self, elastic: bool) -> None:
-        """Show Poisson's ratios, or not: only elastic tissue has them."""
-        self._elastic = elastic
-        self._fill()
-
     def default(self, label: int) -> Material:
         """Tissue like the first."""
         return default_material(label, self.rows)
-
-    def words(self, row: Material) -> str:
-        """How stiff it is."""
-        amount = stiffness_in_words(row.stiffness)
-        return amount if row.is_rigid else f"stiffness {amount}"
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -121,7 +109,7 @@ class BoundaryTable(LabelTable):
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
                 "Expands: so far outward, along the normal of its outline, which must be a closed "
                 "ring or filled",
-                self.words,
+                lambda row: _ACTIONS[row.action],
                 lambda row, text: replace(row, action=_BY_WORD[text]),
                 tuple(_BY_WORD),
             ),
@@ -151,10 +139,6 @@ class BoundaryTable(LabelTable):
     def default(self, label: int) -> BoundaryRule:
         """What stays where it is."""
         return default_rule(label)
-
-    def words(self, row: BoundaryRule) -> str:
-        """What it does."""
-        return _ACTIONS[row.action]
 
 
 def _along(axis: int, unit: str, ways: Directions) -> Column:
@@ -229,13 +213,10 @@ class MaterialMenu(QPushButton):
     Attributes
     ----------
     said : Signal(str)
-        What was done, or why not.
-    taken : Signal(str)
-        What was put into the table, and what became of what it called otherwise.
+        What was done, and what became of what the table called otherwise; or why not.
     """
 
     said = Signal(str)
-    taken = Signal(str)
 
     def __init__(self, table: MaterialTable, layers: Callable[[], list[Any]]) -> None:
         super().__init__("Materials")
@@ -250,16 +231,9 @@ class MaterialMenu(QPushButton):
         """Fill the menu with what there is now."""
         menu = self.menu()
         menu.clear()
-        _head(menu, "Published, each with its source")
         for preset in PRESETS:
             self._offer(menu, preset)
-        _head(menu, "In addition")
-        about = (
-            "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
-            "model has that, the paper's has not"
-        )
-        add_entry(menu, "Bone or implant (rigid)", about, lambda: self._table.add(default_rigid))
-        _head(menu, "Share and keep")
+        menu.addSeparator()
         taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
@@ -289,7 +263,7 @@ class MaterialMenu(QPushButton):
             raise LayerError(materials, "has no table of materials. Choose another layer.")
         rows, words = take_over(preset, self._table.rows)
         self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
-        self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
+        self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
         """Save the table to a file; as `save_materials`."""
@@ -312,9 +286,3 @@ class MaterialMenu(QPushButton):
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
         if path:
             attempt(partial(self.save, path), self.said.emit)
-
-
-def _head(menu: QMenu, title: str) -> None:
-    """A line of words between entries; styles with colours of their own draw no section's."""
-    menu.addSeparator()
-    menu.addAction(title).setEnabled(False)
