@@ -154,7 +154,7 @@ class SoftTissue(Dock):
     compare_with = Part[Any]("_form.result.second.value")
     residual = Part[str]("_form.result.landmarks.value")
     sides = Part[Sides]("_sides.shown")
-    live = Part[bool]("_form.footer.live.on")
+    live = Part[bool]("_form.footer.live.value")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")
@@ -219,8 +219,7 @@ class SoftTissue(Dock):
     @property
     def details(self) -> str:
         """What ran to make the latest result, how long and how well."""
-        latest = self._live_study.latest
-        return "" if latest is None else messages.details(latest)
+        return "" if self.solution is None else repr(self.solution)
 
     @property
     def idle(self) -> bool:
@@ -315,7 +314,6 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
-            self._choices.begin()
             self._live_study.settle()
 
     def cancel(self) -> None:
@@ -339,7 +337,6 @@ class SoftTissue(Dock):
         made = add_missing(self._viewer, self.image, *chosen, View.of(self._viewer.dims))
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
-        self._choices.begin()
         self.say(messages.PAINT)
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
@@ -395,7 +392,7 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self._guide.say_painting(layer, self.before)
+            self.say(messages.MEANWHILE if self.before else "")
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -470,7 +467,7 @@ class SoftTissue(Dock):
 
     def on_window(self, window: Any) -> None:
         """The dock is in a window of napari's."""
-        self._unsaved.watch(window)
+        window.installEventFilter(self._unsaved)
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
