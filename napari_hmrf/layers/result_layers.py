@@ -149,15 +149,12 @@ class Outputs:
     overlaps : int
         Pixels at which one part of the tissue has moved onto another; only counted where there
         are pictures.
-    worst : tuple of int, optional
-        The pixel of the worst of them.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
     overlaps: int = 0
-    worst: tuple[int, ...] | None = None
 
 
 def result_layers(
@@ -194,36 +191,28 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    smallest = smallest_determinant(*field)
-    folds, worst = int((smallest <= 0).sum()), None
-    if folds:
-        at = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
-        worst = tuple(map(int, at))
+    folds = int((smallest_determinant(*field) <= 0).sum())
     shown = pictures or Pictures()
     facts = {
         **_whence(frame, shown),
         "model": in_words(solution.provenance.parameters),
-        "folds": folds,
         "provenance": asdict(solution.provenance),
     }
-    if shown.level is not None:
-        facts["level"] = shown.level
+    answer = Answer(solution, frame, facts, replace(shown, image=None, look={}), problem)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # a file that is opened need not wait for the compiler of the loops
         checkpoint()
         origin, covered, twice = inverse_map_and_overlaps(*field)
-        overlaps = facts["overlaps"] = int(twice.sum())
+        overlaps = int(twice.sum())
         if (image := pictures.image) is not None:
             checkpoint()
             fill = emptiness(image, solution.tissue.ndim)
             moved = resample(image, origin, covered, order=1, fill=fill)
-            parameters = solution.provenance.parameters
-            layers["image"] = picture_layer(frame, pictures, moved, parameters, facts)
+            layers["image"] = answer.layer("image", moved, "deformed", pictures.look)
     checkpoint()
-    kept = replace(shown, image=None, look={})
-    layers["arrows"] = _arrow_layer(Answer(solution, frame, facts, kept, problem))
-    return Outputs(solution, layers, folds, overlaps, worst)
+    layers["arrows"] = _arrow_layer(answer)
+    return Outputs(solution, layers, folds, overlaps)
 
 
 def _arrow_layer(answer: Answer) -> LayerData:
@@ -240,9 +229,7 @@ def _arrow_layer(answer: Answer) -> LayerData:
     return made
 
 
-def picture_layer(
-    frame: Frame, pictures: Pictures, picture: Array, parameters: Facts, facts: Facts | None = None
-) -> LayerData:
+def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: Facts) -> LayerData:
     """An image as it is while its tissue is on its way.
 
     Parameters
@@ -254,10 +241,8 @@ def picture_layer(
         As it has moved.
     parameters : mapping
         Of the solution's provenance.
-    facts : mapping, optional
-        What the layer is to know of its result; by default where it comes from.
     """
-    known = {**(facts or _whence(frame, pictures)), "kind": "image"}
+    known = {**_whence(frame, pictures), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
     return layer_on(frame, picture, name, known, pictures.look)
 
@@ -290,12 +275,7 @@ def layer_on(
 
 def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
     """Of what a result was made."""
-    return {
-        "source": pictures.name,
-        "slice": frame.slice_name,
-        "slice_seen": frame.slice_seen,
-        "unit": frame.unit,
-    }
+    return {"source": pictures.name, "slice": frame.slice_name, "unit": frame.unit}
 
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:

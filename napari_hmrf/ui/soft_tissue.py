@@ -157,7 +157,7 @@ class SoftTissue(Dock):
     compare_with = Part[Any]("_form.result.second.value")
     residual = Part[str]("_form.result.landmarks.value")
     sides = Part[Sides]("_sides.shown")
-    live = Part[bool]("_form.footer.live.on")
+    live = Part[bool]("_form.footer.live.value")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")
@@ -222,8 +222,7 @@ class SoftTissue(Dock):
     @property
     def details(self) -> str:
         """What ran to make the latest result, how long and how well."""
-        latest = self._live_study.latest
-        return "" if latest is None else messages.details(latest)
+        return "" if self.solution is None else repr(self.solution)
 
     @property
     def idle(self) -> bool:
@@ -318,7 +317,6 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
-            self._choices.begin()
             self._live_study.settle()
 
     def cancel(self) -> None:
@@ -342,7 +340,6 @@ class SoftTissue(Dock):
         made = add_missing(self._viewer, self.image, *chosen, self._choices.view)
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
-        self._choices.begin()
         self.say(messages.PAINT)
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
@@ -372,13 +369,11 @@ class SoftTissue(Dock):
         study = self._live_study.study
         assert study is not None
         grid, view = study.grid, self._choices.view
-        marks, notes = read_landmarks(where, should, grid.place, grid.shape, view, **how)
+        marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
         self.start()
-        for note in notes:
-            self.say(messages.sentence_of(note))
 
     def take_materials(self, materials: Preset | Any) -> None:
         """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
@@ -399,7 +394,7 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self._guide.say_painting(layer, self.before)
+            self.say(messages.MEANWHILE if self.before else "")
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -474,7 +469,7 @@ class SoftTissue(Dock):
 
     def on_window(self, window: Any) -> None:
         """The dock is in a window of napari's."""
-        self._unsaved.watch(window)
+        window.installEventFilter(self._unsaved)
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
-from napari_hmrf.layers.paint_layer import confidence_layer, number_of, outline_of, painted_layer
+from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -186,7 +186,7 @@ class Display:
         seen = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
         box = box_of(seen, grid.spacing, tuple(slice(0, size) for size in grid.shape))
-        number = number_of(stroke.action, stroke.confidence, stroke.label)
+        number = number_of(stroke.action, stroke.label)
         picture[box][covered(seen, grid.spacing, box)] = number
         return picture
 
@@ -220,7 +220,7 @@ class Display:
         if seen is not None and seen.marks is not None:
             below.append(seen.marks)
         if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
-            below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
+            below.append(way_of(stroke, self.ground.base.spacing, seen.moved.goes_to))
         self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
 
     def leave(self) -> None:

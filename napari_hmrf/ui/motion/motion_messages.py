@@ -26,4 +26,4 @@ NO_OUTSIDE = (
 
 def covered(other: str) -> str:
     """That nothing of the image is seen, and what can be done."""
-    return f"{COVERED}'{other}': hide that one, or choose it here."
+    return f"The image is covered by '{other}': hide that one, or choose it here."

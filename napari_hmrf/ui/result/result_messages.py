@@ -74,14 +74,12 @@ def how_far(
     result: Answer,
     longest: float,
     percent: int,
-    apart: tuple[str, str] | None = None,
     compared: Comparison | None = None,
 ) -> str:
-    """How much of the deformation is seen; or that it is of another slice; how far from others."""
+    """How much of the deformation is seen, and of which slice; how far it is from others."""
     far = as_seen(longest * percent / FULL, result.solution.spacing)
-    moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}"
-    if apart is not None:
-        return f"{moved}. Of {apart[0]}; you look at {apart[1]}."
+    where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
+    moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}{where}"
     return moved if compared is None else f"{moved}. {_compared(compared, result)}"
 
 

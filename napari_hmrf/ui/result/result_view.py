@@ -15,14 +15,12 @@ from napari_hmrf.layers.field_layer import (
     can_be_source,
     field_of,
     result_of,
-    slices_apart,
     source_of,
 )
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
@@ -80,8 +78,6 @@ class ResultView:
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.selection.events.active, self._on_active),
-            (viewer.dims.events.current_step, self._say_how_far),
-            (viewer.dims.events.order, self._say_how_far),
             (results.changed, self._on_changed),
         )
         with suppress(ValueError):  # somebody else's
@@ -104,10 +100,8 @@ class ResultView:
 
     @before.setter
     def before(self, hold: bool) -> None:
-        if self.shown is not None and hold:
-            self.shown.layers.hold_before(self.shown.source)
-        elif self.shown is not None:
-            self.shown.layers.release()
+        if self.shown is not None:
+            self.shown.layers.show_before(hold)
 
     @property
     def arrows(self) -> Any:
@@ -311,7 +305,7 @@ class ResultView:
         self._errands.forget()
         if self.shown is not None:
             if release:
-                self.shown.layers.release()
+                self.shown.layers.show_before(False)
             self.shown.layers.show_whole()
         self._draw_whole()
 
@@ -329,13 +323,11 @@ class ResultView:
         self._say_how_far()
 
     def _say_how_far(self, *_: Any) -> None:
-        """Say how much is seen, and whether it is the slice of the result that is shown."""
+        """Say how much is seen, and of which slice."""
         far = ""
         if (shown := self.shown) is not None:
-            arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
-            apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
             percent = self._form.slider.value
-            far = words.how_far(shown.answer, shown.longest, percent, apart, self.comparison)
+            far = words.how_far(shown.answer, shown.longest, percent, self.comparison)
         self._form.how_far.say(far)
 
     # What is pressed
