@@ -213,7 +213,8 @@ def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_
 ):
     viewer = widget._viewer
     small_sample(viewer)
-    widget.hold_edge = True
+    widget.boundary = None
+    assert widget.hold_edge
     widget.undo()
     assert not widget.hold_edge
     viewer.layers.clear()

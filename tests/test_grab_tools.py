@@ -442,7 +442,7 @@ def test_tissue_is_painted_from_the_table_of_its_layer(open_window, settle):
     material = widget.fields.material
     assert tuple(material.choices) == (1, 7)
     material.value = 7
-    assert person.viewer.canvas.overlays.text.text == "Tissue: bone (1000 kPa)"
+    assert person.viewer.canvas.overlays.text.text == "Tissue"
     widget.fields.radius.value = 6.0
     person.paint((32, 20), (32, 32), (32, 44))
     widget.drawing = Drawing((*widget.drawing.marks, Arrow((32, 20), (0, 4), 3.0)))

@@ -603,16 +603,18 @@ def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sa
     assert widget.status.startswith("Nothing moves yet")
 
 
-def test_the_edge_is_let_go_for_a_boundary_that_comes_painted(widget, small_sample):
+def test_the_edge_is_let_go_for_a_boundary_that_comes_painted_and_held_for_the_next(
+    widget, small_sample
+):
     viewer = viewer_of(widget)
     viewer.add_image(np.ones((20, 24)), name="T1")
     assert widget.hold_edge
     small_sample(viewer)
     assert not widget.hold_edge
-    widget.hold_edge = True
-    widget.boundary = None
+    viewer.layers.remove("Boundary")
+    assert widget.hold_edge
     widget.make_layers()
-    assert widget.hold_edge, "somebody said so, and what is new is not painted"
+    assert widget.hold_edge
 
 
 @pytest.mark.parametrize(

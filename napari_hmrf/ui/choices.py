@@ -185,9 +185,11 @@ class Choices:
         return [slot.layer for slot in slots if self._edits.get(slot).marks]
 
     def _on_boundary(self, layer: Any) -> None:
-        """A field says how the edge moves."""
+        """A field says how the edge moves; without a boundary it is held."""
         if holds_field(layer):
             self._let_edge_go()
+        elif layer is None:
+            self._form.motion.edge.value = True
 
     def _on_image(self, image: Any) -> None:
         """Choose what goes with an image: what was chosen for it before, if it was."""

@@ -13,7 +13,7 @@ from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.study import Grid, Study
-from napari_hmrf.study.study_model import History
+from napari_hmrf.study.study_model import History, Step
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
@@ -84,6 +84,7 @@ class Pointer:
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
+        steps.said.connect(self._on_step)
         for field in fields:
             if field is not fields.preset:
                 field.changed.connect(self._on_field)
@@ -227,6 +228,7 @@ class Pointer:
     def end(self) -> None:
         """Feel nothing any more."""
         self.display.arrows.end_drag()
+        self._steps.said.disconnect(self._on_step)
 
     # What the mouse and the keys do on the canvas
 
@@ -349,6 +351,17 @@ class Pointer:
             self.draw()
         elif not self._drawing_waits.isActive():
             self._drawing_waits.start()
+
+    def _on_step(self, _: str, step: Step | None) -> None:
+        """Select what undo or redo has changed or brought back, if the tool in the hand made it."""
+        if step is None or step.slot != self.history.slot:
+            return
+        marks = self.drawing.marks
+        new = [number for number, mark in enumerate(marks) if mark not in step.value.marks]
+        if len(new) == 1 and tool_of(marks[new[0]]) is self.tool:
+            self.hand.select(new[0])
+            self._show_how()
+            self.draw()
 
     def _on_field(self, *_: Any) -> None:
         how = self._fields.how
