@@ -61,6 +61,7 @@ class Choices:
         self._lost = False
         motion.boundary.choice.changed.connect(self._on_boundary)
         form.image.changed.connect(self._on_image)
+        form.extent.changed.connect(self._on_extent)
 
     @property
     def values(self) -> dict[str, Any]:
@@ -183,6 +184,12 @@ class Choices:
         """The images on any slice of which something is drawn."""
         slots = [each for each in self._edits.slots if each.what == DRAWING]
         return [slot.layer for slot in slots if self._edits.get(slot).marks]
+
+    def _on_extent(self, _: str) -> None:
+        """Have napari's brush be a ball where a volume is painted."""
+        for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
+            if isinstance(choice.value, Labels) and choice.value.ndim > 2:
+                choice.value.n_edit_dimensions = 3 if self._form.extent.is_volume else 2
 
     def _on_boundary(self, layer: Any) -> None:
         """A field says how the edge moves; without a boundary it is held."""
