@@ -213,7 +213,7 @@ class CpuSeilerModel(HostModel):
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
-        self._exact_pulls, self._pull = (np.zeros(finest.inverse.shape) for _ in range(2))
+        self._pull = np.zeros(finest.inverse.shape)
         self._rest = finest.vector()
         self._rows: npt.NDArray[np.float64] = np.zeros((2, len(finest.spans)))
         self._whole = all_sites(m.shape)
@@ -227,11 +227,11 @@ class CpuSeilerModel(HostModel):
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
-        self._exact_pulls.fill(0)
+        self._pull.fill(0)
         super().hold(held)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        finest, pulls = self.levels[0], self._exact_pulls
+        finest, pulls = self.levels[0], self._pull
         finest.pull(d, self._stiffness, self._lines, finest.spans, pulls)
         given, count = (pulls, 0.0) if load is None else (load, 1.0)
         most, squares = self._rows
@@ -241,7 +241,7 @@ class CpuSeilerModel(HostModel):
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision; valid until the next call."""
+        """- A d everywhere, in double precision; valid until anything else is asked."""
         if low is not None and self._blanket:
             pulls: Planes = self.material.pull(d, low)
             return pulls
