@@ -9,7 +9,7 @@ from cancelling import During
 from line_oracle import cliques, field_of_means, weights_of
 
 from napari_hmrf import Multigrid, Problem, SeilerPrior, Solution, solve
-from napari_hmrf.errors import BackendError, Cancelled, ProblemError
+from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import SiteRule, host
 from napari_hmrf.solver.backends.arrays.seiler import ArraySeilerModel
 from napari_hmrf.solver.backends.cpu import CpuBackend
@@ -376,6 +376,38 @@ def test_the_field_is_that_of_a_direct_solve(ratio, void, spacing):
     found = solve(problem, SeilerPrior(), optimizer=WITHIN)
     assert off(found, problem) <= found.convergence.error <= WITHIN.tolerance
     assert not found.displacement[~problem.tissue].any()
+
+
+@pytest.mark.parametrize("ratio", [1e2, 1e6])
+def test_a_tumour_that_swims_in_soft_tissue_is_found(ratio):
+    n = 14
+    places = np.moveaxis(np.indices((n, n, n)), 0, -1) * (2 / n) - 1
+    m = np.where(np.linalg.norm(places - (0.1, 0.1, 0), axis=-1) < 0.45, ratio, 1.0)
+    y, c = np.zeros((n, n, n, 3)), np.ones((n, n, n, 3))
+    c[1:-1, 1:-1, 1:-1] = 0
+    y[-1, ..., 0] = 1 - np.abs(places[-1, ..., 1])
+    problem = Problem(y, c, m)
+    found = solve(problem, SeilerPrior(), optimizer=WITHIN)
+    assert off(found, problem) <= found.convergence.error <= WITHIN.tolerance
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_reported_holds_or_is_refused(seed):
+    """Hard tissue: blobs far stiffer than what is around them, void, little that is held."""
+    draw = np.random.default_rng(seed)
+    shape = tuple(draw.integers(6, 11, 3))
+    blobs = np.kron(draw.random((4, 4, 4)), np.ones((3, 3, 3)))[tuple(map(slice, shape))]
+    m = np.where(blobs > 0.6, 10 ** draw.uniform(1, 6), 1.0)
+    m[blobs < 0.08] = 0
+    y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    c[draw.random(shape) < 0.02] = c[0] = 1
+    y[c > 0] = draw.normal(size=int(c.sum()))
+    problem = Problem(y, c, m)
+    try:
+        found = solve(problem, SeilerPrior(), optimizer=WITHIN)
+    except ConvergenceError:
+        return
+    assert off(found, problem) <= found.convergence.error <= WITHIN.tolerance
 
 
 def test_what_is_observed_gives_way_where_it_is_pulled_harder_than_its_confidence():

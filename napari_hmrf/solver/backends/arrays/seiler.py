@@ -136,7 +136,7 @@ def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, F
     inner = made[(slice(None), *[slice(2, -2)] * len(grid))]
     np.divide(total, share, out=inner[0], where=total > 0)
     np.divide(share, total, out=inner[1], where=total > 0)
-    # Where little of the tissue around a site exists, no more than a quarter is made up for.
+    # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
     inner[2] = 4 / np.maximum(share, 2 ** len(grid) / 4)
     return made[:2], made[2]
 

@@ -37,7 +37,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
         np.divide(share, total, out=inverse, where=total > 0)
-        # Where little of the tissue around a site exists, no more than a quarter is made up for.
+        # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
         inside(self.even[None])[0] = 4 / np.maximum(share, 2)
         self.load.fill(0)
 
