@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -114,7 +115,8 @@ class SeilerPrior:
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
-        seen = np.asarray(problem.known.any(axis=-1))
+        # Component by component: NumPy takes ten times longer along an axis so short.
+        seen = reduce(np.logical_or, np.moveaxis(problem.known, -1, 0))
         steepest = max(
             _steepest(sampled(problem.stiffness, level), sampled(seen, level), weights)
             for level in levels(problem.shape)
