@@ -346,7 +346,7 @@ def test_the_smallest_volumes_are_solved():
 @pytest.mark.parametrize(
     ("prior", "optimizer", "stiffest", "words"),
     [
-        (SeilerPrior(), ICM(), 1, "for images only"),
+        (SeilerPrior(conditional="blanket"), ICM(), 1, "for images only"),
         (ElasticPrior(penalty=10.0), None, 1, "may slip"),
         (ElasticPrior(), None, np.inf, "for images only yet"),
     ],

@@ -69,7 +69,7 @@ def solve(
     ----------
     problem : Problem
     prior : SeilerPrior or ElasticPrior, optional
-        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``, for images.
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``.
     optimizer : ICM or Multigrid, optional
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
         level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
@@ -264,7 +264,7 @@ def run_here(
         )
     of_prior = dict(prior.parameters)
     if problem.is_volume:
-        of_prior.pop("plane")  # it has none
+        of_prior.pop("plane", None)  # it has none
     return Solution(
         displacement=displacement,
         energy=outcome.energy,

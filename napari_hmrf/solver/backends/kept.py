@@ -17,7 +17,7 @@ _PACKAGE = "napari_hmrf"
 #: The modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
 #: Jobs of `napari_hmrf.compiling` that are done only for those who ask for them.
-APART = ("volume",)
+APART = ("volume", "volume-schedule", "volume-converged")
 #: What tells numba where to keep loops.
 _TOLD = "NUMBA_CACHE_DIR"
 
