@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,7 @@ from napari_hmrf import (
     Problem,
     solve,
 )
-from napari_hmrf.solver.backends import host, open_backend
+from napari_hmrf.solver.backends import COMPILING, compiler, host, loops, open_backend
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, volume_level
 from napari_hmrf.solver.backends.opengl import backend as opengl_backend
@@ -308,7 +309,9 @@ def test_tissue_moves_as_by_loops(poisson, free):
 
 def test_each_tissue_has_a_ratio_of_its_own():
     problem = pressed(12, True)
-    prior = map_of_ratios(problem.shape)
+    poisson = map_of_ratios(problem.shape).poisson.copy()
+    poisson[~problem.tissue] = np.nan  # what void is said to be does not count
+    prior = ElasticPrior(poisson)
     ours, theirs = (solve(problem, prior, backend=name) for name in ("opengl", "cpu"))
     assert_same([ours.displacement], [theirs.displacement])
 
@@ -408,7 +411,29 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
     assert on_compute_thread(lambda: choice(elastic=False))[0] == "cpu"
 
 
-def test_what_opengl_notes_after_an_allocation_is_no_result(monkeypatch):
+def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeypatch):
+    if not on_compute_thread(the_device).software:
+        pytest.skip("this is a GPU")
+    wanted, waited = [], []
+    monkeypatch.setattr(compiler, "request", wanted.append)
+
+    def choice():
+        provide_loops = partial(waited.append, 1)
+        backend, reason = open_backend("auto", lambda: None, provide_loops, volume=(9, 9, 9))
+        backend.close()
+        return backend.name, reason
+
+    monkeypatch.setattr(loops, "ready_for_volumes", lambda: False)
+    assert on_compute_thread(choice) == ("opengl:compute", COMPILING)
+    assert (wanted, waited) == (["volume"], [])
+    monkeypatch.setattr(loops, "ready_for_volumes", lambda: True)
+    name, reason = on_compute_thread(choice)
+    assert name == "cpu"
+    assert "software only" in reason
+    assert (wanted, waited) == (["volume"], [1])
+
+
+def test_an_error_that_opengl_notes_when_it_allocates_ends_the_solve(monkeypatch):
     device = on_compute_thread(the_device)
     monkeypatch.setattr(type(device.ctx), "error", "GL_OUT_OF_MEMORY", raising=True)
     with pytest.raises(BackendError, match="GL_OUT_OF_MEMORY"):

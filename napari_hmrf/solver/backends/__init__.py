@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from napari_hmrf.errors import BackendError
-from napari_hmrf.solver.backends import compiler, loops
+from napari_hmrf.solver.backends import compiler, kept, loops
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -54,8 +54,8 @@ def open_backend(
         Called before the loops are taken where they may not be compiled yet: has that done, and
         waits for it. By default they are compiled as they are called.
     volume : (int, int, int), optional
-        The voxels (D, H, W) that it is for. A GPU takes them if it has compute shaders and buffers
-        that are large enough. A rasteriser does not stand in for loops: they are waited for.
+        The voxels (D, H, W) that it is for, if it is a volume. Shaders take it if there are compute
+        shaders, and buffers that are large enough.
     elastic : bool
         Whether it is for the elastic prior, the only one of which there are shaders for volumes.
 
@@ -85,9 +85,10 @@ def open_backend(
         return _compiled(checkpoint), FOR_VOLUMES
     from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
 
-    compiled = loops.ready()
+    compiled = loops.ready_for_volumes() if volume else loops.ready()
     if name != "auto":
-        compiler.compile_meanwhile()
+        if not volume:
+            compiler.compile_meanwhile()
         asked = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
         asked.check_volume(volume)
         return asked, "asked for"
@@ -96,16 +97,19 @@ def open_backend(
     except BackendError as error:
         provide_loops()
         return _compiled(checkpoint), f"no usable OpenGL ({error})"
-    compiler.compile_meanwhile()
+    if not volume:
+        compiler.compile_meanwhile()
+    try:
+        backend.check_volume(volume)
+    except BackendError as error:
+        backend.close()
+        provide_loops()
+        return _compiled(checkpoint), f"the shaders refuse this volume ({error})"
     if not is_software_renderer(backend.renderer):
-        try:
-            backend.check_volume(volume)
-        except BackendError as error:
-            backend.close()
-            provide_loops()
-            return _compiled(checkpoint), f"the shaders refuse this volume ({error})"
         return backend, "a GPU is there"
-    if not compiled and not volume:
+    if not compiled:
+        if volume:
+            compiler.request(kept.VOLUMES)
         return backend, COMPILING
     backend.close()
     if volume:
